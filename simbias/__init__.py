@@ -1,0 +1,28 @@
+"""Learn the bias between a simulation and the hardware; optimise policies with few hardware experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from simbias.study import Study
+
+__version__ = "0.1.0"
+
+
+def load(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> Study:
+    """Compose a study with the same overrides as on the command line.
+
+    >>> study = load(["bias=none", "hardware.noise.torque_variance=0.1", "seed=3"])
+
+    Raises
+    ------
+    simbias.config.ConfigError
+        If an override or a value is bad; the message is one line that names the key.
+    """
+    from simbias.build import build  # lazily: the command line's --help needs no components
+    from simbias.config import compose
+
+    return build(compose(overrides, config_dir))
