@@ -1,0 +1,1 @@
+"""How a policy's cost is predicted in simulation."""

@@ -1,0 +1,117 @@
+"""Predict a policy's cost from several rollouts that differ in all that is uncertain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, PositiveInt
+
+from simbias.interfaces import Cost, Evaluation, Objective, Simulator, Task
+from simbias.noise import Noise
+from simbias.records import Array, Disturbance
+from simbias.simulate import Model
+
+Aggregate = Literal["mean", "max", "cvar"]
+_NOISELESS = Noise()
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A world that might be the right one, and what happens in it."""
+
+    simulator: Simulator
+    start: Array  # (n,)
+
+
+@dataclass(frozen=True, eq=False)
+class CostOfScenarios:
+    """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
+
+    A policy that failed in each of the first `screening` scenarios is judged by these alone.
+    """
+
+    scenarios: Sequence[Scenario]
+    cost: Cost
+    worst: int  # of the costs, so many worst ones are averaged
+    screening: int
+
+    def __call__(self, theta: Array) -> float:
+        """The cost of theta (p,)."""
+        return float(self.together(theta[None])[0])
+
+    def together(self, thetas: Array) -> Array:
+        """The costs (k,) of thetas (k, p); scenario by scenario, so that the policies run in step."""
+        costs = np.full((len(thetas), len(self.scenarios)), np.nan)
+        promising = np.arange(len(thetas))
+        for index, scenario in enumerate(self.scenarios):
+            starts = np.tile(scenario.start, (len(promising), 1))
+            rollouts = scenario.simulator.rollouts(thetas[promising], starts)
+            costs[promising, index] = [self.cost.of(rollout) for rollout in rollouts]
+            if index + 1 == self.screening:
+                failed = np.nanmin(costs, axis=1) > self.cost.max_cost
+                promising = np.flatnonzero(~failed)
+        return np.array([self._aggregated(row[~np.isnan(row)]) for row in costs])
+
+    def _aggregated(self, costs: Array) -> float:
+        """The mean of the worst of the costs."""
+        return float(np.mean(np.sort(costs)[-self.worst :]))
+
+
+class Robust(Evaluation):
+    """An aggregate of the costs of `rollouts` rollouts: common random numbers in all of a search.
+
+    Each has its own noise and, as told, its own start, nominal model and bias.
+
+    Parameters
+    ----------
+    noise
+        On the input and on the sensors of the simulated rollouts.
+    aggregate
+        The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
+    screening
+        After so many rollouts, a policy that failed in all of them is not simulated any further.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        rollouts: PositiveInt = 8,
+        noise: Noise = _NOISELESS,
+        aggregate: Aggregate = "mean",
+        tail: Annotated[float, Field(gt=0, le=1)] = 0.25,
+        sample_starts: bool = True,
+        sample_nominal: bool = False,
+        sample_bias: bool = False,
+        screening: PositiveInt = 2,
+    ) -> None:
+        self._task = task
+        self._rollouts = rollouts
+        self._noise = noise
+        self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
+        self._sample_starts = sample_starts
+        self._sample_nominal = sample_nominal
+        self._sample_bias = sample_bias
+        self._screening = screening
+
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
+        """The aggregated cost in scenarios that are drawn here, once."""
+        scenarios = [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self._rollouts)]
+        return CostOfScenarios(scenarios, cost, self._worst, self._screening)
+
+    def _scenario(self, model: Model, rng: np.random.Generator) -> Scenario:
+        """Draw what is uncertain; what is not asked for changes nothing in the rest."""
+        start_rng, noise_rng, nominal_rng, bias_rng = rng.spawn(4)
+        task = self._task
+        start = task.draw_start(start_rng) if self._sample_starts else task.start_mean
+        n, m = len(task.states), len(task.inputs)
+        disturbance = Disturbance(*self._noise.draw(noise_rng, task.horizon, n, m))
+        drawn = replace(
+            model,
+            nominal=model.nominal.draw(nominal_rng) if self._sample_nominal else model.nominal,
+            bias=model.bias.draw(bias_rng) if self._sample_bias else model.bias,
+        )
+        return Scenario(drawn.simulator(disturbance), start)

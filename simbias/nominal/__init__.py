@@ -1,0 +1,1 @@
+"""Simulation models f' (Section IV-A)."""

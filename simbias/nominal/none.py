@@ -1,0 +1,24 @@
+"""No model: f' = 0, so that the whole dynamics is learned from data."""
+
+from __future__ import annotations
+
+from simbias.interfaces import Kernel, Nominal, Task
+from simbias.kernels import STEP, kernel
+from simbias.records import Array
+
+
+@kernel(STEP)
+def _stay(x, u, parameters, x_next):
+    """x_next = x."""
+    x_next[:] = x
+
+
+class NoNominal(Nominal):
+    """Predicts that nothing changes: f' = 0 in Eq. 2, so that g_D is learned from scratch (Section IV-A)."""
+
+    def __init__(self, task: Task) -> None:
+        self.kernel = Kernel(_stay, task.start_mean[:0])
+
+    def step(self, x: Array, u: Array) -> Array:
+        """X_next (n,) = x (n,)."""
+        return x.copy()

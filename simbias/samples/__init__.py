@@ -1,0 +1,1 @@
+"""From rollouts to training data (Section IV-C)."""

@@ -1,0 +1,184 @@
+"""Balancing on a bongoboard (Section VI-A): geometry, parameters, outputs and failure.
+
+Planar, SI units, counter-clockwise positive, floor at y = 0. The wheel rolls on the floor, the board on the
+wheel; the robot's legs turn together on the board (a parallelogram), so its pelvis stays parallel to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from simbias.interfaces import Criterion, Kernel, Quantity, Task
+from simbias.kernels import MEASURE, OUTPUT, kernel
+from simbias.records import Array
+
+SixNumbers = Annotated[list[float], Field(min_length=6, max_length=6)]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Physical parameters of wheel, board and robot."""
+
+    wheel_radius: PositiveFloat  # r, m
+    wheel_mass: PositiveFloat  # kg; a solid disc
+    board_length: PositiveFloat  # m
+    board_thickness: PositiveFloat  # m
+    board_mass: PositiveFloat  # kg; a solid bar
+    ankle_height: PositiveFloat  # h_a, m above the board's upper side
+    foot_length: PositiveFloat  # m
+    foot_mass: PositiveFloat  # kg, all feet together
+    leg_length: PositiveFloat  # l, m
+    leg_mass: PositiveFloat  # kg, each of the two; a thin rod
+    pelvis_mass: PositiveFloat  # kg, with the upper body
+    pelvis_inertia: PositiveFloat  # kg m^2 about its centre
+    ankle_spacing: PositiveFloat  # m between the two ankles
+    gravity: PositiveFloat  # m/s^2
+    friction: PositiveFloat  # of every contact
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a run starts; the deviation is that of hardware experiments, in each state."""
+
+    mean: SixNumbers
+    deviation: NonNegativeFloat
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the failure criteria 3-6 of Section IV-C."""
+
+    distance: PositiveFloat  # rad, norm of the three angles
+    body_angle: PositiveFloat  # rad, global angle of the legs
+    board_angle: PositiveFloat  # rad, global angle of the board
+    speed: PositiveFloat  # rad/s, norm of the three rates
+
+
+class Pose(NamedTuple):
+    """Where the bodies are: points (x, y) in m and global angles in rad."""
+
+    wheel: Array
+    board: Array
+    ankles: Array  # midpoint of the two ankles
+    pelvis: Array
+    wheel_angle: float
+    board_angle: float  # phi, also that of foot and pelvis
+    leg_angle: float
+
+
+@kernel(MEASURE)
+def _measure(x, lengths, measures):
+    """Measures of the criteria 1-6 of Section IV-C; the contacts' are geometric."""
+    wheel_radius, board_length, board_thickness = lengths[0], lengths[1], lengths[2]
+    phi = x[0] + x[1]
+    c, s = np.cos(phi), np.sin(phi)
+    centre_height = wheel_radius + (wheel_radius + board_thickness / 2) * c + wheel_radius * x[1] * s
+    lowest_corner = centre_height - board_length / 2 * abs(s) - board_thickness / 2 * abs(c)
+    measures[0] = -lowest_corner
+    measures[1] = abs(wheel_radius * x[1]) - board_length / 2
+    measures[2] = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+    measures[3] = abs(phi + x[2])
+    measures[4] = abs(phi)
+    measures[5] = np.sqrt(x[3] ** 2 + x[4] ** 2 + x[5] ** 2)
+
+
+@kernel(OUTPUT)
+def _output(x, lengths, z):
+    """Outputs z of Fig. 3(b): the pelvis' horizontal position and velocity, the ankle's, the foot's angle."""
+    r, height, leg_length = lengths[0], lengths[1], lengths[2]  # height: from wheel's centre to ankles
+    alpha_w, alpha_b, theta = x[0], x[1], x[2]
+    d_alpha_w, d_alpha_b, d_theta = x[3], x[4], x[5]
+    phi, d_phi = alpha_w + alpha_b, d_alpha_w + d_alpha_b
+    c, s = np.cos(phi), np.sin(phi)
+    z[0] = -r * alpha_w - height * s + r * alpha_b * c - leg_length * np.sin(phi + theta)
+    z[1] = (
+        -r * d_alpha_w
+        - height * c * d_phi
+        + r * d_alpha_b * c
+        - r * alpha_b * s * d_phi
+        - leg_length * np.cos(phi + theta) * (d_phi + d_theta)
+    )
+    z[2] = theta
+    z[3] = d_theta
+    z[4] = phi
+
+
+class Bongoboard(Task):
+    """Balance for `horizon` frames of `time_step` seconds with an ankle torque within `input_limit` N m."""
+
+    states = (
+        Quantity("alpha_w", "rad"),
+        Quantity("alpha_b", "rad"),
+        Quantity("theta", "rad"),
+        Quantity("d_alpha_w", "rad/s"),
+        Quantity("d_alpha_b", "rad/s"),
+        Quantity("d_theta", "rad/s"),
+    )
+    inputs = (Quantity("torque", "N m"),)
+    outputs = (
+        Quantity("x_p", "m"),
+        Quantity("d_x_p", "m/s"),
+        Quantity("theta", "rad"),
+        Quantity("d_theta", "rad/s"),
+        Quantity("alpha_f", "rad"),
+    )
+
+    def __init__(
+        self,
+        robot: Robot,
+        limits: Limits,
+        start: Start,
+        time_step: PositiveFloat = 0.001,
+        horizon: PositiveInt = 5000,
+        input_limit: PositiveFloat = 100.0,
+    ) -> None:
+        self.robot = robot
+        self.limits = limits
+        self.time_step = time_step
+        self.horizon = horizon
+        self.input_limit = np.array([input_limit])
+        self.start_mean = np.array(start.mean, dtype=np.float64)
+        self.start_deviation = np.full(6, start.deviation)
+        self.criteria = (
+            Criterion("board_touches_ground", "the board touches the ground", 0.0, "m"),
+            Criterion("board_leaves_wheel", "the board leaves the wheel", 0.0, "m"),
+            Criterion("distance", "too far from the static equilibrium", limits.distance, "rad"),
+            Criterion("body_angle", "the body leans too far", limits.body_angle, "rad"),
+            Criterion("board_angle", "the board leans too far", limits.board_angle, "rad"),
+            Criterion("speed", "too fast", limits.speed, "rad/s"),
+        )
+        r, thickness = robot.wheel_radius, robot.board_thickness
+        self._measure_lengths = np.array([r, robot.board_length, thickness])
+        self._output_lengths = np.array([r, r + thickness + robot.ankle_height, robot.leg_length])
+        self.measure_kernel = Kernel(_measure, self._measure_lengths)
+        self.output_kernel = Kernel(_output, self._output_lengths)
+
+    def measure(self, x: Array) -> Array:
+        """Measures (6,) of the criteria 1-6 of Section IV-C at the state x (6,)."""
+        measures = np.empty(6)
+        _measure(x, self._measure_lengths, measures)
+        return measures
+
+    def output(self, x: Array) -> Array:
+        """Outputs z (5,) at the state x (6,) (Fig. 3(b))."""
+        z = np.empty(5)
+        _output(x, self._output_lengths, z)
+        return z
+
+    def pose(self, angles: Array) -> Pose:
+        """Positions and angles of the bodies at (alpha_w, alpha_b, theta), real or complex."""
+        alpha_w, alpha_b, theta = angles
+        robot, r = self.robot, self.robot.wheel_radius
+        phi = alpha_w + alpha_b
+        tangent = np.array([np.cos(phi), np.sin(phi)])
+        normal = np.array([-np.sin(phi), np.cos(phi)])
+        legs = np.array([-np.sin(phi + theta), np.cos(phi + theta)])
+        wheel = np.array([-r * alpha_w, r])
+        board = wheel + (r + robot.board_thickness / 2) * normal + r * alpha_b * tangent
+        ankles = board + (robot.board_thickness / 2 + robot.ankle_height) * normal
+        pelvis = ankles + robot.leg_length * legs
+        return Pose(wheel, board, ankles, pelvis, alpha_w, phi, phi + theta)
