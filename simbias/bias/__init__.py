@@ -1,0 +1,1 @@
+"""Learners of the dynamics bias g_D (Section IV)."""

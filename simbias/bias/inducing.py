@@ -1,0 +1,64 @@
+"""Inducing points: all data, seen through few of its points, chosen greedily."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, PositiveInt
+from scipy.linalg import solve_triangular
+
+from simbias.bias.covariance import Hyperparameters, stable_cholesky
+from simbias.records import Array
+
+
+@dataclass(frozen=True)
+class Inducing:
+    """How inducing points are chosen."""
+
+    points: PositiveInt = 200  # at most
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = (
+        1e-4  # no more, once all are known to this part of alpha^2
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """N points seen through m inducing ones Z."""
+
+    chosen: list[int]  # which of the points are Z
+    K_ZX: Array  # (m, N)
+    L_inverse: Array  # (m, m) L^-1 of K_ZZ = L L^T
+    R: Array  # (m, m) R^T R = S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1
+
+
+def view(hyper: Hyperparameters, points: Array, inducing: Inducing) -> View:
+    """Choose inducing points among points (N, r), scaled."""
+    chosen = _pivots(hyper, points, inducing)
+    K_ZX = hyper.covariance(points[chosen], points)
+    identity = np.eye(len(chosen))
+    L_inverse = solve_triangular(stable_cholesky(K_ZX[:, chosen]), identity, lower=True)
+    A = L_inverse @ K_ZX / np.sqrt(hyper.noise_variance)
+    R = solve_triangular(stable_cholesky(identity + A @ A.T), L_inverse, lower=True)
+    return View(chosen, K_ZX, L_inverse, R)
+
+
+def _pivots(hyper: Hyperparameters, points: Array, inducing: Inducing) -> list[int]:
+    """Indices of the points (N, r) that a pivoted Cholesky factorisation of their covariance takes first.
+
+    Each is the one whose latent value is the least certain given those before it.
+    """
+    variance = np.full(len(points), hyper.signal_variance)
+    factor = np.zeros((min(inducing.points, len(points)), len(points)))
+    chosen: list[int] = []
+    for i in range(len(factor)):
+        pivot = int(np.argmax(variance))
+        if variance[pivot] < inducing.tolerance * hyper.signal_variance:
+            break
+        row = hyper.covariance(points[[pivot]], points)[0] - factor[:i, pivot] @ factor[:i]
+        factor[i] = row / np.sqrt(variance[pivot])
+        variance = np.maximum(variance - factor[i] ** 2, 0.0)
+        variance[pivot] = 0.0
+        chosen.append(pivot)
+    return chosen
