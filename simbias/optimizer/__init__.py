@@ -1,0 +1,1 @@
+"""Minimisers over a box."""

@@ -1,0 +1,90 @@
+"""Covariance matrix adaptation evolution strategy."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import cma
+import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from simbias.interfaces import Optimizer
+from simbias.optimizer.bookkeeping import Evaluations
+from simbias.records import Array
+
+RESOLUTION = "the resolution"
+Population = Annotated[int, Field(ge=2)]
+
+
+class Cma(Optimizer):
+    """CMA-ES by pycma (N. Hansen, "The CMA Evolution Strategy: A Tutorial", 2016).
+
+    Parameters
+    ----------
+    initial_deviation
+        Standard deviation of the first generation, in units of the box's width.
+    population
+        Points of a generation; None is pycma's default for the dimension.
+    max_evaluations
+        N_in; the search never makes more.
+    relative_tolerance
+        epsilon: the search ends when the best cost Z improves by less than epsilon |Z|.
+    """
+
+    def __init__(
+        self,
+        initial_deviation: PositiveFloat,
+        population: Population | None,
+        max_evaluations: PositiveInt,
+        relative_tolerance: PositiveFloat,
+    ) -> None:
+        self.max_evaluations = max_evaluations
+        self.relative_tolerance = relative_tolerance
+        self._initial_deviation = initial_deviation
+        self._population = population
+
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """Search from the best point so far, or from the box's centre."""
+        return evolve(evaluations, rng, evaluations.start, self._initial_deviation, self._population)
+
+
+def evolve(
+    evaluations: Evaluations,
+    rng: np.random.Generator,
+    start: Array,
+    deviation: float,
+    population: int | None = None,
+    resolution: float = 0.0,
+    generations: float = np.inf,
+) -> str:
+    """One run of CMA-ES with the mean `start` (p,); why it ended, in words.
+
+    It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
+    keeps it inside. It gives up where no cost of a generation is satisfactory and all deviations are below
+    the resolution. Pycma's own tests on costs are off: they are absolute, or relative to what the cost of a
+    failure in Eq. 8 inflates.
+    """
+    width = evaluations.upper - evaluations.lower
+    options = {
+        "bounds": [0.0, 1.0],
+        "randn": lambda *shape: rng.standard_normal(shape),  # leaves NumPy's global generator alone
+        "seed": np.nan,  # of NumPy's global generator: not touched
+        "maxiter": generations,
+        "tolfun": 0.0,
+        "tolfunhist": 0.0,
+        "verbose": -9,
+        "verb_log": 0,
+        "signals_filename": "",  # a file by which pycma would take commands from the working folder
+    }
+    if len(width) == 1:
+        options["maxstd"] = np.inf  # pycma's limit on it raises in one dimension (its issue 302)
+    if population is not None:
+        options["popsize"] = population
+    strategy = cma.CMAEvolutionStrategy((start - evaluations.lower) / width, deviation, options)
+    while not (stop := strategy.stop()):
+        points = strategy.ask()
+        costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
+        strategy.tell(points, costs)
+        if max(strategy.stds) < resolution and min(costs) >= evaluations.satisfactory:
+            return RESOLUTION
+    return f"pycma's {' and '.join(stop)}"

@@ -1,0 +1,72 @@
+"""A global search, then a local one."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import PositiveFloat, PositiveInt
+
+from simbias.interfaces import Optimizer
+from simbias.optimizer.bookkeeping import Evaluations
+from simbias.optimizer.cma import RESOLUTION, Population, evolve
+from simbias.optimizer.nlopt import Algorithm, Nlopt
+from simbias.records import Array
+
+
+class Hybrid(Optimizer):
+    """NLopt explores the box until a cost is satisfactory, CMA-ES goes on from the best point that it found.
+
+    Where not even that is satisfactory, both begin again, elsewhere if the exploration is random. Candidates
+    of which one is satisfactory take the place of the first exploration.
+
+    Parameters
+    ----------
+    exploration
+        NLopt's name of the global algorithm, as in `Nlopt`.
+    explorations
+        Evaluations that NLopt makes at most before CMA-ES takes over.
+    initial_deviation
+        Standard deviation of CMA-ES's first generation, in units of the box's width.
+    population
+        Points of a generation of CMA-ES; None is pycma's default for the dimension.
+    resolution
+        CMA-ES gives up when it fails and all its deviations are below it, in units of the box's width.
+    max_evaluations
+        N_in, of all stages; the search never makes more.
+    relative_tolerance
+        epsilon: the search ends when CMA-ES improves the best cost Z by less than epsilon |Z|.
+    """
+
+    def __init__(
+        self,
+        exploration: Algorithm,
+        explorations: PositiveInt,
+        initial_deviation: PositiveFloat,
+        population: Population | None,
+        resolution: PositiveFloat,
+        max_evaluations: PositiveInt,
+        relative_tolerance: PositiveFloat,
+    ) -> None:
+        self.max_evaluations = max_evaluations
+        self.relative_tolerance = relative_tolerance
+        self._explorer = Nlopt(exploration, max_evaluations, relative_tolerance)
+        self._explorations = explorations
+        self._initial_deviation = initial_deviation
+        self._population = population
+        self._resolution = resolution
+
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """Explore and refine, again and again as long as that fails."""
+        while True:
+            start = evaluations.start if evaluations.satisfied else self._explored(evaluations, rng)
+            stopped_by = evolve(
+                evaluations, rng, start, self._initial_deviation, self._population, self._resolution
+            )
+            if evaluations.satisfied and stopped_by != RESOLUTION:
+                return stopped_by
+
+    def _explored(self, evaluations: Evaluations, rng: np.random.Generator) -> Array:
+        """The best point (p,) of a global search."""
+        exploration = evaluations.exploration(self._explorations)
+        exploration.run(lambda running: self._explorer.search(running, rng))
+        evaluations.adopt(exploration)
+        return exploration.start
