@@ -1,0 +1,149 @@
+"""The command line: `python -m simbias [override ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+
+from simbias import __version__
+from simbias.config import Composition, ConfigError, compose, options, sweeps
+
+SUCCEEDED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+EXAMPLES = """\
+values that people change most (--cfg job shows all):
+  seed=3                               another trial
+  hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
+  hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
+  hardware.feet=separate               two feet that can tip
+  method.max_iterations=10             N_out; method.experiments=2 in each
+  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
+  task.horizon=5000                    T, frames of task.time_step=0.001 s
+  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
+
+examples:
+  python -m simbias
+  python -m simbias bias=none hardware.noise.torque_variance=0.1 optimizer=nlopt_crs seed=3
+  python -m simbias --config-dir my_conf nominal=my_robot
+  python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
+  python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
+
+exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 130 interrupted
+of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2 and 130 as above
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a trial; return the exit status."""
+    parsed = _parser().parse_args(arguments)
+    try:
+        composition = compose(parsed.overrides, parsed.config_dir)
+        if parsed.cfg:
+            print(_as_yaml(composition), end="")
+            return SUCCEEDED
+        if "sweep" in composition.config:
+            return _sweep(parsed, composition)
+        return _run(composition)
+    except ConfigError as error:
+        print(f"simbias: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("simbias: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    groups = "\n".join(f"  {group:<11} {' | '.join(names)}" for group, names in options().items())
+    shipped = f"  {' | '.join(sweeps())}"
+    parser = argparse.ArgumentParser(
+        prog="python -m simbias",
+        description="Learn a simulation's bias and optimise a policy with few hardware experiments.",
+        epilog=f"groups and their options, the default first (group=option):\n{groups}\n\n"
+        f"sweeps, many trials in a grid (+sweep=name):\n{shipped}\n\n{EXAMPLES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
+    parser.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
+    parser.add_argument(
+        "--config-dir", metavar="DIR", help="a folder with groups, options and sweeps/ of your own"
+    )
+    parser.add_argument("--version", action="version", version=f"simbias {__version__}")
+    return parser
+
+
+def _as_yaml(composition: Composition) -> str:
+    """The composed config."""
+    from omegaconf import OmegaConf
+
+    return OmegaConf.to_yaml(OmegaConf.create(dict(composition.config)))
+
+
+def _run(composition: Composition) -> int:
+    """Run one trial in the terminal."""
+    from simbias.build import build
+    from simbias.console import TrialConsole, preparing, slowness_in_one_line
+    from simbias.interfaces import HardwareError
+    from simbias.trial import run_trial
+
+    with preparing():
+        study = build(composition)
+        study.warm_up()
+    tracked = study.tracking.open(study)
+    start = time.perf_counter()
+    console = TrialConsole(study)
+    try:
+        with slowness_in_one_line(), console:
+            last = run_trial(study, tracked, console, console.row)
+    except HardwareError as error:
+        print(f"simbias: hardware: {error}", file=sys.stderr)
+        return FAILED
+    console.conclude(last, time.perf_counter() - start, tracked.where)
+    return SUCCEEDED if last.succeeded else FAILED
+
+
+def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
+    """Run a sweep in the terminal, or tell what it would run."""
+    from simbias.build import engine
+    from simbias.console import preparing
+    from simbias.sweep import prepare, run_sweep
+    from simbias.sweep_console import SweepConsole, dry_run
+    from simbias.tracking.store import cause
+
+    trials_engine = engine(composition)
+    if trials_engine is None:
+        raise ConfigError("engine", "missing")
+    with preparing():
+        sweep, study = prepare(parsed.overrides, parsed.config_dir)
+    if sweep.dry_run:
+        dry_run(sweep, study, study.tracking.finished(sweep), trials_engine)
+        return SUCCEEDED
+    again = _command(parsed)
+    tracked = study.tracking.open_sweep(sweep, again)
+    console = SweepConsole(sweep, tracked.results(), tracked.keeps)
+    try:
+        run_sweep(sweep, trials_engine, tracked, console)
+    except KeyboardInterrupt:
+        console.stopped("interrupted", again)
+        return INTERRUPTED
+    except ConfigError:
+        raise
+    except Exception as error:  # of the store or the engine: what a trial raises is in its record
+        console.stopped(f"{type(error).__name__}: {cause(error)}", again)
+        return FAILED
+    trials = tracked.results()
+    console.conclude(trials, tracked.where)
+    return FAILED if (trials["outcome"] == "error").any() else SUCCEEDED
+
+
+def _command(parsed: argparse.Namespace) -> str:
+    """The command line, to be typed again."""
+    config_dir = ["--config-dir", parsed.config_dir] if parsed.config_dir else []
+    return shlex.join(["python", "-m", "simbias", *config_dir, *parsed.overrides])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

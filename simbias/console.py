@@ -1,0 +1,152 @@
+"""What a person sees in the terminal while a trial runs."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+from numba.core.event import Event, Listener, install_listener
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from simbias.interfaces import SlowWarning
+from simbias.records import Array, Iteration, Rollout
+from simbias.study import Study
+
+COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
+
+
+def cost_text(cost: float) -> str:
+    """A cost in at most eight characters."""
+    return f"{cost:.3f}" if cost < 1000 else f"{cost:.2e}".replace("e+0", "e")
+
+
+class TrialConsole:
+    """A row for every iteration, and a progress bar while a search runs on a terminal."""
+
+    def __init__(self, study: Study, console: Console | None = None) -> None:
+        self._study = study
+        self._console = console or Console(highlight=False)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[best]}"),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+            disable=not self._console.is_terminal,
+        )
+        self._bar = self._progress.add_task("", total=study.optimizer.max_evaluations, best="", visible=False)
+        self._width = 18 * getattr(study.method, "experiments", 2)
+
+    def __enter__(self) -> TrialConsole:
+        study = self._study
+        self._console.print(f"[bold]{study.title}[/bold]", soft_wrap=True)
+        self._console.print(f"seed {study.seed}, trial {study.hash}", soft_wrap=True)
+        self._console.print(
+            f"\n[dim]{'':>3}  {'predicted':>9}  {'cost on hardware (lasted)':<{self._width}}"
+            f"  {'data':>5}  {'seconds':>7}[/dim]",
+            soft_wrap=True,
+        )
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def searching(self, evaluations: int, best_cost: float) -> None:
+        """Move the bar of the policy search."""
+        self._progress.update(
+            self._bar,
+            description="policy search",
+            completed=min(evaluations, self._study.optimizer.max_evaluations),
+            best=f"best {cost_text(best_cost)}",
+            visible=True,
+        )
+
+    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
+        """Tell of a hardware experiment that has ended."""
+        self._progress.update(self._bar, description=f"hardware experiment {experiment + 1} done")
+
+    def row(self, iteration: Iteration) -> None:
+        """One line for an iteration."""
+        self._progress.update(self._bar, visible=False)
+        experiments = "  ".join(self._experiment_text(rollout) for rollout in iteration.experiments)
+        notes = "  [yellow]model cleared[/yellow]" if iteration.model_reset else ""
+        self._console.print(
+            f"{iteration.index:>3}  {cost_text(iteration.predicted_cost):>9}  {experiments:<{self._width}}"
+            f"  {len(iteration.data):>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
+            soft_wrap=True,
+        )
+
+    def _experiment_text(self, rollout: Rollout) -> str:
+        """Cost and balanced time of an experiment."""
+        seconds = rollout.frames * self._study.task.time_step
+        return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s)"
+
+    def conclude(self, last: Iteration, seconds: float, where: str | None) -> None:
+        """The closing line: what came out, after how many experiments, and how to look at it."""
+        verdict = "[green]Succeeded[/green]" if last.succeeded else "[red]Did not succeed[/red]"
+        experiments = f"after {_counted(last.total_experiments, 'hardware experiment')}"
+        effort = f"{_counted(last.index + 1, 'iteration')}, {seconds:.0f} s"
+        failures = sorted({rollout.failure for rollout in last.experiments if rollout.failure})
+        reason = f"; last failure: {', '.join(failures)}" if failures else ""
+        self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
+        if where:
+            self._console.print(f"Look at it:  {where}", soft_wrap=True)
+
+
+def _counted(count: int, noun: str) -> str:
+    """A number of things."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+class _Announcer(Listener):
+    """Says once that something is being compiled."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def on_start(self, event: Event) -> None:
+        """A compilation begins."""
+        if not self._told:
+            print(COMPILING, file=sys.stderr, flush=True)
+        self._told = True
+
+    def on_end(self, event: Event) -> None:
+        """A compilation has ended."""
+
+
+@contextmanager
+def preparing() -> Iterator[None]:
+    """Say so if something is compiled meanwhile, and not taken from the cache."""
+    with install_listener("numba:compile", _Announcer()):
+        yield
+
+
+@contextmanager
+def slowness_in_one_line() -> Iterator[None]:
+    """Meanwhile, a warning that something is slow is one line, without the place in the code."""
+    shown_otherwise = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, SlowWarning):
+            print(f"simbias: {message}", file=sys.stderr)
+        else:
+            shown_otherwise(message, category, filename, lineno, file, line)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SlowWarning)
+        warnings.showwarning = show
+        yield

@@ -1,0 +1,63 @@
+"""Being interrupted, but never in the middle of writing."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TypeVar
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+T = TypeVar("T")
+
+
+@contextmanager
+def stopping_workers(results: Iterator[T]) -> Iterator[Iterator[T]]:
+    """Close what an engine yields, however that ends, so that its workers stop."""
+    try:
+        yield results
+    finally:
+        if hasattr(results, "close"):
+            results.close()
+
+
+class Interruption:
+    """Turns SIGINT and SIGTERM into KeyboardInterrupt, later where that would tear something apart.
+
+    Without a handler SIGTERM ends a process without its `finally`, and leaves workers behind.
+    """
+
+    def __init__(self) -> None:
+        self._deferring = False
+        self._pending = False
+        self._before: list = []
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():  # no other hears of signals
+            self._before = [signal.signal(number, self._handle) for number in SIGNALS]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in zip(SIGNALS, self._before, strict=False):
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        """Interrupt now, or note it for later."""
+        if self._deferring:
+            self._pending = True
+        else:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Inside, nothing is interrupted; what came meanwhile interrupts at the end."""
+        self._deferring = True
+        try:
+            yield
+        finally:
+            self._deferring = False
+        if self._pending:
+            self._pending = False
+            raise KeyboardInterrupt

@@ -1,0 +1,192 @@
+"""A sweep in an MLflow store: a parent run, and a nested run for each trial."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from omegaconf import OmegaConf
+from pandas import DataFrame
+
+from simbias import results, tables
+from simbias.interfaces import TrackedSweep
+from simbias.tracking import fields, notes, pages
+from simbias.tracking.mlflow import NOTE, MlflowTrial
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+    from simbias.figures.batches import Outcomes
+    from simbias.grid import Sweep, Trial
+    from simbias.recorded import RecordedTrial
+    from simbias.study import Study
+    from simbias.worker import TrialRecord
+
+FIGURES = "figures"  # folder of the parent's artifacts
+EXPERIMENTS = f"{FIGURES}/experiments"  # outcomes of batches
+NOTE_SECONDS = 5.0  # the parent's note is at most so old while trials end
+
+
+class MlflowSweep(TrackedSweep):
+    """A parent run that is being written."""
+
+    keeps = True
+
+    def __init__(
+        self,
+        client: MlflowClient,
+        experiment_id: str,
+        sweep: Sweep,
+        again: str,
+        where: Callable[[str, str], str],
+        lock: IO[str],
+    ) -> None:
+        self._client = client
+        self._experiment_id = experiment_id
+        self._sweep = sweep
+        self._again = again
+        self._lock = lock  # as long as this object lives
+        self._noted = 0.0
+        self._captions: dict[str, str] = {}  # of figures
+        self.run_id = self._begin()
+        client.set_experiment_tag(experiment_id, *pages.trials_view(sweep, self.run_id))
+        self.where = where(experiment_id, self.run_id)
+        self._discard_unfinished()
+        done = self.results()
+        self.finished = frozenset(done["hash"])
+        self._rows: list[dict[Any, Any]] = done.to_dict("records")
+        self._note("**Running**")
+
+    def _begin(self) -> str:
+        """The parent run: that of an earlier process, or a new one."""
+        found = results.find_sweep(self._client, self._experiment_id, self._sweep)
+        if found is not None:
+            self._client.update_run(found.info.run_id, status="RUNNING")
+            return found.info.run_id
+        tags = {**fields.origin(), "hash": self._sweep.hash, "sweep": self._sweep.name}
+        name = f"sweep {self._sweep.name}"
+        run_id = self._client.create_run(self._experiment_id, run_name=name, tags=tags).info.run_id
+        config = OmegaConf.to_yaml(OmegaConf.create(fields.shown_config(self._sweep.base.config)))
+        self._client.log_text(run_id, config, "sweep.yaml")
+        return run_id
+
+    def _discard_unfinished(self) -> None:
+        """Delete what a killed process left half written, and trials that raised: they run again."""
+        seen: set[str] = set()
+        for run in list(results.children(self._client, self._experiment_id, self.run_id)):
+            if run.info.status != "FINISHED" or run.data.tags["hash"] in seen:
+                self._client.delete_run(run.info.run_id)
+            else:
+                seen.add(run.data.tags["hash"])
+
+    def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
+        """Keep all of a trial in a nested run, whose state becomes FINISHED, or FAILED, last."""
+        axes = zip(self._sweep.axes, trial.cell.labels, strict=True)
+        tags = {
+            **fields.tags(study),
+            fields.PARENT: self.run_id,
+            "repetition": str(trial.repetition),
+            **{fields.AXIS + axis.name: label for axis, label in axes},
+            **({"error": record.error[: notes.ERROR_LENGTH]} if record.error else {}),
+        }
+        run = self._client.create_run(
+            self._experiment_id, start_time=int(1000 * record.started), tags=tags, run_name=trial.name
+        )
+        tracked = MlflowTrial(self._client, run.info.run_id, study, self.where)
+        ended = record.started + record.seconds
+        tracked.keep(record.iterations, record.pictures, record.started, ended)
+        tracked.close(record.exception)
+        self._rows.append(results.row_of_record(trial, record, study, self._sweep))
+        if time.monotonic() - self._noted > NOTE_SECONDS:
+            self._note("**Running**")
+
+    def results(self) -> DataFrame:
+        """The trials that are in the store."""
+        return results.of_sweep(self._client, self._experiment_id, self.run_id, self._sweep)
+
+    def load(self, run_id: str) -> RecordedTrial:
+        """A trial, read back."""
+        from simbias.recorded import load_trial
+
+        return load_trial(run_id, self._client.tracking_uri)
+
+    def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
+        """Keep outcomes as figures/experiments/<batch>.json."""
+        self._client.log_text(self.run_id, outcomes.as_json(), f"{EXPERIMENTS}/{batch}.json")
+
+    def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
+        """The outcomes that are in the store; what a killed process left half written is not."""
+        from simbias.figures.batches import Outcomes
+
+        wanted = {f"{EXPERIMENTS}/{batch}.json": batch for batch in batches}
+        found = {}
+        with tempfile.TemporaryDirectory() as folder:
+            for file in self._client.list_artifacts(self.run_id, EXPERIMENTS) if wanted else []:
+                if file.path in wanted:
+                    path = self._client.download_artifacts(self.run_id, file.path, folder)
+                    with suppress(ValueError):
+                        found[wanted[file.path]] = Outcomes.from_json(Path(path).read_text())
+        return found
+
+    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        """Keep a figure's files in figures/, and its caption in the note."""
+        self._captions[name] = caption
+        for file in files:
+            self._client.log_artifact(self.run_id, str(file), FIGURES)
+
+    def close(self, error: BaseException | None = None) -> None:
+        """End the parent run: FINISHED, KILLED if interrupted, FAILED after an error, here or in a trial."""
+        try:
+            trials = self.results()
+            self._rows = trials.to_dict("records")
+            self._client.log_text(self.run_id, results.rows(trials), "trials.csv")
+            self._write(tables.cells(trials, self._sweep))
+            for name, value in fields.sweep_metrics(trials).items():
+                self._client.log_metric(self.run_id, name, value, step=len(trials))
+            status, words = _ending(error, raised="error" in set(trials["outcome"]))
+            self._note(words)
+            self._client.set_terminated(self.run_id, status)
+        except Exception:
+            if error is None:
+                raise  # else what ended the sweep, as a full disk, may well end this too
+        finally:
+            self._lock.close()
+
+    def _write(self, table: DataFrame) -> None:
+        """The table, as markdown, CSV and MLflow's own kind."""
+        client = self._client
+        names = [axis.name for axis in self._sweep.axes]
+        laid = tables.layout(table, self._sweep)
+        client.log_text(self.run_id, tables.markdown(laid), "table.md")
+        client.log_text(self.run_id, table.to_csv(index=False), "table.csv")
+        if any(file.path == "table.json" for file in client.list_artifacts(self.run_id)):
+            client.log_text(self.run_id, table.to_json(orient="split", index=False), "table.json")
+        else:  # what is there, log_table would extend
+            client.log_table(self.run_id, table.astype(dict.fromkeys(names, object)), "table.json")
+
+    def _note(self, verdict: str) -> None:
+        """Write the parent's description: how far it is, the table, how to go on."""
+        trials = results.frame(self._rows, self._sweep)
+        laid = tables.layout(tables.cells(trials, self._sweep), self._sweep)
+        link = pages.trials_page(self._experiment_id, self._sweep)
+        done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."
+        captions = [f"[{name}]({self._picture(name)}): {text}" for name, text in self._captions.items()]
+        parts = [done, tables.markdown(laid), tables.legend(), *captions, f"`{self._again}`"]
+        self._client.set_tag(self.run_id, NOTE, "\n\n".join(parts))
+        self._noted = time.monotonic()
+
+    def _picture(self, name: str) -> str:
+        """Address of a figure in MLflow's UI."""
+        return pages.run_page(self._experiment_id, self.run_id, f"{FIGURES}/{name}.png")
+
+
+def _ending(error: BaseException | None, raised: bool) -> tuple[str, str]:
+    """State and first words of a parent run that ends."""
+    if error is None:
+        return ("FAILED", "**Ended**, some trials with an error") if raised else ("FINISHED", "**Done**")
+    interrupted = isinstance(error, notes.INTERRUPTIONS)
+    return ("KILLED", "**Interrupted**") if interrupted else ("FAILED", "**Ended early** by an error")

@@ -1,0 +1,194 @@
+"""Reaching an MLflow store: quietly, and failing within seconds where MLflow would try for minutes."""
+
+from __future__ import annotations
+
+import getpass
+import hashlib
+import logging
+import os
+import re
+import sqlite3
+import tempfile
+import textwrap
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+from simbias.config import ConfigError
+from simbias.tracking.fields import shown
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+QUIET = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+}
+IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
+
+
+def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
+    """A client of the store and the experiment's id; the experiment, and a SQLite store, are made if need be.
+
+    Raises
+    ------
+    ConfigError
+        Within seconds, if the store cannot be used.
+    """
+    with _reaching(uri):
+        artifacts = _probe_database(uri)
+        client = _client(uri)
+        return client, _experiment_id(client, experiment, artifacts)
+
+
+def find_run(uri: str, run_id: str) -> tuple[MlflowClient, Run]:
+    """A client of the store and a run in it; a store that is not there is not made.
+
+    Raises
+    ------
+    ConfigError
+        Within seconds, if the store cannot be used or has no such run.
+    """
+    if not exists(uri):
+        raise ConfigError("tracking.uri", f"{shown(uri)}: no such store")
+    with _reaching(uri):
+        from mlflow.exceptions import MlflowException
+
+        client = _client(uri)
+        try:
+            return client, client.get_run(run_id)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+                raise
+            raise ConfigError(run_id, f"no such run in {shown(uri)}") from error
+
+
+@contextmanager
+def _reaching(uri: str) -> Iterator[None]:
+    """MLflow quiet and impatient; what is raised, as a line that names the store."""
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)
+    import mlflow  # lazily: it takes a second  # noqa: F401
+
+    for name in ("mlflow", "alembic"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    for name in ("mlflow.store.db.utils", "sqlalchemy.pool"):  # they log with a traceback what is raised too
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        with _environment(IMPATIENT):
+            yield
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError("tracking.uri", f"{shown(uri)}: {cause(error)}") from error
+
+
+def _client(uri: str) -> MlflowClient:
+    """MLflow's client of a store."""
+    from mlflow import MlflowClient
+
+    return MlflowClient(tracking_uri=uri)
+
+
+def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
+    """Find the experiment or create it, its files at `artifacts`."""
+    from mlflow.exceptions import MlflowException
+
+    found = client.get_experiment_by_name(name)
+    if found is None:
+        try:
+            return client.create_experiment(name, artifact_location=artifacts)
+        except MlflowException:
+            found = client.get_experiment_by_name(name)
+            if found is None:  # else another process created it meanwhile
+                raise
+    if found.lifecycle_stage != "active":
+        raise ConfigError("tracking.experiment", f"{name} is deleted in the store; restore it")
+    return found.experiment_id
+
+
+def _probe_database(uri: str) -> str | None:
+    """Fail at once where MLflow would try for minutes; return where a SQLite store's files belong."""
+    import sqlalchemy
+    from mlflow.store.db.db_types import DATABASE_ENGINES
+
+    if re.split(r"[:+]", uri)[0] not in DATABASE_ENGINES:
+        return None
+    url = sqlalchemy.make_url(uri)
+    if url.get_backend_name() != "sqlite":
+        sqlalchemy.create_engine(url).connect().close()
+        return None
+    if url.database in (None, "", ":memory:"):
+        raise ValueError("a database in memory keeps nothing")
+    path = Path(str(url.database)).resolve()
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"no folder {path.parent}")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("BEGIN IMMEDIATE")
+        database.execute("CREATE TABLE probe (value)")  # fails where it cannot be written; never committed
+    return (path.parent / "mlartifacts").as_uri()
+
+
+def exists(uri: str) -> bool:
+    """Whether there is a store; no look at it is taken unless it is a SQLite database."""
+    import sqlalchemy
+
+    if not uri.startswith("sqlite"):
+        return True
+    try:
+        return Path(str(sqlalchemy.make_url(uri).database)).exists()
+    except sqlalchemy.exc.ArgumentError as error:
+        raise ConfigError("tracking.uri", cause(error)) from error
+
+
+def locked(uri: str, name: str) -> IO[str]:
+    """An open file that no other process of this user on this machine holds open for this name in a store.
+
+    The lock ends with the process, however that ends. Without file locks, as on Windows, nothing is locked.
+
+    Raises
+    ------
+    ConfigError
+        If another process holds it.
+    """
+    import sqlalchemy
+
+    place = str(Path(str(sqlalchemy.make_url(uri).database)).resolve()) if uri.startswith("sqlite") else uri
+    digest = hashlib.sha256(f"{place} {name}".encode()).hexdigest()[:16]
+    user = os.getuid() if hasattr(os, "getuid") else getpass.getuser()
+    file = Path(tempfile.gettempdir(), f"simbias-{user}-{digest}.lock").open("a")  # noqa: SIM115
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:
+        pass
+    except OSError as error:
+        file.close()
+        raise ConfigError("sweep", "another process is running this sweep into the same store") from error
+    return file
+
+
+@contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Environment variables that the user has not set, for a while."""
+    added = {name: value for name, value in variables.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
+def cause(error: BaseException) -> str:
+    """What an error comes from, in one line: the system's or SQLite's own words, if it comes from there."""
+    chain: list[BaseException] = [error]
+    while (deeper := chain[-1].__cause__ or chain[-1].__context__) is not None:
+        chain.append(deeper)
+    own = [link for link in chain if isinstance(link, OSError | sqlite3.Error)]
+    words = str(own[-1] if own else error).strip() or type(error).__name__
+    return shown(textwrap.shorten(words.splitlines()[0], 200, placeholder=" ..."))
