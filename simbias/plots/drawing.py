@@ -1,0 +1,63 @@
+"""How a task looks at a state."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, cast
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+
+from simbias.interfaces import Task
+from simbias.records import Array
+
+
+class NoPictureError(LookupError):
+    """A picture that a task or a trial cannot have."""
+
+
+class Drawing(Protocol):
+    """Draws a task's state (n,) into axes and returns the artists by name; muted where it has failed."""
+
+    def __call__(
+        self, axes: Axes, task: Any, state: Array, *, color: str = ..., muted: bool = ...
+    ) -> Mapping[str, Artist]:
+        """Draw; the view is set by who calls, the same for all states."""
+
+
+class Movement(Protocol):
+    """Moves the artists that a drawing returned to another state (n,); muted where it has failed."""
+
+    def __call__(self, artists: Mapping[str, Artist], task: Any, state: Array, *, muted: bool = ...) -> None:
+        """Move; nothing is drawn anew."""
+
+
+def drawing_of(task: Task) -> Drawing | None:
+    """The function `draw` of the module `<the task's module>_drawing`, if there is such a module."""
+    return cast(Drawing | None, _beside(task, "draw"))
+
+
+def movement_of(task: Task) -> Movement | None:
+    """The function `move` of that module, if there is one."""
+    return cast(Movement | None, _beside(task, "move"))
+
+
+def _beside(task: Task, name: str) -> Any:
+    """A function of the module beside a task's."""
+    module = f"{type(task).__module__}_drawing"
+    if importlib.util.find_spec(module) is None:
+        return None
+    return getattr(importlib.import_module(module), name, None)
+
+
+def same_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
+    """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings."""
+    if all_axes:
+        corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes if axes.has_data()])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        low, high = low - margin * (high - low), high + margin * (high - low)
+        for axes in all_axes:
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
