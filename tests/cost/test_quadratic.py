@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simbias.records import Rollout
+from simbias.study import Study
+
+R = np.diag([10, 10, 10, 0.1, 0.1, 0.1])  # Table I
+Q = np.diag([1e-6])
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.booleans())
+def test_cost_is_equation_8(study: Study, seed: int, frames: int, fails: bool) -> None:
+    rng = np.random.default_rng(seed)
+    x, u = rng.normal(size=(frames + 1, 6)), 30 * rng.normal(size=(frames, 1))
+    T, t_fail = 5000, frames if fails else 5000
+    peak = max(x[t] @ R @ x[t] for t in range(1, frames + 1))
+    effort = sum(u[t] @ Q @ u[t] for t in range(frames))
+    rollout = Rollout(x, u, failed_at=frames if fails else None, failure="a fall" if fails else None)
+    assert study.cost.of(rollout) == pytest.approx(200 * (T - t_fail) + peak + effort, rel=1e-12)
+
+
+def test_every_failure_costs_more_than_the_maximum(study: Study) -> None:
+    """c = Z_max: even a robot that falls in the last frame exceeds Z_max (Section V)."""
+    still = Rollout(np.zeros((5000, 6)), np.zeros((4999, 1)), failed_at=4999, failure="a fall")
+    assert study.cost.of(still) == 200 >= study.cost.max_cost
+
+
+def test_the_start_does_not_count_in_the_peak(study: Study) -> None:
+    """Eq. 8 takes its maximum over t = 1..T."""
+    states = np.zeros((3, 6))
+    states[0] = 100.0
+    assert study.cost.of(Rollout(states, np.zeros((2, 1)))) == 0.0

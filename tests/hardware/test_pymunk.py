@@ -1,0 +1,511 @@
+"""The engine against the laws that it should obey, and experiments against their contract."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from scipy.stats import chi2
+
+import simbias
+from simbias.hardware.pymunk import BLOW_UP, PymunkBongoboard
+from simbias.hardware.pymunk_world import World, inertias, places
+from simbias.interfaces import HardwareError, Policy
+from simbias.noise import Noise
+from simbias.nominal.bongoboard import LagrangianBongoboard
+from simbias.policy.output_feedback import OutputFeedback
+from simbias.records import Array, Rollout
+from simbias.task.bongoboard import Bongoboard, Limits, Robot, Start
+
+CONF = Path(__file__).parents[2] / "conf"
+FEET = ("plate", "separate", "fixed")
+START = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+MOVING = np.array([0.1, -0.05, 0.08, 0.3, -0.2, 0.5])
+# Found by CMA-ES on this hardware with a plate (300 evaluations of the summed cost of four starts, no noise).
+BALANCING = np.array([9.92, 6.37, -8.36, -4.38, 5.77])
+# Found by DIRECT on the nominal model, as Algorithm 1 begins.
+NOMINALLY_BEST = np.array([8.1177, 4.7310, -6.7398, -1.0242, -5.5601])
+UNLIMITED = {"distance": 1e9, "body_angle": 1e9, "board_angle": 1e9, "speed": 1e9}
+
+
+class Constant(Policy):
+    """The torque theta (1,), whatever the state."""
+
+    n_parameters = 1
+    bounds = (np.array([-np.inf]), np.array([np.inf]))
+
+    def act(self, theta: Array, x: Array) -> Array:
+        return theta
+
+    def outputs(self, x: Array) -> Array:
+        return x
+
+
+def build_task(
+    limits: dict[str, float] | None = None, robot: dict[str, float] | None = None, **changes: Any
+) -> Bongoboard:
+    """The task of conf/task/bongoboard.yaml with some changes."""
+    config = OmegaConf.to_container(OmegaConf.load(CONF / "task" / "bongoboard.yaml"))
+    assert isinstance(config, dict)
+    return Bongoboard(
+        Robot(**config["robot"] | (robot or {})),
+        Limits(**config["limits"] | (limits or {})),
+        Start(**config["start"]),
+        **changes,
+    )
+
+
+def build_twin(time_step: float = 0.001, **changes: Any) -> Bongoboard:
+    """A task on which fixed feet should move as the Lagrangian model of the default task.
+
+    That model has both legs in their midst. Half the ankle spacing s away from it, they turn with the pelvis
+    and add a moment of inertia of 2 m_l (s/2)^2 to it, which the twin takes off the pelvis.
+    """
+    robot = build_task().robot
+    legs = 2 * robot.leg_mass * (robot.ankle_spacing / 2) ** 2
+    inertia = {"pelvis_inertia": robot.pelvis_inertia - legs}
+    return build_task(UNLIMITED, inertia, time_step=time_step, **changes)
+
+
+def experiment(hardware: PymunkBongoboard, torque: float, start: Array = START, seed: int = 0) -> Rollout:
+    """An experiment under constant torque."""
+    rollout = hardware.run(Constant(), np.array([torque]), start, np.random.default_rng(seed))
+    assert_consistent(rollout)
+    return rollout
+
+
+def assert_consistent(rollout: Rollout) -> None:
+    assert rollout.measured is not None
+    assert len(rollout.states) == len(rollout.measured) == len(rollout.inputs) + 1
+    for values in (rollout.states, rollout.inputs, rollout.measured):
+        assert np.isfinite(values).all()
+    assert (rollout.failed_at is None) == (rollout.failure is None)
+    assert rollout.failed_at in (None, rollout.frames)
+
+
+def runge_kutta(model: LagrangianBongoboard, x: Array, u: Array, duration: float, steps: int = 400) -> Array:
+    """State (6,) of the fourth-order method after a duration."""
+
+    def slope(x: Array) -> Array:
+        return np.concatenate((x[3:], model.accelerations(x, u)))
+
+    h = duration / steps
+    for _ in range(steps):
+        k1 = slope(x)
+        k2 = slope(x + h / 2 * k1)
+        k3 = slope(x + h / 2 * k2)
+        k4 = slope(x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def energy(world: World, gravity: float) -> float:
+    """Kinetic and potential energy in J of all bodies (pymunk's kinetic_energy is twice that)."""
+    return sum(b.kinetic_energy / 2 + b.mass * gravity * b.position.y for b in world.bodies.values())
+
+
+# Laws of mechanics
+
+
+@pytest.mark.parametrize("feet", ["fixed", "plate"])
+@pytest.mark.parametrize(
+    ("x", "torque", "expected"),
+    [
+        (START, 0.0, (-2.27865663, -1.18581346, 7.66572464)),
+        (MOVING, 10.0, (-26.96107964, 8.44049104, 53.78564873)),
+    ],
+)
+def test_accelerations_are_the_lagrangian_models(
+    feet: Any, x: Array, torque: float, expected: tuple[float, ...]
+) -> None:
+    """The reference of LagrangianBongoboard at foot mass 1, also for a plate, as long as it rests flat.
+
+    In a frame of 0.1 ms they change by up to 0.01 rad/s^2.
+    """
+    hardware = PymunkBongoboard(build_twin(1e-4, horizon=1), feet=feet, iterations=1000, overlap=1e-6)
+    states = experiment(hardware, torque, x).states
+    np.testing.assert_allclose((states[1] - states[0])[3:] / 1e-4, expected, rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("feet", ["fixed", "plate"])
+def test_contact_forces_are_found_before_the_first_frame(feet: Any) -> None:
+    hardware = PymunkBongoboard(build_twin(horizon=10), feet=feet)
+    accelerations = np.diff(experiment(hardware, 0.0).states[:, 3:], axis=0) / 1e-3
+    np.testing.assert_allclose(accelerations[0], (-2.27865663, -1.18581346, 7.66572464), rtol=0, atol=0.01)
+    assert np.abs(np.diff(accelerations, axis=0)).max() < 0.01
+
+
+@pytest.mark.parametrize("torque", [-3.0, 0.0, 5.0])
+@pytest.mark.parametrize("feet", ["fixed", "plate"])
+def test_each_frame_agrees_with_the_lagrangian_step(feet: Any, torque: float) -> None:
+    """The engine moves before it accelerates, the model's step the other way round.
+
+    So the model has to step from the angles of a frame and the rates of the frame before to those a frame
+    later. The tolerance is for what the solver leaves after its iterations.
+    """
+    u = np.array([torque])
+    states = experiment(PymunkBongoboard(build_twin(horizon=150), feet=feet), torque).states
+    staggered = np.column_stack((states[1:, :3], states[:-1, 3:]))
+    model = LagrangianBongoboard(build_task(), foot_mass=1.0)
+    predicted = np.array([model.step(x, u) for x in staggered[:-1]])
+    np.testing.assert_allclose(staggered[1:], predicted, rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize("torque", [-3.0, 0.0, 5.0])
+@pytest.mark.parametrize("feet", ["fixed", "plate"])
+def test_trajectory_converges_to_the_lagrangian_models_with_order_one(feet: Any, torque: float) -> None:
+    """With an overlap in proportion to the time step, as it changes the geometry."""
+    duration = 0.15
+    exact = runge_kutta(
+        LagrangianBongoboard(build_task(), foot_mass=1.0), START, np.array([torque]), duration
+    )
+    errors = []
+    for frames in (150, 300, 600):
+        task = build_twin(duration / frames, horizon=frames)
+        hardware = PymunkBongoboard(task, feet=feet, overlap=0.1 * task.time_step)
+        errors.append(np.linalg.norm(experiment(hardware, torque).states[-1] - exact))
+    assert errors[0] < 5e-3
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 1, atol=0.05)
+
+
+def test_energy_error_shrinks_with_the_time_step() -> None:
+    """Falling turns 0.42 J into motion; the steps' order is one."""
+    errors = []
+    for frames in (150, 300):
+        task = build_task(time_step=0.15 / frames)
+        world = PymunkBongoboard(task, feet="fixed").build(START)
+        energies = [energy(world, task.robot.gravity)]
+        for _ in range(frames):
+            world.step(0.0, task.time_step)
+            energies.append(energy(world, task.robot.gravity))
+        errors.append(np.ptp(energies))
+    assert errors[0] < 0.02 * 0.42
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize("feet", FEET)
+def test_positive_torque_turns_the_legs_counter_clockwise_against_the_board(feet: Any) -> None:
+    hardware = PymunkBongoboard(build_task(horizon=20), feet=feet)
+    free, pushed = experiment(hardware, 0.0).states[-1], experiment(hardware, 5.0).states[-1]
+    leg_rate, board_rate = np.array([0, 0, 0, 1, 1, 1]), np.array([0, 0, 0, 1, 1, 0])
+    assert (pushed - free)[5] > 0
+    assert leg_rate @ (pushed - free) > 0 > board_rate @ (pushed - free)
+
+
+@pytest.mark.parametrize("feet", FEET)
+def test_heavier_robot_with_stronger_torque_moves_alike(feet: Any) -> None:
+    task = build_task(horizon=200)
+    states = experiment(PymunkBongoboard(task, feet=feet), 5.0).states
+    heavier = experiment(PymunkBongoboard(task, feet=feet, inertia_error=0.2), 1.2 * 5.0).states
+    np.testing.assert_allclose(heavier, states, rtol=0, atol=1e-8)
+    assert np.abs(experiment(PymunkBongoboard(task, 0.2, feet), 5.0).states - states).max() > 0.01
+
+
+# Bodies
+
+
+@pytest.mark.parametrize("feet", FEET)
+def test_inertia_error_scales_every_mass_and_moment(feet: Any) -> None:
+    exact = PymunkBongoboard(build_task(), feet=feet).build(START).bodies
+    scaled = PymunkBongoboard(build_task(), inertia_error=0.2, feet=feet).build(START).bodies
+    assert exact.keys() == scaled.keys()
+    for name, body in exact.items():
+        assert (scaled[name].mass, scaled[name].moment) == pytest.approx((1.2 * body.mass, 1.2 * body.moment))
+
+
+@pytest.mark.parametrize("feet", FEET)
+def test_masses_are_the_robots(feet: Any) -> None:
+    robot = build_task().robot
+    masses = (robot.wheel_mass, robot.board_mass, robot.foot_mass, 2 * robot.leg_mass, robot.pelvis_mass)
+    assert sum(mass for mass, _ in inertias(robot, feet).values()) == pytest.approx(sum(masses))
+
+
+def test_separate_feet_are_the_plate_cut_in_two() -> None:
+    bodies = PymunkBongoboard(build_task(), feet="separate").build(START).bodies
+    assert bodies["left foot"].mass == bodies["right foot"].mass == pytest.approx(0.5)
+    assert bodies["left foot"].moment == pytest.approx(0.5 * (0.2**2 + 0.05**2) / 12)
+    for name in ("foot", "leg"):
+        apart = bodies[f"right {name}"].position - bodies[f"left {name}"].position
+        assert apart.length == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("x", [START, MOVING])
+@pytest.mark.parametrize("feet", FEET)
+def test_bodies_start_in_the_tasks_pose_and_motion(feet: Any, x: Array) -> None:
+    """Their velocities are the derivative of their places; contacts overlap by half of what they may."""
+    task, overlap, h = build_task(), 1e-4, 1e-6
+    world = PymunkBongoboard(task, feet=feet, overlap=overlap).build(x)
+    pose = task.pose(x[:3])
+    expected = {
+        "wheel": (*pose.wheel, pose.wheel_angle),
+        "board": (*pose.board, pose.board_angle),
+        "pelvis": (*pose.pelvis, pose.board_angle),
+    }
+    ahead, behind = (places(task, x[:3] + step * x[3:], feet) for step in (h, -h))
+    for name, body in world.bodies.items():
+        place, velocity = (*body.position, body.angle), (*body.velocity, body.angular_velocity)
+        np.testing.assert_allclose(velocity, (ahead[name] - behind[name]) / (2 * h), rtol=0, atol=1e-8)
+        if name in expected:
+            np.testing.assert_allclose(place, expected[name], rtol=0, atol=1.5 * overlap)
+    legs = (world.bodies["left leg"].position + world.bodies["right leg"].position) / 2
+    np.testing.assert_allclose(legs, (pose.ankles + pose.pelvis) / 2, rtol=0, atol=1.5 * overlap)
+    np.testing.assert_allclose(world.state(), x, rtol=0, atol=1e-12)
+    assert world.contact() == pytest.approx((task.measure(x)[0], -overlap / 2), abs=1.5 * overlap)
+
+
+@pytest.mark.parametrize("feet", ["fixed", "plate"])
+def test_rolling_and_joints_hold(feet: Any) -> None:
+    """Bodies stay where the task's geometry has them, but for a small drift, while the robot balances."""
+    task = build_task()
+    world, policy = PymunkBongoboard(task, feet=feet).build(START), OutputFeedback(task)
+    for _ in range(300):
+        x = np.array(world.state())
+        world.step(float(policy.act(BALANCING, x)[0]), task.time_step)
+    expected = places(task, np.array(world.state()[:3]), feet)
+    for name, body in world.bodies.items():
+        np.testing.assert_allclose((*body.position, body.angle), expected[name], rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize(("torque", "tips"), [(10.0, False), (60.0, True)])
+def test_a_single_foot_tips_where_a_plate_stands(torque: float, tips: bool) -> None:
+    """About its edge, where half of the torque exceeds its load times 0.1 m: at rest 25.5 N m."""
+    robot = build_task().robot
+    weight = (robot.pelvis_mass + 2 * robot.leg_mass + robot.foot_mass) * robot.gravity
+    at_rest = weight * robot.foot_length / 4
+    assert (torque > at_rest) == tips
+    angles = {}
+    for feet in ("plate", "separate"):
+        world = PymunkBongoboard(build_task(), feet=feet).build(np.zeros(6))
+        for _ in range(30):
+            world.step(torque, 1e-3)
+        bodies = world.bodies
+        tilts = [body.angle - bodies["board"].angle for name, body in bodies.items() if "foot" in name]
+        angles[feet] = np.abs(tilts).max()
+    assert angles["plate"] < 1e-4
+    assert (angles["separate"] > 1e-3) == tips
+
+
+def test_the_nominal_models_policy_falls_from_separate_feet() -> None:
+    task = build_task()
+    hardware = PymunkBongoboard(task, feet="separate")
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        rollout = hardware.run(OutputFeedback(task), NOMINALLY_BEST, task.draw_start(rng), rng)
+        assert_consistent(rollout)
+        assert rollout.failed_at is not None
+
+
+# Experiments
+
+
+@pytest.mark.parametrize("inertia_error", [0.0, 0.2])
+def test_robot_on_a_plate_can_balance(inertia_error: float) -> None:
+    task = build_task()
+    hardware, rng = PymunkBongoboard(task, inertia_error), np.random.default_rng(0)
+    for start in (START, task.draw_start(rng), task.draw_start(rng)):
+        rollout = hardware.run(OutputFeedback(task), BALANCING, start, rng)
+        assert_consistent(rollout)
+        assert rollout.failed_at is None
+        assert rollout.frames == task.horizon
+
+
+def test_same_seed_same_experiment() -> None:
+    task = build_task(horizon=300)
+    hardware = PymunkBongoboard(task, noise=Noise(0.1, 1e-6, 1e-3))
+    policy = OutputFeedback(task)
+    one, same, other = (
+        hardware.run(policy, BALANCING, START, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    for name in ("states", "inputs", "measured"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
+        assert not np.array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_without_noise_the_measured_states_are_the_true_ones() -> None:
+    rollout = experiment(PymunkBongoboard(build_task(horizon=50)), 5.0)
+    np.testing.assert_array_equal(rollout.measured, rollout.states)
+
+
+def test_noise_has_its_variances() -> None:
+    """In 99.9 % of all seeds: sum x^2 / variance is chi-square."""
+    noise = Noise(angle_variance=1e-6, velocity_variance=1e-3)
+    rollout = experiment(PymunkBongoboard(build_task(UNLIMITED, horizon=300), noise=noise), 0.0)
+    assert rollout.measured is not None
+    errors = rollout.measured - rollout.states
+    for values, variance in ((errors[:, :3], 1e-6), (errors[:, 3:], 1e-3)):
+        lower, upper = chi2.interval(0.999, values.size)
+        assert lower < np.sum(values**2) / variance < upper
+
+
+def test_policy_sees_what_is_measured() -> None:
+    task = build_task(horizon=100)
+    policy = OutputFeedback(task)
+    hardware = PymunkBongoboard(task, noise=Noise(0.1, 1e-6, 1e-3))
+    rollout = hardware.run(policy, BALANCING, START, np.random.default_rng(0))
+    assert rollout.measured is not None
+    commanded = [policy.act(BALANCING, y) for y in rollout.measured[:-1]]
+    np.testing.assert_array_equal(rollout.inputs, commanded)
+
+
+def test_torque_noise_acts_on_the_robot_but_is_not_recorded() -> None:
+    task = build_task(horizon=100)
+    quiet = experiment(PymunkBongoboard(task), 5.0)
+    noisy = experiment(PymunkBongoboard(task, noise=Noise(torque_variance=0.1)), 5.0)
+    np.testing.assert_array_equal(noisy.inputs, quiet.inputs)
+    assert not np.array_equal(noisy.states, quiet.states)
+
+
+def test_noises_are_drawn_independently_of_each_other() -> None:
+    task = build_task(horizon=100)
+    one = experiment(PymunkBongoboard(task, noise=Noise(0.1, 1e-6, 1e-3)), 5.0)
+    other = experiment(PymunkBongoboard(task, noise=Noise(0.1, 4e-6, 0.0)), 5.0)
+    np.testing.assert_array_equal(one.states, other.states)
+    assert one.measured is not None
+    assert other.measured is not None
+    errors, other_errors = (one.measured - one.states)[:, :3], (other.measured - other.states)[:, :3]
+    np.testing.assert_allclose(other_errors, 2 * errors, rtol=0, atol=1e-12)
+
+
+def test_a_record_of_what_is_measured_is_of_the_same_experiment() -> None:
+    """A real robot's view: nothing changes but what is recorded."""
+    noise, limits = Noise(0.1, 1e-6, 1e-3), UNLIMITED | {"body_angle": 0.2}
+    true, real = (
+        experiment(PymunkBongoboard(build_task(limits), noise=noise, record=record), 0.0)
+        for record in ("true_state", "measured")
+    )
+    assert not true.sensed
+    assert real.sensed
+    assert not np.array_equal(real.states, true.states)
+    assert real.measured is not None
+    np.testing.assert_array_equal(real.states, true.measured)
+    np.testing.assert_array_equal(real.states, real.measured)
+    np.testing.assert_array_equal(real.inputs, true.inputs)
+    assert real.failure is not None
+    assert (real.failed_at, real.failure) == (true.failed_at, true.failure)
+
+
+def test_failure_is_judged_by_the_true_states() -> None:
+    """A sensor that errs by 0.3 rad sees the body beyond its limit long before it is."""
+    noise = Noise(angle_variance=0.09)
+    hardware = PymunkBongoboard(build_task(UNLIMITED | {"body_angle": 0.2}), noise=noise, record="measured")
+    rollout = experiment(hardware, 0.0)
+    leaning = np.abs(rollout.states[:, :3].sum(axis=1)) > 0.2
+    assert rollout.failed_at is not None
+    assert leaning[: rollout.failed_at].any()
+
+
+def test_a_measured_record_costs_what_was_measured() -> None:
+    noise = {f"hardware.noise.{key}_variance": 1e-2 for key in ("angle", "velocity")}
+    overrides = ["tracking=none", "task.horizon=50", *(f"{key}={value}" for key, value in noise.items())]
+    true, real = (
+        simbias.load([*overrides, f"hardware.record={record}"]).experiment(
+            BALANCING, np.random.default_rng(0)
+        )
+        for record in ("true_state", "measured")
+    )
+    study = simbias.load(overrides)
+    assert real.cost == study.cost.of(replace(true, states=true.measured))
+    assert real.cost > true.cost
+
+
+# Failure
+
+
+@pytest.mark.parametrize(
+    ("criterion", "limits", "feet", "torque"),
+    [
+        ("board_touches_ground", {}, "plate", 5.0),
+        ("board_leaves_wheel", {}, "fixed", 60.0),
+        ("distance", {"distance": 0.3}, "plate", 0.0),
+        ("body_angle", {"body_angle": 0.2}, "plate", 0.0),
+        ("board_angle", {"board_angle": 0.2}, "plate", 20.0),
+        ("speed", {"speed": 3.0}, "plate", 0.0),
+    ],
+)
+def test_failure_is_named_at_its_first_frame(
+    criterion: str, limits: dict[str, float], feet: Any, torque: float
+) -> None:
+    task = build_task(UNLIMITED | limits)
+    hardware = PymunkBongoboard(task, feet=feet)
+    rollout = experiment(hardware, torque)
+    index = [c.name for c in task.criteria].index(criterion)
+    assert rollout.failure == task.criteria[index].words
+    assert rollout.failed_at is not None
+    assert 0 < rollout.failed_at < task.horizon
+    if index > 1:
+        within = [task.measure(x)[index] <= task.criteria[index].limit for x in rollout.states]
+        assert within == [True] * rollout.frames + [False]
+
+
+def test_robot_falls_without_torque() -> None:
+    rollout = experiment(PymunkBongoboard(build_task()), 0.0)
+    assert rollout.failure == "the body leans too far"
+
+
+def test_board_leaves_the_wheel_when_it_is_detached_far_enough() -> None:
+    """Shorter gaps, of a few um, occur while the robot balances."""
+    task = build_task(UNLIMITED)
+    rollouts = [
+        experiment(PymunkBongoboard(task, feet="fixed", detachment=detachment), 60.0)
+        for detachment in (1e-6, 1e-3, 3e-3)
+    ]
+    assert {rollout.failure for rollout in rollouts} == {"the board leaves the wheel"}
+    first, second, third = (rollout.frames for rollout in rollouts)
+    assert first < second < third
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        (np.array([0.0, 0.05, 0.0, 40.0, 0.0, 0.0]), "too fast"),
+        (np.array([0.0, 0.05, 1.2, 0.0, 0.0, 0.0]), "the body leans too far"),
+        (np.array([0.6, 0.35, -1.0, 0.0, 0.0, 0.0]), "the board touches the ground"),
+        (np.array([0.0, 0.0, 1e300, 0.0, 0.0, 0.0]), "too far from the static equilibrium"),
+    ],
+)
+def test_start_can_be_a_failure(start: Array, words: str) -> None:
+    rollout = experiment(PymunkBongoboard(build_task()), 0.0, start)
+    assert rollout.failure == words
+    assert rollout.failed_at == 0
+    np.testing.assert_array_equal(rollout.states, [start])
+
+
+@pytest.mark.parametrize("torque", [1e6, -1e20, 1e308])
+@pytest.mark.parametrize("feet", FEET)
+def test_blow_up_is_a_failure_and_leaves_no_trace_in_the_data(feet: Any, torque: float) -> None:
+    rollout = experiment(PymunkBongoboard(build_task(UNLIMITED), feet=feet), torque)
+    assert rollout.failure == BLOW_UP
+    assert rollout.failed_at == 0
+    np.testing.assert_array_equal(rollout.states, [START])
+
+
+@pytest.mark.parametrize("torque", [np.nan, np.inf])
+def test_torque_that_is_not_a_number_is_an_error_that_names_the_frame(torque: float) -> None:
+    class Breaking(Constant):
+        def act(self, theta: Array, x: Array) -> Array:
+            return np.array([torque]) if x[2] > 1e-4 else theta
+
+    with pytest.raises(HardwareError, match=r"in frame 6 the policy asks for a torque of (nan|inf)"):
+        PymunkBongoboard(build_task()).run(Breaking(), np.zeros(1), START, np.random.default_rng(0))
+
+
+def test_start_that_is_not_a_number_is_an_error() -> None:
+    with pytest.raises(HardwareError, match="cannot start"):
+        experiment(PymunkBongoboard(build_task()), 0.0, np.full(6, np.nan))
+
+
+# Configuration
+
+
+def test_defaults_are_the_configs() -> None:
+    config = OmegaConf.to_container(OmegaConf.load(CONF / "hardware" / "pymunk.yaml"))
+    assert isinstance(config, dict)
+    parameters = inspect.signature(PymunkBongoboard).parameters
+    defaults = {name: parameters[name].default for name in parameters if name != "task"}
+    del config["_target_"]
+    assert defaults == config | {"noise": Noise(**config["noise"])}

@@ -1,0 +1,82 @@
+"""Looking ahead changes how points are evaluated, never which ones are found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import simbias
+from simbias.optimizer.bookkeeping import Evaluations
+from simbias.optimizer.lookahead import MOST, look_ahead
+from simbias.records import Array, Optimum
+
+SEARCHES = ["nlopt_direct", "nlopt_crs", "scipy_direct", "cma", "bipop_cma", "hybrid"]
+
+
+class Counting:
+    """A rugged objective that counts; `together` as an evaluation offers it."""
+
+    def __init__(self, shift: float = 0.0) -> None:
+        self.calls: list[int] = []
+        self._shift = shift
+
+    def cost(self, x: Array) -> float:
+        return float(np.sum((x - self._shift) ** 2) + 3 * np.sum(np.sin(3 * x) ** 2))
+
+    def together(self, points: Array) -> Array:
+        self.calls.append(len(points))
+        return np.array([self.cost(point) for point in points])
+
+    def __call__(self, x: Array) -> float:
+        self.calls.append(1)
+        return self.cost(x)
+
+
+def minimize(name: str, objective, limit: int, seed: int) -> Optimum:
+    optimizer = simbias.load(
+        ["tracking=none", f"optimizer={name}", f"optimizer.max_evaluations={limit}"]
+    ).optimizer
+    return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+@settings(max_examples=6, deadline=None)
+@given(limit=st.integers(1, 300), seed=st.integers(0, 99), shift=st.floats(-1, 1))
+def test_result_is_the_sequential_searchs(name: str, limit: int, seed: int, shift: float) -> None:
+    together = Counting(shift)
+    in_turn = minimize(name, Counting(shift).cost, limit, seed)
+    ahead = minimize(name, together, limit, seed)
+    np.testing.assert_array_equal(ahead.parameters, in_turn.parameters)
+    assert (ahead.cost, ahead.evaluations) == (in_turn.cost, in_turn.evaluations)
+    assert ahead.stopped_by == in_turn.stopped_by
+
+
+@pytest.mark.parametrize(("name", "waste"), [("nlopt_direct", 0.05), ("scipy_direct", 0.05), ("cma", 0.0)])
+def test_few_guesses_are_wrong(name: str, waste: float) -> None:
+    objective = Counting()
+    optimum = minimize(name, objective, 1000, 0)
+    assert optimum.evaluations <= sum(objective.calls) <= (1 + waste) * optimum.evaluations + MOST
+    assert len(objective.calls) < optimum.evaluations / 5
+
+
+def test_an_exception_reaches_the_caller() -> None:
+    class Broken(Counting):
+        def together(self, points: Array) -> Array:
+            raise StopIteration("broken")
+
+    with pytest.raises(StopIteration, match="broken"):
+        minimize("nlopt_direct", Broken(), 100, 0)
+
+
+def test_a_search_that_changes_its_mind_is_noticed() -> None:
+    rng = np.random.default_rng(0)
+
+    def capricious(evaluations: Evaluations) -> str:
+        evaluations.evaluate_all(rng.uniform(size=(100, 3)))
+        return "its whim"
+
+    evaluations = Evaluations(Counting(), np.zeros(3), np.ones(3), limit=100, relative_tolerance=1e-6)
+    with pytest.raises(RuntimeError, match="other points when it is given the same costs"):
+        look_ahead(capricious, evaluations)

@@ -1,0 +1,69 @@
+"""The paper's premise and the first row of its Table II, measured.
+
+`python tests/studies/premise.py FOLDER` tells for each of 10 seeds, without noise and inertia error, how many
+hardware experiments Algorithm 1 needs, and in how many of 20 random starts its first policy (of the nominal
+model alone) and its last one balance the hardware.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+import simbias
+from simbias.records import Array
+from simbias.study import Study
+
+SEEDS = range(10)
+STARTS = 20
+
+
+def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
+    """In how many hardware experiments from random starts, the same ones in every call, theta balances."""
+    rngs = np.random.default_rng(2015).spawn(starts)
+    return sum(study.experiment(theta, rng).failed_at is None for rng in rngs)
+
+
+def measure(seed: int) -> dict[str, Any]:
+    """One trial, and its first and last policy on other starts."""
+    study = simbias.load(["tracking=none", f"seed={seed}"])
+    study.warm_up()
+    began = time.perf_counter()
+    iterations = list(study.run())
+    seconds = time.perf_counter() - began
+    first, last = iterations[0], iterations[-1]
+    return {
+        "seed": seed,
+        "succeeded": last.succeeded,
+        "experiments": last.total_experiments,
+        "samples": len(last.data),
+        "first_policy_balances": balanced_starts(study, first.optimum.parameters),
+        "last_policy_balances": balanced_starts(study, last.optimum.parameters),
+        "starts": STARTS,
+        "seconds": round(seconds, 1),
+    }
+
+
+def main(folder: Path) -> None:
+    """Measure every seed, print the table and write it as premise.csv."""
+    rows = Parallel(n_jobs=2)(delayed(measure)(seed) for seed in SEEDS)
+    with (folder / "premise.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    for row in rows:
+        print("  ".join(f"{key} {value}" for key, value in row.items()))
+    experiments = [row["experiments"] for row in rows]
+    print(
+        f"{sum(row['succeeded'] for row in rows)} of {len(rows)} succeed, {np.mean(experiments)} experiments"
+    )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import itertools
+import random
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sweeping import write_sweep
+
+from simbias.config import ConfigError, Variations, compose, sweeps
+from simbias.grid import RESERVED, Sweep, expand
+from simbias.results import COLUMNS
+from simbias.tables import MEASURES
+
+VALUES = [0.0, 0.001, 0.1, 0.2, 0.35, 1.5]
+axis_values = st.lists(st.sampled_from(VALUES), min_size=1, max_size=4, unique=True)
+
+
+def grid(folder: Path, torque: list[float], errors: list[float], trials: int = 2) -> Sweep:
+    conf = write_sweep(
+        folder,
+        "mine",
+        "sweep:\n"
+        f"  trials: {trials}\n"
+        "  axes:\n"
+        f"    hardware.noise.torque_variance: {torque}\n"
+        f"    error: {{keys: hardware.inertia_error, values: {errors}}}\n",
+    )
+    return expand(["+sweep=mine"], conf)
+
+
+def identities(sweep: Sweep) -> dict[tuple[tuple[str, ...], int], tuple[int, str]]:
+    return {(trial.cell.labels, trial.repetition): (trial.seed, trial.hash) for trial in sweep.trials}
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(axis_values, axis_values, st.integers(1, 4), st.randoms())
+def test_what_is_added_or_reordered_changes_no_other_trial(
+    tmp_path: Path, torque: list[float], errors: list[float], trials: int, rng: random.Random
+) -> None:
+    sweep = grid(tmp_path, torque, errors, trials)
+    before = identities(sweep)
+    assert len(sweep.trials) == len(before) == len(torque) * len(errors) * trials
+    assert len({seed for seed, _ in before.values()}) == len(before)
+    assert len({identity for _, identity in before.values()}) == len(before)
+    more = [*torque, *(value for value in VALUES if value not in torque)]
+    after = identities(grid(tmp_path, rng.sample(more, len(more)), errors[::-1], trials + 1))
+    assert before.items() <= after.items()
+
+
+def test_trials_are_what_composing_their_overrides_gives(tmp_path: Path) -> None:
+    for trial in grid(tmp_path, [0.0, 1.0e-6], [0.0, 0.2]).trials:
+        torque, error = trial.cell.labels
+        values = (
+            f"hardware.noise.torque_variance={torque if torque != '0' else '0.0'}",
+            f"hardware.inertia_error={error if error != '0' else '0.0'}",
+        )
+        composed = compose([*values, f"seed={trial.seed}"])
+        assert trial.composition == composed.trial
+        assert trial.hash == composed.hash
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"bias": "none", "optimizer": "cma", "seed": 7},
+        {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
+        {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
+    ],
+)
+def test_merged_settings_equal_composed_overrides(chosen: dict[str, object]) -> None:
+    """Interpolations follow too: cost.failure_weight is that of cost.max_cost."""
+    overrides = [f"{key}={value}" for key, value in chosen.items()]
+    assert Variations().composition(chosen) == compose(overrides)
+
+
+def test_group_options_are_an_axis() -> None:
+    sweep = expand(["+sweep=components", "sweep.trials=1"])
+    found = {trial.cell.labels: trial for trial in sweep.trials}
+    assert set(found) == set(
+        itertools.product(["gp", "none"], ["nlopt_direct", "nlopt_crs", "scipy_direct", "cma"])
+    )
+    trial = found[("none", "cma")]
+    overrides = ["bias=none", "optimizer=cma", "hardware.noise.torque_variance=0.1", f"seed={trial.seed}"]
+    assert trial.composition == compose(overrides).trial
+
+
+def test_table_2() -> None:
+    sweep = expand(["+sweep=table2"])
+    assert len(sweep.cells) == 24
+    assert len(sweep.trials) == 240
+    assert sweep.report.paper.keys() == {cell.labels for cell in sweep.cells}
+    last = sweep.cells[-1]
+    assert last.composition.config["hardware"]["noise"] == {
+        "torque_variance": 0.1, "angle_variance": 1.28e-4, "velocity_variance": 0.128,
+    }  # fmt: skip
+    assert last.composition.config["hardware"]["inertia_error"] == 0.2
+    assert sweep.report.paper[last.labels] == 3.6
+    assert [trial.cell for trial in sweep.trials[:24]] == list(sweep.cells)  # first of each cell first
+
+
+def test_overrides_work_on_top() -> None:
+    sweep = expand(["+sweep=table2", "sweep.trials=2", "bias=none", "task.horizon=300"])
+    assert len(sweep.trials) == 48
+    for cell in sweep.cells:
+        assert cell.composition.choices["bias"] == "none"
+        assert cell.composition.config["task"]["horizon"] == 300
+    fewer = expand(["+sweep=table2", "sweep.axes.error.values=[0.1]", "sweep.axes.error.labels=[10% error]"])
+    assert len(fewer.cells) == 12
+
+
+def test_identity_knows_neither_jobs_nor_store_nor_number_of_trials() -> None:
+    one = expand(["+sweep=smoke"])
+    other = expand(["+sweep=smoke", "sweep.trials=3", "engine=sequential", "tracking=none"])
+    assert one.hash == other.hash
+    assert identities(one).items() <= identities(other).items()
+    assert expand(["+sweep=smoke", "bias.d=2"]).hash != one.hash
+    assert not identities(one).items() & identities(expand(["+sweep=smoke", "seed=1"])).items()
+
+
+def test_a_trial_is_the_same_without_its_sweep() -> None:
+    trial = expand(["+sweep=smoke"]).trials[0]
+    single = [f"seed={trial.seed}", "task.horizon=300", "optimizer.max_evaluations=50"]
+    assert compose([*single, "method.max_iterations=2"]).hash == trial.hash
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["+sweep=unknown"], "sweep=unknown: no such option; sweep has components, "),
+        (["+sweep=smoke", "sweep.trials=0"], "sweep.trials: must be greater than 0, got 0"),
+        (["+sweep=smoke", "sweep.trialss=1"], "sweep.trialss: no such key"),
+        (["+sweep=smoke", "+sweep.trialss=1"], "sweep.trialss: no such key"),
+        (["+sweep=smoke", "sweep.axes=3"], "sweep.axes: must be a valid dictionary, got 3"),
+        (["+sweep=smoke", "+sweep.axes.nosuch=[1]"], "nosuch: no such key"),
+        (["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"], "bias=nosuch: no such option"),
+        (["+sweep=smoke", "+sweep.axes.bias=[]"], "sweep.axes.bias: has no values"),
+        (["+sweep=smoke", "+sweep.axes.bias=gp"], "sweep.axes.bias: must be a list of values, got 'gp'"),
+        (["+sweep=smoke", "+sweep.axes.bias=[gp, gp]"], "sweep.axes.bias: has the same value or label twice"),
+        (["+sweep=smoke", "+sweep.axes.seed=[1, 2]"], "sweep.axes.seed: seed is set elsewhere"),
+        (["+sweep=smoke", "+sweep.axes.x={keys: hardware.inertia_error, values: [0.1]}"], "set elsewhere"),
+        (["+sweep=smoke", "+sweep.axes.x={keys: [seed, bias], values: [0.1]}"], "each of its values must"),
+        (["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"], "sweep.axes: 0 none and 0  none are the same"),
+        (["+sweep=table2", "hardware.inertia_error=0.1"], "hardware.inertia_error: is an axis of the sweep"),
+        (["+sweep=table2", "sweep.axes.error.values=[0.1]"], "sweep.axes.error: has 2 labels for 1 values"),
+        (["+sweep=table2", "sweep.report.columns=no"], "sweep.report.columns: no such axis: no"),
+        (["+sweep=learners", "sweep.common_seeds=[no]"], "sweep.common_seeds: no such axis: no; there are "),
+    ],
+)  # fmt: skip
+def test_bad_sweep(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        expand(overrides)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_axes_may_not_have_the_names_of_other_columns() -> None:
+    assert set(COLUMNS) | set(MEASURES) == RESERVED
+    with pytest.raises(ConfigError, match=r"sweep\.axes\.mean: an axis may not have this name"):
+        expand(["+sweep=smoke", "+sweep.axes.mean={keys: bias.d, values: [1]}"])
+
+
+def test_shipped_sweeps_are_the_files() -> None:
+    assert sweeps() == sorted(file.stem for file in (ROOT / "sweeps").glob("*.yaml"))
+    assert {"table2", "smoke", "components"} <= set(sweeps())
+
+
+def test_common_seeds_pair_the_points_of_an_axis() -> None:
+    """A repetition has one seed along the axis; the point that the base has keeps the seeds it had."""
+    alone = {trial.hash for trial in expand(["+sweep=learners", "sweep.common_seeds=[]"]).trials}
+    sweep = expand(["+sweep=learners"])
+    names = [axis.name for axis in sweep.axes]
+    met: dict[tuple[str, ...], set[int]] = {}
+    for trial in sweep.trials:
+        rest = [f"{name}={value}" for name, value in zip(names, trial.cell.labels, strict=True)][:-1]
+        met.setdefault((*rest, str(trial.repetition)), set()).add(trial.seed)
+        assert (trial.hash in alone) == (trial.cell.labels[-1] == "gp")
+    assert len(met) == len(sweep.trials) / 2
+    assert {len(seeds) for seeds in met.values()} == {1}
+    assert len(set().union(*met.values())) == len(met)

@@ -1,0 +1,136 @@
+"""A sweep that is killed and started again gives what an undisturbed one gives, trial by trial."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from sweeping import (
+    FOUR_CELLS,
+    finish,
+    run,
+    runs,
+    start,
+    table,
+    trial_by_trial,
+    until_trials,
+    workers,
+    write_sweep,
+)
+
+from simbias.tracking.store import connect
+
+COMMAND = ["--config-dir", "conf", "+sweep=mine"]
+TRIALS = 40  # so many that some are left after every killing
+ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
+
+
+@pytest.fixture(scope="session")
+def empty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a store and a sweep, in which nothing ran: creating a store takes a second."""
+    folder = tmp_path_factory.mktemp("empty")
+    write_sweep(folder, "mine", FOUR_CELLS)
+    connect(f"sqlite:///{folder}/mlflow.db", "another")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def undisturbed(empty: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("undisturbed") / "here"
+    shutil.copytree(empty, folder)
+    status, out, err = run(*COMMAND, folder=folder)
+    assert (status, err) == (0, "")
+    assert f"[{TRIALS}/{TRIALS}]" in out
+    assert len(trial_by_trial(folder)) == TRIALS
+    return folder
+
+
+@pytest.fixture
+def folder(empty: Path, tmp_path: Path) -> Path:
+    shutil.copytree(empty, tmp_path / "here")
+    return tmp_path / "here"
+
+
+def check(folder: Path, undisturbed: Path) -> None:
+    """Everything is as if nothing had happened."""
+    assert trial_by_trial(folder) == trial_by_trial(undisturbed)
+    assert table(folder) == table(undisturbed)
+    assert {run.info.status for run in runs(folder)[0]} == {"FINISHED"}
+
+
+def finished(folder: Path) -> set[str]:
+    """Trials' runs that are finished."""
+    return {run.info.run_id for run in runs(folder)[1] if run.info.status == "FINISHED"}
+
+
+@pytest.mark.parametrize("seed", [0])
+def test_killed_again_and_again(folder: Path, undisturbed: Path, seed: int) -> None:
+    """At random points: by Ctrl-C, politely, for good, and one of its workers."""
+    rng = random.Random(seed)
+    done: set[str] = set()
+    orphans: list[int] = []
+    for number in rng.sample(ENDINGS, len(ENDINGS)):
+        process = start(*COMMAND, folder=folder)
+        until_trials(process, rng.randint(1, 2))
+        time.sleep(rng.uniform(0.0, 0.15))
+        orphans += workers(process)
+        process.send_signal(number)
+        status, _, err = finish(process)
+        if number == signal.SIGKILL:
+            assert status == -signal.SIGKILL
+        else:
+            assert status == 130
+            assert "simbias: interrupted; " in err
+            assert "Go on with:  python -m simbias --config-dir conf +sweep=mine" in err
+            assert "Traceback" not in err
+        assert done < finished(folder)  # none is lost, none runs twice
+        done = finished(folder)
+    process = start(*COMMAND, folder=folder)
+    until_trials(process, 1)
+    os.kill(rng.choice(workers(process)), signal.SIGKILL)
+    status, out, err = finish(process)
+    assert (status, err) == (0, ""), out + err
+    assert done < finished(folder)
+    check(folder, undisturbed)
+    assert orphans
+    assert not [pid for pid in orphans if alive(pid)]
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
+
+
+def test_disk_is_full(folder: Path, undisturbed: Path) -> None:
+    """Files may not grow beyond what the store has now: SQLite cannot write, as on a full disk."""
+    limit = (folder / "mlflow.db").stat().st_size + 20_000
+    status, _, err = run(
+        *COMMAND,
+        folder=folder,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert status == 1
+    assert "Go on with:  python -m simbias --config-dir conf +sweep=mine" in err
+    assert "Traceback" not in err
+    assert run(*COMMAND, folder=folder)[0] == 0
+    check(folder, undisturbed)
+
+
+def test_one_sweep_at_a_time(folder: Path) -> None:
+    process = start(*COMMAND, folder=folder)
+    until_trials(process, 1)
+    process.send_signal(signal.SIGSTOP)
+    status, out, err = run(*COMMAND, folder=folder)
+    assert (status, out) == (2, "")
+    assert err == "simbias: sweep: another process is running this sweep into the same store\n"
+    process.kill()
+    finish(process)

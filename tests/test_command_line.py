@@ -1,0 +1,109 @@
+"""The command line as a person uses it: a real process, a real store."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import OWN_CONF, POINT_MASS, ROOT
+from omegaconf import OmegaConf
+
+QUICK = ["task.horizon=200", "optimizer.max_evaluations=20"]  # 0.2 s are balanced without any torque
+
+
+def simbias(*arguments: str, folder: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "COLUMNS": "120"}
+    return subprocess.run(
+        [sys.executable, "-m", "simbias", *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+
+
+def test_success_exits_0_and_says_how_many_experiments(tmp_path: Path) -> None:
+    done = simbias(*QUICK, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Succeeded after 2 hardware experiments (1 iteration, " in done.stdout
+    assert "mlflow ui --workers 1 --backend-store-uri sqlite:///mlflow.db" in done.stdout
+    assert (tmp_path / "mlflow.db").exists()
+    assert "Traceback" not in done.stderr
+
+
+def test_failure_exits_1_and_says_why(tmp_path: Path) -> None:
+    done = simbias(
+        "task.horizon=3000", "optimizer.max_evaluations=3", "method.max_iterations=1", "tracking=none",
+        folder=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert "Did not succeed after 2 hardware experiments" in done.stdout
+    assert "last failure: " in done.stdout
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("override", ["bias.d=abc", "optimizer=unknown", "nosuch=1"])
+def test_bad_input_exits_2_with_one_line(tmp_path: Path, override: str) -> None:
+    done = simbias(override, folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bad_store_is_bad_input(tmp_path: Path) -> None:
+    done = simbias(*QUICK, "tracking.uri=sqlite:////no/such/folder/mlflow.db", folder=tmp_path)
+    assert done.returncode == 2
+    assert "tracking.uri" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_issue_example_swaps_components(tmp_path: Path) -> None:
+    done = simbias(
+        *QUICK, "bias=none", "hardware.noise.torque_variance=0.1", "hardware.inertia_error=0.2",
+        "optimizer=nlopt_crs", "seed=3", "tracking=none", folder=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "bias none, optimizer nlopt_crs" in done.stdout
+    assert "seed 3" in done.stdout
+
+
+def test_own_components_run(tmp_path: Path) -> None:
+    done = simbias("--config-dir", str(OWN_CONF), *POINT_MASS, "tracking=none", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_is_quick_and_complete(tmp_path: Path) -> None:
+    start = time.perf_counter()
+    done = simbias("--help", folder=tmp_path)
+    assert time.perf_counter() - start < 1.5
+    assert done.returncode == 0
+    for folder in (path for path in (ROOT / "conf").iterdir() if path.is_dir()):
+        (line,) = re.findall(rf"^  {folder.name} +(.+)$", done.stdout, re.MULTILINE)
+        assert sorted(line.split(" | ")) == sorted(file.stem for file in folder.glob("*.yaml"))
+    for word in ("  optimizer   nlopt_direct | ", "  bias        gp | ", "hardware.inertia_error=0.2"):
+        assert word in done.stdout
+
+
+def test_values_that_help_names_exist(tmp_path: Path) -> None:
+    """What --help advertises composes."""
+    from simbias.__main__ import EXAMPLES
+    from simbias.config import compose
+
+    overrides = [line.split()[0] for line in EXAMPLES.splitlines() if line.startswith("  ") and "=" in line]
+    named = [override for override in overrides if not override.startswith("python")]
+    assert len(named) >= 8
+    compose(named)
+
+
+def test_cfg_job_prints_the_config(tmp_path: Path) -> None:
+    done = simbias("--cfg", "job", "bias.d=2", folder=tmp_path)
+    assert done.returncode == 0
+    assert OmegaConf.create(done.stdout).bias.d == 2

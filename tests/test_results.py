@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from conftest import ROOT
+
+from simbias import results, tables
+from simbias.config import ConfigError
+from simbias.grid import expand
+
+PUBLISHED = sorted(path.parent for path in (ROOT / "sweeps" / "results").glob("*/trials.csv"))
+
+
+@pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
+def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> None:
+    sweep = expand([f"+sweep={folder.name}"])
+    trials = results.published(sweep)
+    assert len(trials) == len(sweep.trials)
+    table = tables.layout(tables.cells(trials, sweep), sweep)
+    _, _, *body = (folder / "table.md").read_text().strip().splitlines()
+    assert tables.markdown(table).splitlines()[2:] == body
+
+
+def test_published_trials_are_typed_as_those_of_a_store() -> None:
+    trials = results.published(expand(["+sweep=learners"]))
+    axes = ["hardware.noise.torque_variance", "hardware.inertia_error", "bias"]
+    assert list(trials.columns) == [*axes, *results.COLUMNS[:-1]]
+    assert set(trials["hardware.inertia_error"]) == {"0", "0.2"}
+    assert trials["experiments"].dtype == float
+    assert set(trials["raised"]) == {""}
+
+
+def test_what_is_not_published_or_lacks_a_column_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep = expand(["+sweep=smoke"])
+    monkeypatch.setattr(results, "shipped", lambda _: tmp_path)
+    with pytest.raises(ConfigError, match=r"^sweep: smoke has no published results$"):
+        results.published(sweep)
+    (tmp_path / "results" / "smoke").mkdir(parents=True)
+    pd.DataFrame({"hash": ["a"], "seed": [1]}).to_csv(tmp_path / "results" / "smoke" / "trials.csv")
+    with pytest.raises(ConfigError, match=r"^trials\.csv: lacks experiments, hardware\.inertia_error, "):
+        results.published(sweep)

@@ -1,0 +1,212 @@
+"""MLflow's UI as a person meets it: the command and the address that a sweep prints, in a real browser.
+
+With SCREENSHOTS=folder in the environment a longer sweep runs, and README's pictures are made there.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
+from sweeping import run
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FOLDER = os.environ.get("SCREENSHOTS")
+if FOLDER:
+    SWEEP = ["+sweep=learners", "sweep.axes.bias=[gp,none]", "sweep.trials=1"]
+    NAME, TRIALS = "sweep learners", 8
+    AXES = ("hardware.noise.torque_variance", "hardware.inertia_error", "bias")
+    CHARTED = re.compile("gp #0$")
+else:
+    SWEEP = ["+sweep=smoke", "task.horizon=2000"]
+    NAME, TRIALS = "sweep smoke", 4
+    AXES = ("hardware.inertia_error",)
+    CHARTED = re.compile("#0$")
+TRIAL = re.compile(r"#\d$")  # how the names of trials end
+PATIENCE = 60.0  # s
+NO_ASSISTANT = "localStorage.setItem('mlflow.assistant.fab.autoOpenedOnFirstLoad_v1', 'true')"
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium"),
+]
+
+
+class Site(NamedTuple):
+    """A server that shows a store."""
+
+    root: str
+    printed: str  # the address that the sweep printed, on this server's port
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """The command that the sweep printed, run; its processes are killed at the end."""
+    folder = tmp_path_factory.mktemp("swept")
+    status, out, err = run(*SWEEP, folder=folder, timeout=3600 if FOLDER else 300)
+    assert status == 0, err
+    found = re.search(r"^Look at it:  (.*)  # http://127\.0\.0\.1:5000(/.*)$", out, re.MULTILINE)
+    assert found, out
+    command, address = found.groups()
+    port = free_port()
+    root = f"http://127.0.0.1:{port}"
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+    }
+    with (folder / "server.log").open("w") as log:
+        server = subprocess.Popen(
+            f"{command} --port {port}",
+            shell=True,
+            cwd=folder,
+            env=environment,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        wait_until_up(root, server, folder / "server.log")
+        yield Site(root, root + address)
+    finally:
+        os.killpg(server.pid, signal.SIGKILL)
+        server.wait()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until_up(root: str, server: subprocess.Popen[bytes], log: Path) -> None:
+    end = time.monotonic() + 2 * PATIENCE
+    while time.monotonic() < end and server.poll() is None:
+        try:
+            with urllib.request.urlopen(f"{root}/health", timeout=5) as answer:
+                if answer.status == 200:
+                    return
+        except OSError:
+            time.sleep(0.2)
+    raise AssertionError(log.read_text())
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium that can reach nothing but this machine."""
+    arguments = [
+        "--disable-dev-shm-usage",
+        "--no-proxy-server",
+        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    ]
+    expect.set_options(timeout=1000 * PATIENCE)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page of a person who was never here before, but for MLflow's assistant, which is folded away."""
+    context = browser.new_context(viewport={"width": 1400, "height": 900})
+    context.set_default_timeout(1000 * PATIENCE)
+    context.add_init_script(NO_ASSISTANT)
+    yield context.new_page()
+    context.close()
+
+
+def links(page: Page, name: str | re.Pattern[str]) -> Locator:
+    """The runs of MLflow's list that have this name."""
+    return page.get_by_role("gridcell").get_by_role("link", name=name, exact=True)
+
+
+def is_shown(picture: Locator) -> None:
+    """A picture has arrived and could be decoded."""
+    expect(picture).to_be_visible()
+    expect(picture).to_have_js_property("complete", True)
+    assert picture.evaluate("image => image.naturalWidth") > 300
+
+
+def screenshot(page: Page, name: str) -> None:
+    """Keep what is seen, in few colours."""
+    if FOLDER:
+        path = Path(FOLDER, f"{name}.png")
+        page.screenshot(path=path, animations="disabled")
+        Image.open(path).convert("RGB").quantize().save(path, optimize=True)
+
+
+def test_the_printed_address_shows_the_sweep_with_table_and_figure(site: Site, page: Page) -> None:
+    page.goto(site.printed)
+    expect(page.get_by_role("heading", name=NAME)).to_be_visible()
+    expect(page.get_by_role("main").get_by_role("link", name="Runs")).to_be_visible()  # not "Evaluations"
+    expect(
+        page.get_by_role("paragraph").filter(has_text=f"Done: {TRIALS} of {TRIALS} trials.")
+    ).to_be_visible()
+    expect(page.get_by_role("columnheader", name=re.compile("experiments$")).first).to_be_visible()
+    expect(page.get_by_role("link", name="experiments/mean")).to_be_visible()
+    page.get_by_role("button", name="Expand description").click()
+    with page.context.expect_page() as opened:
+        page.get_by_role("paragraph").get_by_role("link", name="experiments", exact=True).click()
+    is_shown(opened.value.get_by_role("img", name="experiments.png"))
+
+
+def test_the_sweep_is_listed_and_unfolds_into_its_trials(site: Site, page: Page) -> None:
+    page.goto(f"{site.root}/#/experiments/1/runs?workflowType=machine_learning")
+    sweep = page.get_by_role("gridcell").filter(has=page.get_by_role("link", name=NAME, exact=True))
+    expect(sweep).to_have_count(1)
+    expect(links(page, TRIAL)).to_have_count(0)
+    sweep.get_by_role("button").click()
+    expect(links(page, TRIAL)).to_have_count(TRIALS)
+
+
+def open_trials(site: Site, page: Page) -> Page:
+    """The list of the sweep's trials, as its page leads there."""
+    page.goto(site.printed)
+    with page.context.expect_page() as opened:
+        page.get_by_role("paragraph").get_by_role("link", name="trials", exact=True).click()
+    expect(links(opened.value, TRIAL)).to_have_count(TRIALS)
+    return opened.value
+
+
+def test_trials_are_listed_by_the_axes_fewest_experiments_first(site: Site, page: Page) -> None:
+    trials = open_trials(site, page)
+    for head in ("experiments/total", "outcome", *AXES):
+        expect(trials.get_by_role("columnheader", name=head).first).to_be_visible()
+    column = trials.locator("[role=gridcell][col-id='metrics.`experiments/total`']")
+    expect(column).to_have_count(TRIALS)
+    found = list(map(int, column.all_inner_texts()))
+    assert found == sorted(found)
+    assert min(found) >= 2
+    screenshot(trials, "mlflow_trials")
+
+
+def test_a_trial_shows_its_charts_in_sections_and_its_pictures(site: Site, page: Page) -> None:
+    trial = open_trials(site, page)
+    links(trial, CHARTED).last.click()  # that with most experiments
+    expect(trial.get_by_role("heading", name=CHARTED)).to_be_visible()
+    trial.goto(f"{trial.url}?workflowType=machine_learning")  # as printed for a trial; MLflow's links lose it
+    trial.get_by_role("tab", name="Model metrics").click()
+    for section in ("cost", "data", "experiments", "seconds"):
+        head = re.compile(rf"^{section}\s*\(\d+\)")
+        expect(trial.get_by_role("figure").filter(has_text=head)).to_be_attached()
+    expect(trial.get_by_role("heading", name="hardware_max")).to_be_visible()
+    expect(trial.locator(".scatterlayer .point").nth(1)).to_be_visible()  # a curve has two points at least
+    screenshot(trial, "mlflow_charts")
+    trial.get_by_role("tab", name="Artifacts").click()
+    trial.get_by_text("pictures", exact=True).click()
+    trial.get_by_text("overview.png", exact=True).click()
+    is_shown(trial.get_by_role("img", name="overview.png"))
