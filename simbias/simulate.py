@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -10,13 +11,11 @@ from typing import Any
 
 import numpy as np
 from numba import get_num_threads, int64, njit, typeof, types, void
-from threadpoolctl import ThreadpoolController
 
 from simbias.interfaces import FittedBias, Kernel, Nominal, Policy, Simulator, Task
 from simbias.kernels import CONTROL, CUBE, MATRIX, MEASURE, OUTPUT, STEP, VECTOR, correction_signature
+from simbias.lanes import WIDTH
 from simbias.records import Array, Disturbance, Rollout
-
-BLOCK = 16  # rollouts that run in step, so that a learned bias is read from the cache once for all of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,29 +76,19 @@ class CompiledSimulator:
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
         """Run theta (p,) from start (n,) to failure or horizon."""
-        return self._block([theta], [start])[0]
+        return self._in_step([theta], [start])[0]
 
     def rollouts(self, thetas: Array, starts: Array) -> list[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n), a block on each thread.
+        """Run each theta of (k, p) from its start of (k, n), on all threads if they are many."""
+        threads = min(get_num_threads(), math.ceil(len(thetas) / WIDTH))
+        if threads < 2:  # what a thread frees stays with it: and is not given back
+            return self._in_step(thetas, starts)
+        parts = np.array_split(thetas, threads), np.array_split(starts, threads)
+        with ThreadPoolExecutor(threads) as pool:
+            return [rollout for part in pool.map(self._in_step, *parts) for rollout in part]
 
-        The blocks do not depend on the number of threads, so neither do the results.
-        """
-        blocks = [slice(first, first + BLOCK) for first in range(0, len(thetas), BLOCK)]
-
-        def run(block: slice) -> list[Rollout]:
-            return self._block(thetas[block], starts[block])
-
-        threads = min(get_num_threads(), len(blocks))
-        with _blas().limit(limits=1):
-            if threads < 2:  # what a thread frees stays with it: and is not given back
-                done = list(map(run, blocks))
-            else:
-                with ThreadPoolExecutor(threads) as pool:
-                    done = list(pool.map(run, blocks))
-        return [rollout for block in done for rollout in block]
-
-    def _block(self, thetas: Sequence[Array] | Array, starts: Sequence[Array] | Array) -> list[Rollout]:
-        """Rollouts that run in step."""
+    def _in_step(self, thetas: Sequence[Array] | Array, starts: Sequence[Array] | Array) -> list[Rollout]:
+        """Rollouts of which up to WIDTH run in step."""
         task, k = self.task, len(thetas)
         policies = [self.policy(np.asarray(theta, dtype=np.float64)) for theta in thetas]
         functions, parameters = zip(*self.kernels, strict=True)
@@ -136,12 +125,6 @@ def _record(task: Task, states: Array, inputs: Array, violated: int | None) -> R
 
 
 @cache
-def _blas() -> ThreadpoolController:
-    """The linear-algebra libraries, whose threads would get in the way of ours."""
-    return ThreadpoolController().select(user_api="blas")
-
-
-@cache
 def _compile(bias_data: Any) -> Any:
     """The closed loop for one type of bias data."""
     roles = (CONTROL, MEASURE, OUTPUT, STEP, correction_signature(bias_data))
@@ -156,21 +139,29 @@ def _closed_loop(
     policy_data, task_data, output_data, nominal_data, bias_data,
     limits, z, input_noise, sensor_noise, states, inputs, frames, violated,
 ):  # fmt: skip
-    """Fill states (k, T+1, n) and inputs (k, T, m) in step, frames (k,), and the criterion that ended them.
+    """Fill states (k, T+1, n) and inputs (k, T, m), frames (k,), and the criterion that ended each rollout.
 
-    The criterion is -1 at the horizon. A rollout that ends leaves the block: it costs nothing any more.
-    What is called gets small arrays of its own: a view of a large one costs more than copying six numbers.
+    The criterion is -1 at the horizon. A rollout that ends makes room for the next, so that as many as
+    possible run in step. What is called gets small arrays of its own: a view of a large one costs more than
+    copying six numbers.
     """
     k, horizon = states.shape[0], inputs.shape[1]
     n, m = states.shape[2], inputs.shape[2]
     noisy = sensor_noise.size > 0
-    running = np.arange(k)
+    running, count, begun = np.empty(min(k, WIDTH), np.int64), 0, 0
     measures = np.empty(limits.size)
     x, seen, u, x_next = np.empty(n), np.empty(n), np.empty(m), np.empty(n)
-    all_x, all_u, correction = np.empty((k, n)), np.empty((k, m)), np.empty((k, n))
-    for t in range(horizon + 1):
-        count = 0
-        for b in running:
+    all_x, all_u = np.empty((running.size, n)), np.empty((running.size, m))
+    correction = np.empty((running.size, n))
+    frames[:] = 0
+    while count > 0 or begun < k:
+        while count < running.size and begun < k:
+            running[count] = begun
+            count += 1
+            begun += 1
+        going = 0
+        for b in running[:count]:
+            t = frames[b]
             for i in range(n):
                 x[i] = states[b, t, i]
             measure(x, task_data, measures)
@@ -179,7 +170,7 @@ def _closed_loop(
                 if not measures[i] <= limits[i]:  # so that nan fails
                     criterion = i
             if criterion >= 0 or t == horizon:
-                frames[b], violated[b] = t, criterion
+                violated[b] = criterion
                 continue
             for i in range(n):
                 seen[i] = x[i] + sensor_noise[t, i] if noisy else x[i]
@@ -188,17 +179,18 @@ def _closed_loop(
             for i in range(m):
                 inputs[b, t, i] = u[i]
                 u[i] += input_noise[t, i] if noisy else 0.0
-                all_u[count, i] = u[i]
+                all_u[going, i] = u[i]
             step(x, u, nominal_data, x_next)
             for i in range(n):
-                all_x[count, i] = x[i]
+                all_x[going, i] = x[i]
                 states[b, t + 1, i] = x_next[i]
-            running[count] = b
-            count += 1
-        running = running[:count]
-        if count == 0:
-            return
-        correct(all_x[:count], all_u[:count], bias_data, correction[:count])
+            running[going] = b
+            going += 1
+        count = going
+        if count > 0:
+            correct(all_x[:count], all_u[:count], bias_data, correction[:count])
         for a in range(count):
+            b = running[a]
+            frames[b] += 1
             for i in range(n):
-                states[running[a], t + 1, i] += correction[a, i]
+                states[b, frames[b], i] += correction[a, i]

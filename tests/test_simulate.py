@@ -124,3 +124,14 @@ def test_simulation_is_repeatable(study: Study, stable: Array) -> None:
     first, second = study.simulate(stable), study.simulate(stable)
     np.testing.assert_array_equal(first.states, second.states)
     assert not np.shares_memory(first.states, second.states)
+
+
+def test_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
+    """Nor on how many run in step: most fall, and others take their places."""
+    rng = np.random.default_rng(0)
+    thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
+    simulator = study.simulator(learned(study))
+    together = simulator.rollouts(thetas, starts)
+    assert len({rollout.frames for rollout in together}) > 20
+    for rollout, theta, start in zip(together, thetas, starts, strict=True):
+        np.testing.assert_array_equal(rollout.states, simulator.rollout(theta, start).states)

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, output_scale, stable_cholesky
-from simbias.bias.gp_kernel import correct, packed_panels
+from simbias.bias.gp_kernel import correct, packed, packed_triangle
 from simbias.bias.inducing import Inducing, view
 from simbias.interfaces import FittedBias, Kernel
 from simbias.records import Array, Transitions
 
 MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, which takes N^3
-NO_PANELS = packed_panels(np.empty((0, 0)))
+NO_TRIANGLE = packed_triangle(np.empty((0, 0)))
 
 
 @final
@@ -43,7 +43,7 @@ class Posterior(FittedBias):
         self._W = W  # (N, n)
         self._R = R  # (m, N), R^T R the covariance of the weights W
         self.diagnostics = diagnostics
-        self.kernel = _compiled(hyper, points, W, packed_panels(U), hyper.d * W.shape[1])
+        self.kernel = _compiled(hyper, points, W, packed_triangle(U), hyper.d * W.shape[1])
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) (Eq. 4) and variance (k, n), noise included (Eq. 5), at raw inputs (k, n+m)."""
@@ -87,7 +87,7 @@ class Drawn(FittedBias):
         self._hyper = hyper
         self._points = points  # (N, r), scaled
         self._W = W  # (N, n)
-        self.kernel = _compiled(hyper, points, W, NO_PANELS, 0.0)
+        self.kernel = _compiled(hyper, points, W, NO_TRIANGLE, 0.0)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """The function's values (k, n), and variances (k, n): zeros."""
@@ -99,12 +99,12 @@ class Drawn(FittedBias):
         return self.predict(np.concatenate([x, u])[None])[0][0]
 
 
-def _compiled(hyper: Hyperparameters, points: Array, W: Array, panels: np.ndarray, d_n: float) -> Kernel:
+def _compiled(hyper: Hyperparameters, points: Array, W: Array, triangle: np.ndarray, d_n: float) -> Kernel:
     """The correction in single precision."""
     data = (
-        np.ascontiguousarray(points.T, dtype=np.float32),
-        panels,
-        np.ascontiguousarray(W, dtype=np.float32),
+        np.ascontiguousarray(points, dtype=np.float32),
+        triangle,
+        packed(W.T),
         1.0 / (hyper.input_scale * hyper.length_scale),
         np.array([hyper.signal_variance, hyper.prior_variance, d_n]),
     )

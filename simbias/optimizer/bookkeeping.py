@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from copy import copy
 
@@ -103,25 +104,30 @@ class Evaluations:
         ValueError
             If the cost is not finite.
         """
-        return self.evaluate_all([point])[0]
+        if not self.remaining:
+            raise SearchEnded(EVALUATION_LIMIT)
+        inside = self._inside(point)
+        return self._judged(inside, float(self._objective(inside.copy())))
 
     def evaluate_all(self, points: Sequence[Array]) -> list[float]:
         """Costs of points (p,), as `evaluate` gives them in turn; together, if the objective offers that."""
-        inside = [np.clip(np.array(point, dtype=np.float64), self.lower, self.upper) for point in points]
-        affordable = inside[: self.remaining]
-        if self.together is not None and len(affordable) > 1:
-            costs = self.together(np.array(affordable)).tolist()
-            judged = [self._judged(point, cost) for point, cost in zip(affordable, costs, strict=True)]
-        else:
-            judged = [self._judged(point, float(self._objective(point.copy()))) for point in affordable]
+        affordable = [self._inside(point) for point in points[: self.remaining]]
+        if self.together is None or len(affordable) < 2:
+            return [self.evaluate(point) for point in points]
+        costs = self.together(np.array(affordable)).tolist()
+        judged = [self._judged(point, cost) for point, cost in zip(affordable, costs, strict=True)]
         if len(affordable) < len(points):
             raise SearchEnded(EVALUATION_LIMIT)
         return judged
 
+    def _inside(self, point: Array) -> Array:
+        """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
+        return np.minimum(np.maximum(point, self.lower), self.upper)
+
     def _judged(self, point: Array, cost: float) -> float:
         """Count an evaluation and keep its point if it is the best."""
         self.count += 1
-        if not np.isfinite(cost):
+        if not math.isfinite(cost):
             raise ValueError(f"the cost is {cost} at the point {point.tolist()}")
         if cost < self.best_cost:
             change = (self.best_cost - cost) / max(abs(cost), np.finfo(np.float64).tiny)

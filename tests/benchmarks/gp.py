@@ -23,9 +23,9 @@ import simbias
 from simbias.bias.covariance import correlation
 from simbias.interfaces import FittedBias, SlowWarning
 from simbias.records import Array, Transitions
-from simbias.simulate import BLOCK
+from simbias.lanes import WIDTH
 
-ROUNDS, STEPS, SLOW_STEPS = 15, 4 * BLOCK, 8
+ROUNDS, STEPS, SLOW_STEPS = 15, 4 * WIDTH, 8
 SIZES = [50, 100, 200, 571, 1000, 2000, 4000]
 SCALE = np.array([1, 1, 1, 1, 1, 1, 100])
 NOISE = np.exp(-4)
@@ -82,7 +82,7 @@ def kernels(name: str, fitted: FittedBias, queries: Array) -> dict[str, Callable
         function, parameters = fitted.kernel
         return lambda: repeat(function, x, u, parameters, np.empty((together, 6)), STEPS // together)
 
-    return {f"{name} one": steps(1), f"{name} in step": steps(BLOCK)}
+    return {f"{name} one": steps(1), f"{name} in step": steps(WIDTH)}
 
 
 def microseconds(functions: dict[str, Callable[[], None]]) -> dict[str, Array]:
@@ -103,8 +103,8 @@ def main(sizes: list[int]) -> None:
     """Print microseconds a step, for each number of samples."""
     exact, sparse = (simbias.load(["tracking=none", f"bias={option}"]).bias for option in ("gp", "sparse_gp"))
     everything = recorded(max(sizes))
-    queries = everything.inputs[np.random.default_rng(1).integers(0, len(everything), BLOCK)]
-    print(f"us a step; in step: {BLOCK} rollouts; m: inducing points of sparse_gp\n")
+    queries = everything.inputs[np.random.default_rng(1).integers(0, len(everything), WIDTH)]
+    print(f"us a step; in step: {WIDTH} rollouts; m: inducing points of sparse_gp\n")
     print(HEADER)
     print("| --: " * 9 + "|")
     for n in sizes:

@@ -1,0 +1,169 @@
+"""Numbers of sixteen rollouts that run in step, one in each lane of a vector register.
+
+A type for compiled functions: `loaded` and `stored` move a row of an array, `everywhere` fills all lanes with
+a number, and `+`, `-`, `*` act lane by lane. What a lane gives does not depend on the others. Without it, the
+compiler keeps sums in memory, or vectorises them over the samples, and adds up at the end of each.
+
+Numba's cache on disk does not see that this file has changed: touch the files of the kernels that use it.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import float32, int64, njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, overload, register_model
+
+WIDTH = 16
+
+ROW = float32[:, ::1]
+_FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
+_INTEGERS = ir.VectorType(ir.IntType(32), WIDTH)
+_UNALIGNED = 4  # bytes; NumPy's arrays are aligned to 16 at least, which gains nothing on current processors
+
+
+class Lanes(types.Type):
+    """The type of them."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes({WIDTH})")
+
+
+LANES = Lanes()
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    """A vector register."""
+
+    def __init__(self, manager: Any, lanes: Lanes) -> None:
+        super().__init__(manager, lanes, _FLOATS)
+
+
+def _constant(vector: ir.VectorType, value: float) -> ir.Constant:
+    """The same value in every lane."""
+    return ir.Constant(vector, [ir.Constant(vector.element, value)] * WIDTH)
+
+
+def _binary(instruction: str) -> Callable:
+    """An operation, lane by lane; a product and a sum may become one instruction."""
+
+    @intrinsic
+    def operation(context, a, b):
+        def generate(context, builder, signature, arguments):
+            return getattr(builder, instruction)(*arguments, flags=("contract", "nsz"))
+
+        return LANES(a, b), generate
+
+    return operation
+
+
+def _overload(function: Callable, instruction: str) -> None:
+    """Let Python's operator be that instruction."""
+    operation = _binary(instruction)
+
+    @overload(function)
+    def operate(a, b):
+        if isinstance(a, Lanes) and isinstance(b, Lanes):
+            return lambda a, b: operation(a, b)
+
+
+for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+    _overload(_function, _instruction)
+
+
+def _address(context, builder, array_type, array, row):
+    """Of the first element of a row of WIDTH."""
+    data = context.make_array(array_type)(context, builder, array).data
+    offset = builder.mul(row, ir.Constant(ir.IntType(64), WIDTH))
+    return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
+
+
+@intrinsic
+def loaded(context, rows, row):
+    """Row number `row` of an array (k, WIDTH)."""
+
+    def generate(context, builder, signature, arguments):
+        address = _address(context, builder, signature.args[0], *arguments)
+        return builder.load(address, align=_UNALIGNED)
+
+    return LANES(ROW, int64), generate
+
+
+@intrinsic
+def stored(context, rows, row, lanes):
+    """Lanes, into row number `row` of an array (k, WIDTH)."""
+
+    def generate(context, builder, signature, arguments):
+        address = _address(context, builder, signature.args[0], *arguments[:2])
+        builder.store(arguments[2], address, align=_UNALIGNED)
+        return context.get_dummy_value()
+
+    return types.void(ROW, int64, LANES), generate
+
+
+@intrinsic
+def everywhere(context, value):
+    """A number in every lane."""
+
+    def generate(context, builder, signature, arguments):
+        one = builder.insert_element(_constant(_FLOATS, ir.Undefined), arguments[0], ir.IntType(32)(0))
+        return builder.shuffle_vector(one, _constant(_FLOATS, ir.Undefined), _constant(_INTEGERS, 0))
+
+    return LANES(float32), generate
+
+
+@intrinsic
+def _rounded(context, lanes):
+    """To the nearest integers."""
+
+    def generate(context, builder, signature, arguments):
+        rint = ir.FunctionType(_FLOATS, [_FLOATS])
+        name = f"llvm.rint.v{WIDTH}f32"
+        return builder.call(cgutils.get_or_insert_function(builder.module, rint, name), arguments)
+
+    return LANES(lanes), generate
+
+
+@intrinsic
+def _power_of_two(context, lanes):
+    """2 to the power of integers, by setting the bits of the exponent."""
+
+    def generate(context, builder, signature, arguments):
+        exponent = builder.add(builder.fptosi(arguments[0], _INTEGERS), _constant(_INTEGERS, 127))
+        return builder.bitcast(builder.shl(exponent, _constant(_INTEGERS, 23)), _FLOATS)
+
+    return LANES(lanes), generate
+
+
+@intrinsic
+def _at_least(context, lanes, least):
+    """The greater one, lane by lane."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.select(builder.fcmp_ordered(">", *arguments), *arguments)
+
+    return LANES(lanes, least), generate
+
+
+_LEAST = np.float32(-87.0)  # exp of less is no normal single-precision number
+_LN_2 = np.float32(np.log(2.0))
+_LOG2_E = np.float32(1.0 / np.log(2.0))
+_SERIES = tuple(np.float32(1.0 / factorial) for factorial in (720.0, 120.0, 24.0, 6.0, 2.0, 1.0, 1.0))
+
+
+@njit
+def exp(v):
+    """exp of v <= 0, to 1e-6 relative."""
+    v = _at_least(v, everywhere(_LEAST))
+    n = _rounded(v * everywhere(_LOG2_E))
+    remainder = v - n * everywhere(_LN_2)
+    series = everywhere(_SERIES[0])
+    for coefficient in _SERIES[1:]:
+        series = series * remainder + everywhere(coefficient)
+    return series * _power_of_two(n)
