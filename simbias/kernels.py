@@ -30,8 +30,8 @@ COST = float64(MATRIX, MATRIX, int64, VECTOR)  # states (k+1, n), inputs (k, m),
 def correction_signature(data: Any) -> Any:
     """Signature of a bias kernel: x (k, n), u (k, m), data, out: correction (k, n).
 
-    It corrects k steps at once, of rollouts that run in step; data is of the learner's own type. A row's result
-    must not depend on the others, or a search would depend on the number of threads.
+    It corrects k steps at once, of rollouts that run in step; data is of the learner's own type. A row's
+    result must not depend on the others, or a search would depend on the number of threads.
     """
     return void(MATRIX, MATRIX, data, MATRIX)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, njit, types
 
-from simbias.kernels import MATRIX, VECTOR, correction_signature, kernel
+from simbias.kernels import VECTOR, correction_signature, kernel
 from simbias.lanes import WIDTH, everywhere, exp, loaded, stored
 from simbias.records import Array
 
