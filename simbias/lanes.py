@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import float32, int64, njit, types
+from numba import extending, float32, int64, njit, types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import models, overload, register_model
 
 WIDTH = 16
 
 ROW = float32[:, ::1]
 _FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
 _INTEGERS = ir.VectorType(ir.IntType(32), WIDTH)
+intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
 _UNALIGNED = 4  # bytes; NumPy's arrays are aligned to 16 at least, which gains nothing on current processors
 
 

@@ -9,7 +9,7 @@ against K^-1, and the rollouts that run in step, one in each lane, share one rea
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, njit, types
+from numba import float32, int64, njit, types
 
 from simbias.kernels import VECTOR, correction_signature, kernel
 from simbias.lanes import WIDTH, everywhere, exp, loaded, stored
@@ -18,7 +18,7 @@ from simbias.records import Array
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 
 SINGLE = float32[:, ::1]
-GP_DATA = types.Tuple((SINGLE, float32[::1], float32[::1], VECTOR, VECTOR))
+GP_DATA = types.Tuple((SINGLE, float32[::1], float32[::1], int64, VECTOR, VECTOR))
 
 
 def packed_triangle(U: Array) -> np.ndarray:
@@ -105,11 +105,11 @@ def means(weights, k, n):
 
 @kernel(correction_signature(GP_DATA))
 def correct(x, u, data, correction):
-    """exp(-d |sigma|^2) times the mean, from (points, triangle, weights, 1 / scale, (alpha^2, prior, d n)).
+    """exp(-d |sigma|^2) times the mean, from (points, U, W, rows of U, 1 / scale, (alpha^2, prior, d n)).
 
-    With d n = 0 it is the mean alone, and needs no triangle.
+    With d n = 0 it is the mean alone, and needs no U.
     """
-    points, triangle, weights, inverse_scale, constants = data
+    points, triangle, weights, rows, inverse_scale, constants = data
     alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
     a, n = x.shape
     if points.shape[0] == 0:
@@ -119,7 +119,7 @@ def correct(x, u, data, correction):
         last = min(first + WIDTH, a)
         k = correlations(x[first:last], u[first:last], points, inverse_scale)
         mean = means(weights, k, n)
-        norms = squared_norms(triangle, k) if d_n > 0.0 else np.zeros((1, WIDTH), np.float32)
+        norms = squared_norms(triangle, k[:rows]) if d_n > 0.0 else np.zeros((1, WIDTH), np.float32)
         for b in range(first, last):
             variance = prior - alpha_squared**2 * norms[0, b - first]  # Eq. 5
             weight = alpha_squared * np.exp(-d_n * variance)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -12,15 +12,32 @@ from scipy.linalg import solve_triangular
 from simbias.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.records import Array
 
+Tolerance = Annotated[float, Field(gt=0, lt=1)]
+
 
 @dataclass(frozen=True)
 class Inducing:
-    """How inducing points are chosen."""
+    """How inducing points are chosen.
+
+    The variance needs fewer than the mean, whose weights are large, and takes their number squared: it is
+    seen through the first of them.
+    """
 
     points: PositiveInt = 200  # at most
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = (
-        1e-4  # no more, once all are known to this part of alpha^2
-    )
+    tolerance: Tolerance = 1e-4  # no more, once all other points are known to this part of alpha^2
+    variance_tolerance: Tolerance = 1e-3  # likewise, of those for the variance; at least `tolerance`
+
+    def __post_init__(self) -> None:
+        """Check that the points for the variance are among those for the mean."""
+        if self.variance_tolerance < self.tolerance:
+            raise ValueError(
+                f"variance_tolerance {self.variance_tolerance:g} is below tolerance {self.tolerance:g}"
+            )
+
+    @property
+    def for_variance(self) -> Inducing:
+        """How those of the variance are chosen, by the same rule: they are the first ones."""
+        return replace(self, tolerance=self.variance_tolerance)
 
 
 @dataclass(frozen=True, eq=False)

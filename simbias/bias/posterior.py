@@ -15,7 +15,6 @@ from simbias.interfaces import FittedBias, Kernel
 from simbias.records import Array, Transitions
 
 MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, which takes N^3
-NO_TRIANGLE = packed_triangle(np.empty((0, 0)))
 
 
 @final
@@ -23,7 +22,8 @@ class Posterior(FittedBias):
     """A posterior for each state; all share inputs and hyper-parameters, so also one factorisation.
 
     With k the covariance of a new input and the N points, the means are k^T W (Eq. 4), and the variance is
-    k(x, x) - |U k|^2 (Eq. 5), U a lower triangle, in units of each output's mean square.
+    k(x, x) - |U k|^2 (Eq. 5), in units of each output's mean square; U is a lower triangle, of all points or
+    of the first ones.
     """
 
     def __init__(
@@ -39,11 +39,11 @@ class Posterior(FittedBias):
         self._hyper = hyper
         self._scale = scale  # (n,) of the outputs
         self._points = points  # (N, r), scaled
-        self._U = U  # (N, N)
+        self._U = U  # (M, M), M <= N
         self._W = W  # (N, n)
         self._R = R  # (m, N), R^T R the covariance of the weights W
         self.diagnostics = diagnostics
-        self.kernel = _compiled(hyper, points, W, packed_triangle(U), hyper.d * W.shape[1])
+        self.kernel = _compiled(hyper, points, W, U, hyper.d * W.shape[1])
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) (Eq. 4) and variance (k, n), noise included (Eq. 5), at raw inputs (k, n+m)."""
@@ -53,7 +53,9 @@ class Posterior(FittedBias):
     def relative(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n), and variance (k,) over each output's mean square."""
         k_star = self._hyper.covariance(self._hyper.scaled(inputs), self._points)
-        return k_star @ self._W, self._hyper.prior_variance - np.sum((k_star @ self._U.T) ** 2, axis=1)
+        return k_star @ self._W, self._hyper.prior_variance - np.sum(
+            (k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1
+        )
 
     def weight(self, variance: Array) -> Array:
         """The weight of the mean in Eq. 7; |sigma_t|^2 sums the relative variances of the n outputs."""
@@ -87,7 +89,7 @@ class Drawn(FittedBias):
         self._hyper = hyper
         self._points = points  # (N, r), scaled
         self._W = W  # (N, n)
-        self.kernel = _compiled(hyper, points, W, NO_TRIANGLE, 0.0)
+        self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """The function's values (k, n), and variances (k, n): zeros."""
@@ -99,12 +101,13 @@ class Drawn(FittedBias):
         return self.predict(np.concatenate([x, u])[None])[0][0]
 
 
-def _compiled(hyper: Hyperparameters, points: Array, W: Array, triangle: np.ndarray, d_n: float) -> Kernel:
+def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
     """The correction in single precision."""
     data = (
         np.ascontiguousarray(points, dtype=np.float32),
-        triangle,
+        packed_triangle(U),
         packed(W.T),
+        len(U),
         1.0 / (hyper.input_scale * hyper.length_scale),
         np.array([hyper.signal_variance, hyper.prior_variance, d_n]),
     )
@@ -128,17 +131,24 @@ def exact(hyper: Hyperparameters, transitions: Transitions) -> Posterior:
 def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing) -> Posterior:
     """The posterior of Titsias (AISTATS 2009, Eq. 6): all data, seen through the inducing points Z.
 
-    With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S. Its diagnostics
-    are the greatest differences from the exact posterior, at training inputs, of the mean (in units of the
-    residuals' root mean square) and of the weight of Eq. 7.
+    With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S, for which Z is
+    fewer points. Its diagnostics are the greatest differences from the exact posterior, at training inputs,
+    of the mean (in units of the residuals' root mean square) and of the weight of Eq. 7.
     """
     points = hyper.scaled(transitions.inputs)
     seen = view(hyper, points, inducing)
     W = seen.R.T @ (seen.R @ (seen.K_ZX @ transitions.residuals)) / hyper.noise_variance
-    U = _lower_root(seen.L_inverse.T @ seen.L_inverse - seen.R.T @ seen.R)
+    coarsely = view(hyper, points, inducing.for_variance)
+    U = _lower_root(coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R)
     scale = output_scale(transitions.residuals)
     posterior = Posterior(
-        hyper, scale, points[seen.chosen], U, W, seen.R, {"inducing_points": len(seen.chosen)}
+        hyper,
+        scale,
+        points[seen.chosen],
+        U,
+        W,
+        seen.R,
+        {"inducing_points": len(seen.chosen), "inducing_points_of_variance": len(U)},
     )
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import simbias
 from simbias.bias.gp import GaussianProcess
 from simbias.bias.inducing import Inducing
+from simbias.config import ConfigError
 from simbias.records import Array, Transitions
 from simbias.study import Study
 
@@ -25,7 +26,7 @@ def along_trajectories(n: int, seed: int = 0) -> Transitions:
 
 
 def sparse_gp(study: Study, points: int = 200, tolerance: float = 1e-4) -> GaussianProcess:
-    return GaussianProcess(study.task, inducing=Inducing(points, tolerance))
+    return GaussianProcess(study.task, inducing=Inducing(points, tolerance, max(tolerance, 1e-3)))
 
 
 def queries(k: int) -> Array:
@@ -35,7 +36,8 @@ def queries(k: int) -> Array:
 @pytest.mark.parametrize("n", [1, 2, 40])
 def test_with_every_point_inducing_it_is_the_exact_posterior(study: Study, n: int) -> None:
     data = along_trajectories(n)
-    mean, variance = sparse_gp(study, n, 1e-12).fit(data).predict(queries(50))
+    every_point = GaussianProcess(study.task, inducing=Inducing(n, 1e-12, 1e-12))
+    mean, variance = every_point.fit(data).predict(queries(50))
     exact_mean, exact_variance = GaussianProcess(study.task).fit(data).predict(queries(50))
     np.testing.assert_allclose(mean, exact_mean, rtol=0, atol=1e-7)
     relative_error = (variance - exact_variance) / np.mean(data.residuals**2, axis=0)
@@ -60,6 +62,24 @@ def test_tolerance_ends_the_choice_of_points(study: Study) -> None:
     data = along_trajectories(600)
     few, more = (sparse_gp(study, 600, tolerance).fit(data) for tolerance in (1e-1, 1e-4))
     assert few.diagnostics["inducing_points"] < more.diagnostics["inducing_points"] < 200
+
+
+def test_variance_needs_fewer_points(study: Study) -> None:
+    """The weight of Eq. 7 hardly feels it; it is never more sure."""
+    data = along_trajectories(600)
+    as_many = GaussianProcess(study.task, inducing=Inducing(200, 1e-4, 1e-4)).fit(data)
+    fewer = sparse_gp(study).fit(data)
+    assert fewer.diagnostics["inducing_points_of_variance"] < as_many.diagnostics["inducing_points"]
+    assert fewer.diagnostics["inducing_points"] == as_many.diagnostics["inducing_points"]
+    assert fewer.diagnostics["weight_error"] < 0.01
+    (mean, variance), (same_mean, least) = fewer.predict(queries(50)), as_many.predict(queries(50))
+    np.testing.assert_allclose(mean, same_mean, rtol=1e-9)
+    assert (variance >= least * (1 - 1e-9)).all()
+
+
+def test_points_of_the_variance_are_among_those_of_the_mean() -> None:
+    with pytest.raises(ConfigError, match="variance_tolerance 1e-05 is below tolerance 0"):
+        simbias.load(["bias=sparse_gp", "bias.inducing.variance_tolerance=1e-5"])
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60))
