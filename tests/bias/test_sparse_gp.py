@@ -65,16 +65,17 @@ def test_tolerance_ends_the_choice_of_points(study: Study) -> None:
 
 
 def test_variance_needs_fewer_points(study: Study) -> None:
-    """It changes by some of the tolerance, 1e-3 of the signal's variance, and the weight of Eq. 7 hardly."""
+    """Near the data it changes by less than the tolerance, and so does the weight of Eq. 7 by little."""
     data = along_trajectories(600)
     as_many = GaussianProcess(study.task, inducing=Inducing(200, 1e-4, 1e-4)).fit(data)
     fewer = sparse_gp(study).fit(data)
     assert fewer.diagnostics["inducing_points_of_variance"] < as_many.diagnostics["inducing_points"]
     assert fewer.diagnostics["inducing_points"] == as_many.diagnostics["inducing_points"]
     assert fewer.diagnostics["weight_error"] < 0.01
-    (mean, variance), (same_mean, other) = fewer.predict(queries(50)), as_many.predict(queries(50))
-    np.testing.assert_allclose(mean, same_mean, rtol=1e-9)
-    assert (np.abs(variance - other) < 5e-3 * np.mean(data.residuals**2, axis=0)).all()
+    for inputs, most in ((data.inputs, 1e-3), (queries(50), 0.05)):  # of the signal's variance; off the data
+        (mean, variance), (same_mean, other) = fewer.predict(inputs), as_many.predict(inputs)
+        np.testing.assert_allclose(mean, same_mean, rtol=1e-9)
+        assert (np.abs(variance - other) < most * np.mean(data.residuals**2, axis=0)).all()
 
 
 def test_points_of_the_variance_are_among_those_of_the_mean() -> None:
