@@ -80,6 +80,8 @@ class CompiledSimulator:
 
     def rollouts(self, thetas: Array, starts: Array) -> list[Rollout]:
         """Run each theta of (k, p) from its start of (k, n), on all threads if they are many."""
+        if len(thetas) == 0:
+            return []
         threads = min(get_num_threads(), math.ceil(len(thetas) / WIDTH))
         if threads < 2:  # what a thread frees stays with it: and is not given back
             return self._in_step(thetas, starts)

@@ -135,3 +135,9 @@ def test_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
     assert len({rollout.frames for rollout in together}) > 20
     for rollout, theta, start in zip(together, thetas, starts, strict=True):
         np.testing.assert_array_equal(rollout.states, simulator.rollout(theta, start).states)
+
+
+def test_none_to_run_is_no_rollout(study: Study) -> None:
+    """As when the screening of an evaluation has left no policy."""
+    for simulator in both(study, ZeroBias(6)):
+        assert simulator.rollouts(np.empty((0, 5)), np.empty((0, 6))) == []
