@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, NotRequired, Required
+from typing import Annotated, Any, Literal, NotRequired, Required
 
 from pydantic import Field, PositiveInt
 
@@ -19,12 +19,23 @@ from simbias.interfaces import SweepFigure, Task
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
 RESERVED = frozenset(  # columns of simbias.results and simbias.tables, beside those of the axes
     [
-        *("hash", "repetition", "seed", "outcome", "experiments", "seconds", "raised", "run_id"),
+        *(
+            "hash",
+            "repetition",
+            "seed",
+            "outcome",
+            "experiments",
+            "iterations",
+            "seconds",
+            "raised",
+            "run_id",
+        ),
         *("trials", "succeeded", "mean", "low", "high", "paper"),
     ]
 )
 
 FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
+Measure = Literal["experiments", "iterations", "succeeded", "paper"]
 FIGURES = {"experiments": {"_target_": "simbias.figures.experiments.Experiments"}}  # where none is named
 
 
@@ -47,6 +58,7 @@ class Report:
     """What is told of the results."""
 
     columns: str | None  # the axis whose points stand side by side
+    measures: tuple[Measure, ...]  # of each cell
     paper: Mapping[tuple[str, ...], float]  # labels of a cell -> the paper's mean number of experiments
 
 
@@ -253,7 +265,11 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
 
 def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     """What to report, checked against the axes."""
-    fields = {"columns": NotRequired[str | None], "paper": NotRequired[dict[Any, Any]]}
+    fields = {
+        "columns": NotRequired[str | None],
+        "measures": NotRequired[list[Measure]],
+        "paper": NotRequired[dict[Any, Any]],
+    }
     checked = validated(spec, fields, "sweep.report")
     columns = checked.get("columns")
     names = [axis.name for axis in axes]
@@ -265,7 +281,8 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
             raise ConfigError(
                 "sweep.report.paper", f"must lead over {', '.join(names)} to a number: {labels}"
             )
-    return Report(columns, paper)
+    measures = checked.get("measures", ["experiments", "succeeded", *(["paper"] if paper else [])])
+    return Report(columns, tuple(measures), paper)
 
 
 def _figures(specs: Mapping[str, Any], cells: Sequence[Cell]) -> Iterator[tuple[str, SweepFigure]]:

@@ -2,8 +2,8 @@
 
 A DataFrame of trials has a row for each, with a column for each of the sweep's axes and `hash`,
 `repetition`, `seed`, `outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments
-until success; without it all that the method may make, 2 x N_out = 20 by Table I), `seconds` (it computed),
-`raised` (what it raised) and `run_id`.
+until success; without it all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise),
+`seconds` (it computed), `raised` (what it raised) and `run_id`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from simbias.worker import TrialRecord
 
 DIGITS = 4  # of times in published results
-COLUMNS = ("hash", "repetition", "seed", "outcome", "experiments", "seconds", "raised", "run_id")
+COLUMNS = (
+    *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised", "run_id"),
+)
 
 
 def children(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[Run]:
@@ -82,8 +84,10 @@ def published(sweep: Sweep) -> pd.DataFrame:
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")
-    types = {**dict.fromkeys(names, str), "experiments": float, "seconds": float}
-    found = pd.read_csv(path, dtype=types, keep_default_na=False, na_values={"experiments": [""]})
+    numbers = ("experiments", "iterations", "seconds")
+    types = {**dict.fromkeys(names, str), **dict.fromkeys(numbers, float)}
+    blanks = {name: [""] for name in numbers}
+    found = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
     lacking = {*names, *COLUMNS[:-1]} - set(found)
     if lacking:
         raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")
@@ -98,14 +102,17 @@ def frame(rows: Sequence[Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
 def _row_of_run(run: Run) -> dict[str, Any]:
     """A trial, as its run has it."""
     tags, metrics, params = run.data.tags, run.data.metrics, run.data.params
-    most = int(params["method.max_iterations"]) * int(params.get("method.experiments", 1))
+    most = int(params["method.max_iterations"])
+    each = int(params.get("method.experiments", 1))
+    outcome = tags["outcome"]
     return {
         **{key.removeprefix(AXIS): value for key, value in tags.items() if key.startswith(AXIS)},
         "hash": tags["hash"],
         "repetition": int(tags["repetition"]),
         "seed": int(params["seed"]),
-        "outcome": tags["outcome"],
-        "experiments": _experiments(tags["outcome"], metrics.get("experiments/total", 0), most),
+        "outcome": outcome,
+        "experiments": _until_success(outcome, metrics.get("experiments/total", 0), most * each),
+        "iterations": _until_success(outcome, metrics.get("experiments/iterations", 0), most),
         "seconds": (run.info.end_time - run.info.start_time) / 1000,
         "raised": tags.get("error", ""),
         "run_id": run.info.run_id,
@@ -115,7 +122,7 @@ def _row_of_run(run: Run) -> dict[str, Any]:
 def row_of_record(trial: Trial, record: TrialRecord, study: Study, sweep: Sweep) -> dict[str, Any]:
     """A trial, as its record has it."""
     outcome = "error" if record.error else "succeeded" if record.succeeded else "not succeeded"
-    most = study.method.max_iterations * getattr(study.method, "experiments", 1)
+    most, each = study.method.max_iterations, getattr(study.method, "experiments", 1)
     total = record.iterations[-1].total_experiments if record.iterations else 0
     return {
         **dict(zip((axis.name for axis in sweep.axes), trial.cell.labels, strict=True)),
@@ -123,15 +130,16 @@ def row_of_record(trial: Trial, record: TrialRecord, study: Study, sweep: Sweep)
         "repetition": trial.repetition,
         "seed": trial.seed,
         "outcome": outcome,
-        "experiments": _experiments(outcome, total, most),
+        "experiments": _until_success(outcome, total, most * each),
+        "iterations": _until_success(outcome, len(record.iterations), most),
         "seconds": record.seconds,
         "raised": record.error or "",
         "run_id": "",
     }
 
 
-def _experiments(outcome: str, total: float, most: int) -> float:
-    """How many experiments a trial counts: one that never succeeds counts all that it may make."""
+def _until_success(outcome: str, made: float, most: int) -> float:
+    """How many experiments or iterations a trial counts: one that never succeeds counts all it may make."""
     if outcome == "error":
         return float("nan")
-    return float(total if outcome == "succeeded" else max(total, most))
+    return float(made if outcome == "succeeded" else max(made, most))

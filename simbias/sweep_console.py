@@ -132,7 +132,7 @@ class SweepConsole:
         """The table, what it means, and how to look at the rest."""
         laid = layout(cells(trials, self._sweep), self._sweep)
         self._console.print(plain(laid), soft_wrap=True, markup=False)
-        self._console.print(legend(), soft_wrap=True, markup=False)
+        self._console.print(legend(self._sweep), soft_wrap=True, markup=False)
         raised = [row for row in trials.to_dict("records") if row["outcome"] == "error"]
         for row in raised[:SHOWN_ERRORS]:
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)

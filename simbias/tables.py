@@ -15,7 +15,7 @@ from simbias.grid import Axis, Sweep
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
 BLANK = "–"  # noqa: RUF001  where there is no number
-MEASURES = ("trials", "succeeded", "raised", "mean", "low", "high", "paper")
+MEASURES = ("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "paper")
 
 
 class Layout(NamedTuple):
@@ -40,8 +40,9 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     """A row for each cell of the grid, in its order: the axes' labels and the MEASURES.
 
     `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
-    bootstrap interval, are of the number of experiments; `raised` counts trials that ended by an error, which
-    are in no other number; `paper` is the paper's mean, nan where it has none.
+    bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
+    trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
+    none.
     """
     names = [axis.name for axis in sweep.axes]
     found: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -55,22 +56,30 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
 def _measures(trials: Sequence[Mapping[str, Any]]) -> list[float]:
     """The measures of a cell but the last."""
     outcomes = [trial["outcome"] for trial in trials]
-    experiments = [float(trial["experiments"]) for trial in trials if trial["outcome"] != "error"]
-    mean = float(np.mean(experiments)) if experiments else nan
-    counts = (len(experiments), outcomes.count("succeeded"), outcomes.count("error"))
-    return [*counts, mean, *interval(experiments)]
+    ended = [trial for trial in trials if trial["outcome"] != "error"]
+    experiments, iterations = (
+        [float(trial[name]) for trial in ended] for name in ("experiments", "iterations")
+    )
+    counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
+    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations)]
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Their mean; nan if there are none."""
+    return float(np.mean(values)) if values else nan
 
 
 def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
     found = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
-    measures = ["experiments", "succeeded", *(["paper"] if sweep.report.paper else [])]
-
-    def texts(labels: tuple[str, ...]) -> list[str]:
-        row = found[labels]
-        return [_experiments(row), _succeeded(row), _number(row["paper"])][: len(measures)]
-
-    return arranged(sweep, measures, texts)
+    texts: dict[str, Callable[[Mapping[Any, Any]], str]] = {
+        "experiments": _experiments,
+        "iterations": lambda row: _number(row["iterations"]),
+        "succeeded": _succeeded,
+        "paper": lambda row: _number(row["paper"]),
+    }
+    measures = sweep.report.measures
+    return arranged(sweep, measures, lambda labels: [texts[name](found[labels]) for name in measures])
 
 
 def arranged(
@@ -143,9 +152,10 @@ def plain(laid: Layout) -> str:
     )
 
 
-def legend() -> str:
+def legend(sweep: Sweep) -> str:
     """What the numbers are."""
+    iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
-        "interval]; a trial that never succeeds counts all that it may make."
+        f"interval]; {iterations}a trial that never succeeds counts all that it may make."
     )

@@ -74,6 +74,7 @@ def metrics(iteration: Iteration) -> dict[str, float]:
         "cost/hardware_max": iteration.hardware_cost,
         **{f"cost/hardware_{i}": r.cost for i, r in enumerate(iteration.experiments) if r.cost is not None},
         "experiments/total": iteration.total_experiments,
+        "experiments/iterations": iteration.index + 1,
         "experiments/failed": sum(r.failed_at is not None for r in iteration.experiments),
         "experiments/frames_min": min((r.frames for r in iteration.experiments), default=0),
         "experiments/succeeded": iteration.succeeded,

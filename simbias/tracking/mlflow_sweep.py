@@ -175,7 +175,7 @@ class MlflowSweep(TrackedSweep):
         link = pages.trials_page(self._experiment_id, self._sweep)
         done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."
         captions = [f"[{name}]({self._picture(name)}): {text}" for name, text in self._captions.items()]
-        parts = [done, tables.markdown(laid), tables.legend(), *captions, f"`{self._again}`"]
+        parts = [done, tables.markdown(laid), tables.legend(self._sweep), *captions, f"`{self._again}`"]
         self._client.set_tag(self.run_id, NOTE, "\n\n".join(parts))
         self._noted = time.monotonic()
 

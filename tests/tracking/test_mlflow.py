@@ -207,6 +207,7 @@ def check_closed_run(folder: Path) -> None:
         "cost/predicted": 11.5,
         "cost/hardware_0": 12.0,
         "cost/hardware_1": 12.0,
+        "experiments/iterations": 3.0,
         "experiments/failed": 0.0,
         "experiments/frames_min": 7.0,
         "experiments/succeeded": 1.0,
