@@ -19,18 +19,8 @@ from simbias.interfaces import SweepFigure, Task
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
 RESERVED = frozenset(  # columns of simbias.results and simbias.tables, beside those of the axes
     [
-        *(
-            "hash",
-            "repetition",
-            "seed",
-            "outcome",
-            "experiments",
-            "iterations",
-            "seconds",
-            "raised",
-            "run_id",
-        ),
-        *("trials", "succeeded", "mean", "low", "high", "paper"),
+        *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
+        *("run_id", "trials", "succeeded", "mean", "low", "high", "paper"),
     ]
 )
 

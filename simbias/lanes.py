@@ -21,7 +21,8 @@ from numba.extending import models, overload, register_model
 
 WIDTH = 16
 
-ROW = float32[:, ::1]
+ROWS = float32[:, ::1]
+LINE = float32[::1]
 _FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
 _INTEGERS = ir.VectorType(ir.IntType(32), WIDTH)
 intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
@@ -78,34 +79,35 @@ for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
     _overload(_function, _instruction)
 
 
-def _address(context, builder, array_type, array, row):
-    """Of the first element of a row of WIDTH."""
+def _address(context, builder, array_type, array, index):
+    """Of the first element of a row of WIDTH, or of the elements from an index on."""
     data = context.make_array(array_type)(context, builder, array).data
-    offset = builder.mul(row, ir.Constant(ir.IntType(64), WIDTH))
+    elements = WIDTH if array_type.ndim == 2 else 1
+    offset = builder.mul(index, ir.Constant(ir.IntType(64), elements))
     return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
 
 
 @intrinsic
-def loaded(context, rows, row):
-    """Row number `row` of an array (k, WIDTH)."""
+def loaded(context, array, index):
+    """A row of an array (k, WIDTH), or the WIDTH elements of an array (k,) from an index on."""
 
     def generate(context, builder, signature, arguments):
         address = _address(context, builder, signature.args[0], *arguments)
         return builder.load(address, align=_UNALIGNED)
 
-    return LANES(ROW, int64), generate
+    return LANES(ROWS if array.ndim == 2 else LINE, int64), generate
 
 
 @intrinsic
-def stored(context, rows, row, lanes):
-    """Lanes, into row number `row` of an array (k, WIDTH)."""
+def stored(context, array, index, lanes):
+    """Lanes, to where `loaded` finds them."""
 
     def generate(context, builder, signature, arguments):
         address = _address(context, builder, signature.args[0], *arguments[:2])
         builder.store(arguments[2], address, align=_UNALIGNED)
         return context.get_dummy_value()
 
-    return types.void(ROW, int64, LANES), generate
+    return types.void(ROWS if array.ndim == 2 else LINE, int64, LANES), generate
 
 
 @intrinsic

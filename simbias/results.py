@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from simbias.worker import TrialRecord
 
 DIGITS = 4  # of times in published results
-COLUMNS = (
-    *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised", "run_id"),
-)
+COUNTS = ("experiments", "iterations")
+COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", "raised", "run_id")
 
 
 def children(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[Run]:
@@ -84,7 +83,7 @@ def published(sweep: Sweep) -> pd.DataFrame:
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")
-    numbers = ("experiments", "iterations", "seconds")
+    numbers = (*COUNTS, "seconds")
     types = {**dict.fromkeys(names, str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     found = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)

@@ -25,7 +25,7 @@ optimizer: {max_evaluations: 30}
 method: {max_iterations: 2}
 tracking: {pictures: false}
 sweep:
-  trials: 10
+  trials: 7
   axes:
     hardware.noise.torque_variance: [0.0, 0.1]
     hardware.inertia_error: [0.0, 0.2]

@@ -2,8 +2,11 @@
 
 Most of a policy search is spent here: on N^2 / 2 products for the variance of each step. One step alone is
 bound by reading the factor from the cache; single precision halves that, the triangle L^-1 halves it again
-against K^-1, and the rollouts that run in step, one in each lane, share one reading. The sum of squares
+against K^-1, and the rollouts that run in step, one in each lane, share one reading. Few rollouts would leave
+most lanes idle; each of them then has lanes for points, and for rows of the factor. The sum of squares
 |L^-1 k|^2 has no cancellation, so the error stays near 1e-6 of the signal variance.
+
+Both ways make the same operations in the same order: what a rollout gives does not depend on those beside it.
 """
 
 from __future__ import annotations
@@ -16,27 +19,81 @@ from simbias.lanes import WIDTH, everywhere, exp, loaded, stored
 from simbias.records import Array
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
+GROUP = 4  # panels of the triangle that have as many columns
+FEW = 4  # rollouts that are corrected one by one
 
 SINGLE = float32[:, ::1]
-GP_DATA = types.Tuple((SINGLE, float32[::1], float32[::1], int64, VECTOR, VECTOR))
+GP_DATA = types.Tuple((int64, SINGLE, float32[::1], float32[::1], int64, VECTOR, VECTOR))
+
+
+def packed_points(points: Array) -> np.ndarray:
+    """Points (N, r) in blocks of WIDTH, in each a row for each coordinate; what is missing is zero."""
+    N, r = points.shape
+    filled = np.pad(points, ((0, -N % WIDTH), (0, 0)))
+    blocks = filled.reshape(len(filled) // WIDTH, WIDTH, r).swapaxes(1, 2)
+    return np.ascontiguousarray(blocks, np.float32).reshape(r * len(blocks), WIDTH)
 
 
 def packed_triangle(U: Array) -> np.ndarray:
-    """The panels of a lower triangle (N, N), one after the other, each as wide as it has to be."""
-    N = len(U)
-    ends = range(PANEL, N + PANEL, PANEL)
-    return _packed([U[end - PANEL : end, : min(end, N)] for end in ends])
+    """The panels of a lower triangle (N, N), one after the other, each as wide as its group has to be."""
+    rows = PANEL * GROUP
+    groups = [U[first : first + rows, : first + rows] for first in range(0, len(U), rows)]
+    return _packed([np.pad(group, ((0, -len(group) % rows), (0, 0))) for group in groups])
 
 
 def packed(M: Array) -> np.ndarray:
     """The panels of a matrix (k, N), one after the other."""
-    return _packed([M[first : first + PANEL] for first in range(0, len(M), PANEL)])
+    return _packed([np.pad(M, ((0, -len(M) % PANEL), (0, 0)))])
 
 
-def _packed(panels: list[Array]) -> np.ndarray:
-    """Columns follow each other, of PANEL rows each; what is missing of the last panel is zero."""
-    filled = [np.pad(panel, ((0, PANEL - len(panel)), (0, 0))) for panel in panels]
-    return np.concatenate([*(panel.T.ravel() for panel in filled), np.empty(0)]).astype(np.float32)
+def _packed(matrices: list[Array]) -> np.ndarray:
+    """Panels of PANEL rows each, column by column, with room at the end for reading some more."""
+    panels = [M.reshape(len(M) // PANEL, PANEL, M.shape[1]).swapaxes(1, 2).ravel() for M in matrices]
+    return np.concatenate([*panels, np.zeros(WIDTH)]).astype(np.float32)
+
+
+@njit
+def correlations(x, u, points, inverse_scale, N):
+    """k (N, WIDTH) of Eq. 4, over alpha^2: columns for the states x (a, n) under u (a, m), a <= WIDTH."""
+    a, r = x.shape[0], inverse_scale.size
+    coordinates = np.zeros((r, WIDTH), np.float32)
+    for b in range(a):
+        coordinates[:, b] = scaled(x[b], u[b], inverse_scale)
+    k = np.empty((N, WIDTH), np.float32)
+    for j in range(N):
+        block = j // WIDTH * r
+        squared_distance = everywhere(np.float32(0.0))
+        for i in range(r):
+            difference = loaded(coordinates, i) - everywhere(points[block + i, j % WIDTH])
+            squared_distance = squared_distance + difference * difference
+        stored(k, j, exp(everywhere(np.float32(-0.5)) * squared_distance))
+    return k
+
+
+@njit
+def correlations_of_one(x, u, points, inverse_scale):
+    """The same for one state x (n,) under u (m,), WIDTH points at a time: k (at least N,)."""
+    r = inverse_scale.size
+    blocks = points.shape[0] // r
+    coordinates = scaled(x, u, inverse_scale)
+    k = np.empty(blocks * WIDTH, np.float32)
+    for block in range(blocks):
+        squared_distance = everywhere(np.float32(0.0))
+        for i in range(r):
+            difference = everywhere(coordinates[i]) - loaded(points, block * r + i)
+            squared_distance = squared_distance + difference * difference
+        stored(k, block * WIDTH, exp(everywhere(np.float32(-0.5)) * squared_distance))
+    return k
+
+
+@njit
+def scaled(x, u, inverse_scale):
+    """The coordinates (r,) of a state under an input."""
+    n, r = x.size, inverse_scale.size
+    coordinates = np.empty(r, np.float32)
+    for i in range(r):
+        coordinates[i] = inverse_scale[i] * (x[i] if i < n else u[i - n])
+    return coordinates
 
 
 @njit
@@ -56,38 +113,54 @@ def product(panels, offset, columns, k):
 
 
 @njit
-def correlations(x, u, points, inverse_scale):
-    """k (N, WIDTH) of Eq. 4, over alpha^2: columns for the states x (a, n) under u (a, m), a <= WIDTH."""
-    a, n = x.shape
-    N, r = points.shape
-    coordinates = np.zeros((r, WIDTH), np.float32)
-    for b in range(a):
-        for i in range(r):
-            coordinates[i, b] = inverse_scale[i] * (x[b, i] if i < n else u[b, i - n])
-    k = np.empty((N, WIDTH), np.float32)
-    for j in range(N):
-        squared_distance = everywhere(np.float32(0.0))
-        for i in range(r):
-            difference = loaded(coordinates, i) - everywhere(points[j, i])
-            squared_distance = squared_distance + difference * difference
-        stored(k, j, exp(everywhere(np.float32(-0.5)) * squared_distance))
-    return k
-
-
-@njit
-def squared_norms(triangle, k):
-    """|U k|^2 (1, WIDTH) for each column k of k (N, WIDTH)."""
-    N = k.shape[0]
+def squared_norms(triangle, k, N):
+    """|U k|^2 (WIDTH,) for each column k of k (at least N, WIDTH)."""
     sums = everywhere(np.float32(0.0))
     offset = 0
     for first in range(0, N, PANEL):
-        columns = min(first + PANEL, N)
-        for v in product(triangle, offset, columns, k):
+        for v in product(triangle, offset, min(first + PANEL, N), k):
             sums = sums + v * v
-        offset += PANEL * columns
-    norms = np.empty((1, WIDTH), np.float32)
+        offset += PANEL * columns_of_group(first, N)
+    norms = np.empty(WIDTH, np.float32)
     stored(norms, 0, sums)
     return norms
+
+
+@njit
+def columns_of_group(row, N):
+    """How wide the panels of the group are in which a row lies."""
+    return min((row // (PANEL * GROUP) + 1) * PANEL * GROUP, N)
+
+
+@njit
+def squared_norm_of_one(triangle, k, N):
+    """|U k|^2 for k (at least N,), the GROUP panels of a group at a time."""
+    products = np.zeros((GROUP + 1) * WIDTH, np.float32)
+    sums = everywhere(np.float32(0.0))
+    offset = 0
+    for first in range(0, N, PANEL * GROUP):
+        columns = columns_of_group(first, N)
+        size = PANEL * columns
+        v0 = v1 = v2 = v3 = everywhere(np.float32(0.0))  # of which the first PANEL lanes count
+        for j in range(columns):
+            k_j = everywhere(k[j])
+            v0 = v0 + loaded(triangle, offset) * k_j
+            v1 = v1 + loaded(triangle, offset + size) * k_j
+            v2 = v2 + loaded(triangle, offset + 2 * size) * k_j
+            v3 = v3 + loaded(triangle, offset + 3 * size) * k_j
+            offset += PANEL
+        offset += (GROUP - 1) * size
+        stored(products, 0, v0)
+        stored(products, WIDTH, v1)
+        stored(products, 2 * WIDTH, v2)
+        stored(products, 3 * WIDTH, v3)
+        for panel in range(GROUP):
+            for row in range(PANEL):
+                v = loaded(products, panel * WIDTH + row)  # the first lane counts
+                sums = sums + v * v
+    norm = np.empty(WIDTH, np.float32)
+    stored(norm, 0, sums)
+    return norm[0]
 
 
 @njit
@@ -103,25 +176,49 @@ def means(weights, k, n):
     return mean
 
 
+@njit
+def mean_of_one(weights, k, n, N):
+    """W^T k, (at least n,) for k (at least N,)."""
+    mean = np.empty(n + WIDTH, np.float32)
+    for first in range(0, n, PANEL):
+        v = everywhere(np.float32(0.0))
+        for j in range(N):
+            v = v + loaded(weights, first * N + j * PANEL) * everywhere(k[j])
+        stored(mean, first, v)
+    return mean
+
+
+@njit
+def weighted(mean, norm, constants, correction):
+    """Eq. 7, from W^T k (n,) and |U k|^2."""
+    alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
+    variance = prior - alpha_squared**2 * norm  # Eq. 5
+    weight = alpha_squared * np.exp(-d_n * variance)
+    for i in range(correction.size):
+        correction[i] = weight * mean[i]
+
+
 @kernel(correction_signature(GP_DATA))
 def correct(x, u, data, correction):
-    """exp(-d |sigma|^2) times the mean, from (points, U, W, rows of U, 1 / scale, (alpha^2, prior, d n)).
+    """exp(-d |sigma|^2) times the mean, for states x (a, n) under u (a, m).
 
-    With d n = 0 it is the mean alone, and needs no U.
+    The data are N, the points, U, W, the rows of U, 1 / scale, and (alpha^2, prior, d n). With d n = 0 it is
+    the mean alone, and needs no U.
     """
-    points, triangle, weights, rows, inverse_scale, constants = data
-    alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
+    N, points, triangle, weights, rows, inverse_scale, constants = data
     a, n = x.shape
-    if points.shape[0] == 0:
+    if N == 0:
         correction[:] = 0.0
         return
     for first in range(0, a, WIDTH):
         last = min(first + WIDTH, a)
-        k = correlations(x[first:last], u[first:last], points, inverse_scale)
-        mean = means(weights, k, n)
-        norms = squared_norms(triangle, k[:rows]) if d_n > 0.0 else np.zeros((1, WIDTH), np.float32)
+        if last - first > FEW:
+            k = correlations(x[first:last], u[first:last], points, inverse_scale, N)
+            mean, norms = means(weights, k, n), squared_norms(triangle, k, rows)
+            for b in range(first, last):
+                weighted(mean[:, b - first], norms[b - first], constants, correction[b])
+            continue
         for b in range(first, last):
-            variance = prior - alpha_squared**2 * norms[0, b - first]  # Eq. 5
-            weight = alpha_squared * np.exp(-d_n * variance)
-            for i in range(n):
-                correction[b, i] = weight * mean[i, b - first]  # Eq. 7
+            k_b = correlations_of_one(x[b], u[b], points, inverse_scale)
+            norm = squared_norm_of_one(triangle, k_b, rows)
+            weighted(mean_of_one(weights, k_b, n, N), norm, constants, correction[b])

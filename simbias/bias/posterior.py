@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, output_scale, stable_cholesky
-from simbias.bias.gp_kernel import correct, packed, packed_triangle
+from simbias.bias.gp_kernel import correct, packed, packed_points, packed_triangle
 from simbias.bias.inducing import Inducing, view
 from simbias.interfaces import FittedBias, Kernel
 from simbias.records import Array, Transitions
@@ -104,7 +104,8 @@ class Drawn(FittedBias):
 def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
     """The correction in single precision."""
     data = (
-        np.ascontiguousarray(points, dtype=np.float32),
+        len(points),
+        packed_points(points),
         packed_triangle(U),
         packed(W.T),
         len(U),

@@ -14,10 +14,12 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 import simbias
 from simbias.bias.covariance import stable_cholesky
 from simbias.bias.gp import GaussianProcess
+from simbias.bias.gp_kernel import FEW
 from simbias.bias.inducing import Inducing
 from simbias.build import build
 from simbias.console import slowness_in_one_line
 from simbias.interfaces import SlowWarning
+from simbias.lanes import WIDTH
 from simbias.records import Array, Transitions
 from simbias.study import Study
 from simbias.worker import run_plan
@@ -105,6 +107,20 @@ def test_kernel_agrees_with_plain_correction(study: Study, n: int) -> None:
         function(inputs[:, :6].copy(), inputs[:, 6:].copy(), parameters, fast)
         plain = np.array([fitted.correction(x[:6], x[6:]) for x in inputs])
         np.testing.assert_allclose(fast, plain, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 16, 100])
+@pytest.mark.parametrize("together", [2, FEW, FEW + 1, WIDTH, WIDTH + 3])
+def test_a_correction_does_not_depend_on_those_beside_it(study: Study, n: int, together: int) -> None:
+    """To the last bit, though few are made in another way than many."""
+    kernel = study.bias.fit(data(n)).kernel
+    inputs = queries(together)
+    corrections = np.empty((together, 6))
+    kernel.function(np.ascontiguousarray(inputs[:, :6]), inputs[:, 6:].copy(), kernel.parameters, corrections)
+    for row, correction in zip(inputs, corrections, strict=True):
+        alone = np.empty((1, 6))
+        kernel.function(row[None, :6].copy(), row[None, 6:].copy(), kernel.parameters, alone)
+        np.testing.assert_array_equal(alone[0], correction)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))

@@ -125,7 +125,7 @@ def test_killed_among_a_figures_experiments(folder: Path) -> None:
     undisturbed = folder / "undisturbed"
     undisturbed.mkdir()
     shutil.copy(folder / "mlflow.db", undisturbed)
-    arguments = [*command("fig7", folder)[:-1], "sweep.trials=1", "sweep.figures.fig7.experiments=8"]
+    arguments = [*command("fig7", folder)[:-1], "sweep.trials=1", "sweep.figures.fig7.experiments=4"]
     assert run(*arguments, "engine=sequential", folder=undisturbed)[0] == 0
     total = len(pieces(undisturbed))
     process = start(*arguments, folder=folder)

@@ -27,7 +27,7 @@ from sweeping import (
 from simbias.tracking.store import connect
 
 COMMAND = ["--config-dir", "conf", "+sweep=mine"]
-TRIALS = 40  # so many that some are left after every killing
+TRIALS = 28  # so many that some are left after every killing
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
 
 

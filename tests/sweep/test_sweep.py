@@ -26,7 +26,7 @@ from simbias.grid import Sweep, expand
 from simbias.interfaces import Engine
 from simbias.results import row_of_record
 from simbias.sweep_console import SweepConsole
-from simbias.tables import cells, interval, layout, markdown
+from simbias.tables import cells, interval, layout, legend, markdown
 from simbias.tracking.mlflow import MlflowTrial
 from simbias.tracking.store import connect
 from simbias.worker import TrialRecord, run_plan
@@ -317,7 +317,8 @@ def trials_frame(sweep: Sweep, outcome: str = "succeeded") -> pd.DataFrame:
         {
             **dict(zip((axis.name for axis in sweep.axes), trial.cell.labels, strict=True)),
             "hash": trial.hash, "repetition": trial.repetition, "seed": trial.seed, "outcome": outcome,
-            "experiments": 2.0 * (1 + index % 3), "seconds": 1.0, "raised": "", "run_id": "",
+            "experiments": 2.0 * (1 + index % 3), "iterations": 1.0 + index % 3, "seconds": 1.0,
+            "raised": "", "run_id": "",
         }
         for index, trial in enumerate(sweep.trials)
     ]  # fmt: skip
@@ -338,6 +339,14 @@ def test_a_failure_counts_all_experiments_and_an_error_none() -> None:
     text = markdown(layout(cells(frame, sweep), sweep))
     assert "| 2/3 |" in text
     assert "| 2/2, 1 raised |" in text
+
+
+def test_measures_are_those_that_the_report_names() -> None:
+    sweep = expand(["+sweep=smoke", "sweep.trials=3", "+sweep.report.measures=[iterations,succeeded]"])
+    laid = layout(cells(trials_frame(sweep), sweep), sweep)
+    assert [head.rpartition(": ")[2] for head in laid.head[-2:]] == ["iterations", "succeeded"]
+    assert [line[-2:] for line in laid.body] == [["2.0", "3/3"]] * 2
+    assert "iterations: likewise" in legend(sweep)
 
 
 def test_interval_covers_the_mean_in_most_samples() -> None:
