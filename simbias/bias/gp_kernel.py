@@ -20,7 +20,7 @@ from simbias.records import Array
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 GROUP = 4  # panels of the triangle that have as many columns
-FEW = 4  # rollouts that are corrected one by one
+FEW = 3  # rollouts that are corrected one by one
 
 SINGLE = float32[:, ::1]
 GP_DATA = types.Tuple((int64, SINGLE, float32[::1], float32[::1], int64, VECTOR, VECTOR))
@@ -55,27 +55,31 @@ def _packed(matrices: list[Array]) -> np.ndarray:
 @njit
 def correlations(x, u, points, inverse_scale, N):
     """k (N, WIDTH) of Eq. 4, over alpha^2: columns for the states x (a, n) under u (a, m), a <= WIDTH."""
-    a, r = x.shape[0], inverse_scale.size
+    (a, n), r = x.shape, inverse_scale.size
     coordinates = np.zeros((r, WIDTH), np.float32)
     for b in range(a):
-        coordinates[:, b] = scaled(x[b], u[b], inverse_scale)
-    k = np.empty((N, WIDTH), np.float32)
-    for j in range(N):
-        block = j // WIDTH * r
-        squared_distance = everywhere(np.float32(0.0))
         for i in range(r):
-            difference = loaded(coordinates, i) - everywhere(points[block + i, j % WIDTH])
-            squared_distance = squared_distance + difference * difference
-        stored(k, j, exp(everywhere(np.float32(-0.5)) * squared_distance))
+            coordinates[i, b] = inverse_scale[i] * (x[b, i] if i < n else u[b, i - n])
+    k = np.empty((N, WIDTH), np.float32)
+    for first in range(0, N, WIDTH):
+        block = points[first // WIDTH * r : (first // WIDTH + 1) * r]
+        for j in range(min(WIDTH, N - first)):
+            squared_distance = everywhere(np.float32(0.0))
+            for i in range(r):
+                difference = loaded(coordinates, i) - everywhere(block[i, j])
+                squared_distance = squared_distance + difference * difference
+            stored(k, first + j, exp(everywhere(np.float32(-0.5)) * squared_distance))
     return k
 
 
 @njit
 def correlations_of_one(x, u, points, inverse_scale):
     """The same for one state x (n,) under u (m,), WIDTH points at a time: k (at least N,)."""
-    r = inverse_scale.size
+    n, r = x.size, inverse_scale.size
     blocks = points.shape[0] // r
-    coordinates = scaled(x, u, inverse_scale)
+    coordinates = np.empty(r, np.float32)
+    for i in range(r):
+        coordinates[i] = inverse_scale[i] * (x[i] if i < n else u[i - n])
     k = np.empty(blocks * WIDTH, np.float32)
     for block in range(blocks):
         squared_distance = everywhere(np.float32(0.0))
@@ -84,16 +88,6 @@ def correlations_of_one(x, u, points, inverse_scale):
             squared_distance = squared_distance + difference * difference
         stored(k, block * WIDTH, exp(everywhere(np.float32(-0.5)) * squared_distance))
     return k
-
-
-@njit
-def scaled(x, u, inverse_scale):
-    """The coordinates (r,) of a state under an input."""
-    n, r = x.size, inverse_scale.size
-    coordinates = np.empty(r, np.float32)
-    for i in range(r):
-        coordinates[i] = inverse_scale[i] * (x[i] if i < n else u[i - n])
-    return coordinates
 
 
 @njit
@@ -189,13 +183,11 @@ def mean_of_one(weights, k, n, N):
 
 
 @njit
-def weighted(mean, norm, constants, correction):
-    """Eq. 7, from W^T k (n,) and |U k|^2."""
+def factor(norm, constants):
+    """What W^T k has to be multiplied by (Eq. 7), from |U k|^2."""
     alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
     variance = prior - alpha_squared**2 * norm  # Eq. 5
-    weight = alpha_squared * np.exp(-d_n * variance)
-    for i in range(correction.size):
-        correction[i] = weight * mean[i]
+    return alpha_squared * np.exp(-d_n * variance)
 
 
 @kernel(correction_signature(GP_DATA))
@@ -216,9 +208,13 @@ def correct(x, u, data, correction):
             k = correlations(x[first:last], u[first:last], points, inverse_scale, N)
             mean, norms = means(weights, k, n), squared_norms(triangle, k, rows)
             for b in range(first, last):
-                weighted(mean[:, b - first], norms[b - first], constants, correction[b])
+                weight = factor(norms[b - first], constants)
+                for i in range(n):
+                    correction[b, i] = weight * mean[i, b - first]
             continue
         for b in range(first, last):
             k_b = correlations_of_one(x[b], u[b], points, inverse_scale)
-            norm = squared_norm_of_one(triangle, k_b, rows)
-            weighted(mean_of_one(weights, k_b, n, N), norm, constants, correction[b])
+            mean_b = mean_of_one(weights, k_b, n, N)
+            weight = factor(squared_norm_of_one(triangle, k_b, rows), constants)
+            for i in range(n):
+                correction[b, i] = weight * mean_b[i]
