@@ -205,14 +205,15 @@ def _draw_policies(axes: Axes, cells: Sequence[pd.DataFrame]) -> None:
             (~learned, HARDWARE, "X", "it did not"),
         ):
             if chosen.any():
-                axes.plot(x[chosen], policies["rate"][chosen], marker, color=color, label=words)
+                axes.plot(x[chosen], policies["rate"][chosen], marker, color=color, label=words, clip_on=False)
     names = [fill(own["cell"].iloc[0], 14) for own in cells]
     axes.set_xticks(range(len(cells)), names, fontsize=SMALL)
     axes.set_xlim(-0.6, len(cells) - 0.4)
+    axes.margins(y=0.3)  # room for the legend
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("success rate")
     handles, entries = axes.get_legend_handles_labels()
     unique = dict(zip(entries, handles, strict=True))
-    axes.legend(unique.values(), unique.keys(), frameon=False, fontsize=SMALL, loc="lower center")
+    axes.legend(unique.values(), unique.keys(), frameon=False, fontsize=SMALL, loc="upper right")
     axes.set_title("each policy, over all starts", fontsize="medium")
     plain(axes)

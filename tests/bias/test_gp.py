@@ -136,7 +136,7 @@ def test_variance_shrinks_with_data(study: Study, seed: int, n: int) -> None:
 
 
 def test_where_the_exact_posterior_is_too_slow_it_says_so(study: Study) -> None:
-    """Once a fit, with the number of samples and what to use; the default threshold is at N = 1100."""
+    """Once a fit, with the number of samples and what to use; the default threshold is at N = 1198."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         study.bias.fit(data(1000))
