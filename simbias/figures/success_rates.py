@@ -205,7 +205,8 @@ def _draw_policies(axes: Axes, cells: Sequence[pd.DataFrame]) -> None:
             (~learned, HARDWARE, "X", "it did not"),
         ):
             if chosen.any():
-                axes.plot(x[chosen], policies["rate"][chosen], marker, color=color, label=words, clip_on=False)
+                rates = policies["rate"][chosen]
+                axes.plot(x[chosen], rates, marker, color=color, label=words, clip_on=False)
     names = [fill(own["cell"].iloc[0], 14) for own in cells]
     axes.set_xticks(range(len(cells)), names, fontsize=SMALL)
     axes.set_xlim(-0.6, len(cells) - 0.4)
