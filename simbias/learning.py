@@ -21,15 +21,17 @@ def search(
     observer: Observer,
     candidates: Sequence[Array] = (),
     retries: int = 0,
+    satisfactory: float | None = None,
 ) -> tuple[Optimum, float]:
     """Optimise the policy in simulation (the dashed loop of Fig. 1); return it with its predicted cost.
 
-    A search that ends above Z_max is made again with other random numbers, up to `retries` times. The best
-    one is returned, with the evaluations of all.
+    A search that ends above a satisfactory cost, by default Z_max, is made again with other random numbers,
+    up to `retries` times. The best one is returned, with the evaluations of all.
     """
-    found = [_search(study, fitted_bias, rng, observer, candidates)]
-    while found[-1][1] > study.cost.max_cost and len(found) <= retries:
-        found.append(_search(study, fitted_bias, rng, observer, candidates))
+    enough = study.cost.max_cost if satisfactory is None else satisfactory
+    found = [_search(study, fitted_bias, rng, observer, candidates, enough)]
+    while found[-1][1] > enough and len(found) <= retries:
+        found.append(_search(study, fitted_bias, rng, observer, candidates, enough))
     best = min(range(len(found)), key=lambda index: found[index][1])
     optimum, predicted_cost = found[best]
     if len(found) > 1:
@@ -47,12 +49,13 @@ def _search(
     rng: np.random.Generator,
     observer: Observer,
     candidates: Sequence[Array],
+    satisfactory: float,
 ) -> tuple[Optimum, float]:
     """One search."""
     objective = study.evaluation.objective(study.model(fitted_bias), study.cost, rng)
     lower, upper = study.policy.bounds
-    watched, max_cost = _Watched(objective, observer), study.cost.max_cost
-    optimum = study.optimizer.minimize(watched, lower, upper, rng, max_cost, candidates)
+    watched = _Watched(objective, observer)
+    optimum = study.optimizer.minimize(watched, lower, upper, rng, satisfactory, candidates)
     return optimum, objective(optimum.parameters)
 
 

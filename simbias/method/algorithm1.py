@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from pydantic import NonNegativeInt, PositiveInt
+from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
 from simbias.interfaces import Method, Observer
 from simbias.learning import Stopwatch, experiment, search
@@ -31,7 +31,10 @@ class Algorithm1(Method):
         An iteration ends its experiments with the first that fails: the policy is refuted, and the next one
         may teach more.
     retry_search
-        How often a search that ends above Z_max is made again before hardware is spent on its policy.
+        How often a search that does not end satisfactorily is made again before hardware is spent on its
+        policy.
+    satisfactory_cost
+        Predicted cost Z below which a search has ended satisfactorily; None is Z_max.
     warm_start
         Evaluate the trial's earlier policies first in a search.
     """
@@ -43,6 +46,7 @@ class Algorithm1(Method):
         keep_data: bool = False,
         stop_at_failure: bool = False,
         retry_search: NonNegativeInt = 0,
+        satisfactory_cost: PositiveFloat | None = None,
         warm_start: bool = False,
     ) -> None:
         self.max_iterations = max_iterations
@@ -50,6 +54,7 @@ class Algorithm1(Method):
         self._keep_data = keep_data
         self._stop_at_failure = stop_at_failure
         self._retry_search = retry_search
+        self._satisfactory_cost = satisfactory_cost
         self._warm_start = warm_start
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
@@ -66,7 +71,7 @@ class Algorithm1(Method):
             searched_on = bias
             with clock("search"):
                 optimum, predicted_cost = search(
-                    study, bias, search_rng, observer, earlier, self._retry_search
+                    study, bias, search_rng, observer, earlier, self._retry_search, self._satisfactory_cost
                 )  # 4, 5
             theta = optimum.parameters
             if self._warm_start:

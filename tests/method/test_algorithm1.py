@@ -146,6 +146,16 @@ def test_a_failed_search_is_made_again(point_mass: Study) -> None:
     assert second.optimum.stopped_by == once[0].optimum.stopped_by
 
 
+def test_what_is_satisfactory_may_be_less_than_z_max(point_mass: Study) -> None:
+    """A search that ends between the two is made again, and clears nothing if it ends there again."""
+    options = {"retry_search": 1, "satisfactory_cost": 0.15}
+    first, last = scripted(point_mass, [0.19, 0.18, 0.1], [0.9] * 2 + [0.0] * 2, **options)
+    assert first.predicted_cost == 0.18
+    assert first.optimum.stopped_by.endswith(", with no cost below 0.15, in search 2 of 2")
+    assert not first.model_reset
+    assert " search " not in last.optimum.stopped_by
+
+
 def test_after_its_last_retry_a_failed_search_is_one(point_mass: Study) -> None:
     """Lines 6-9 follow, with the best policy of all."""
     first, last = scripted(point_mass, [0.3, 0.2, 0.25, 0.1], [0.9] * 2 + [0.0] * 2, retry_search=2)

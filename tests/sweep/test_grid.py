@@ -130,7 +130,7 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["+sweep=unknown"], "sweep=unknown: no such option; sweep has components, "),
+        (["+sweep=unknown"], "sweep=unknown: no such option; sweep has ablation, "),
         (["+sweep=smoke", "sweep.trials=0"], "sweep.trials: must be greater than 0, got 0"),
         (["+sweep=smoke", "sweep.trialss=1"], "sweep.trialss: no such key"),
         (["+sweep=smoke", "+sweep.trialss=1"], "sweep.trialss: no such key"),
