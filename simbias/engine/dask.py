@@ -122,9 +122,16 @@ def _feed(
     worker.
     """
     from joblib import Parallel, delayed, parallel_config
+    from joblib._dask import DaskDistributedBackend
+
+    class Backend(DaskDistributedBackend):
+        """Never of one job: joblib would run it here, as when but one worker is left, and die with it."""
+
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            return max(2, super().effective_n_jobs(n_jobs))
 
     try:
-        with parallel_config("dask", client=client):
+        with parallel_config(Backend(client=client)):
             parallel = Parallel(
                 return_as="generator_unordered", batch_size=1, pre_dispatch="1" if alone else "2*n_jobs"
             )

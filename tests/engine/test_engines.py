@@ -158,7 +158,9 @@ def test_dask_at_an_address(tmp_path: Path) -> None:
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         chosen = engine(compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]))
         assert isinstance(chosen, Dask)
-        assert [result[0] for _, result in chosen.run(work, [(1, 0.0, ""), (2, 0.0, "")])] == [2, 4]  # type: ignore[index]
+        found = dict(chosen.run(work, [(1, 0.0, ""), (2, 0.0, "")]))
+        assert {index: result[0] for index, result in found.items()} == {0: 2, 1: 4}  # type: ignore[index]
+        assert os.getpid() not in {result[1] for result in found.values()}  # type: ignore[index]
 
 
 @needs_dask
