@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 import time
@@ -37,22 +38,30 @@ of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an er
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a trial; return the exit status."""
+    """Run what the command line asks for; return the exit status."""
     parsed = _parser().parse_args(arguments)
     try:
-        composition = compose(parsed.overrides, parsed.config_dir)
-        if parsed.cfg:
-            print(_as_yaml(composition), end="")
-            return SUCCEEDED
-        if "sweep" in composition.config:
-            return _sweep(parsed, composition)
-        return _run(composition)
+        status = _run_or_show(parsed)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # who reads our output, `head` say, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
     except ConfigError as error:
         print(f"simbias: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("simbias: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _run_or_show(parsed: argparse.Namespace) -> int:
+    """A trial, a sweep or a config, as told."""
+    composition = compose(parsed.overrides, parsed.config_dir)
+    if parsed.cfg:
+        print(_as_yaml(composition), end="")
+        return SUCCEEDED
+    return _sweep(parsed, composition) if "sweep" in composition.config else _run(composition)
 
 
 def _parser() -> argparse.ArgumentParser:

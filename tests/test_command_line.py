@@ -107,3 +107,19 @@ def test_cfg_job_prints_the_config(tmp_path: Path) -> None:
     done = simbias("--cfg", "job", "bias.d=2", folder=tmp_path)
     assert done.returncode == 0
     assert OmegaConf.create(done.stdout).bias.d == 2
+
+
+def test_a_reader_that_has_seen_enough_meets_no_traceback(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "simbias", "+sweep=table2", "sweep.dry_run=true"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert process.stdout.readline().startswith("missing")
+    process.stdout.close()
+    assert "Error" not in process.stderr.read()
+    assert process.wait(60) == 1
