@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -34,48 +35,46 @@ class Inducing:
                 f"variance_tolerance {self.variance_tolerance:g} is below tolerance {self.tolerance:g}"
             )
 
-    @property
-    def for_variance(self) -> Inducing:
-        """How those of the variance are chosen, by the same rule: they are the first ones."""
-        return replace(self, tolerance=self.variance_tolerance)
-
 
 @dataclass(frozen=True, eq=False)
 class View:
     """N points seen through m inducing ones Z."""
 
-    chosen: list[int]  # which of the points are Z
+    Z: Array  # (m, r)
     K_ZX: Array  # (m, N)
     L_inverse: Array  # (m, m) L^-1 of K_ZZ = L L^T
     R: Array  # (m, m) R^T R = S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1
 
 
-def view(hyper: Hyperparameters, points: Array, inducing: Inducing) -> View:
-    """Choose inducing points among points (N, r), scaled."""
-    chosen = _pivots(hyper, points, inducing)
-    K_ZX = hyper.covariance(points[chosen], points)
-    identity = np.eye(len(chosen))
-    L_inverse = solve_triangular(stable_cholesky(K_ZX[:, chosen]), identity, lower=True)
-    A = L_inverse @ K_ZX / np.sqrt(hyper.noise_variance)
-    R = solve_triangular(stable_cholesky(identity + A @ A.T), L_inverse, lower=True)
-    return View(chosen, K_ZX, L_inverse, R)
+def choose(hyper: Hyperparameters, points: Array, inducing: Inducing) -> tuple[list[int], int]:
+    """Indices of the inducing points among points (N, r), scaled; how many, the first, the variance needs.
 
-
-def _pivots(hyper: Hyperparameters, points: Array, inducing: Inducing) -> list[int]:
-    """Indices of the points (N, r) that a pivoted Cholesky factorisation of their covariance takes first.
-
-    Each is the one whose latent value is the least certain given those before it.
+    They are those that a pivoted Cholesky factorisation of the covariance takes first: each is the point
+    whose latent value is the least certain given those before it.
     """
     variance = np.full(len(points), hyper.signal_variance)
     factor = np.zeros((min(inducing.points, len(points)), len(points)))
     chosen: list[int] = []
+    for_variance = 0
     for i in range(len(factor)):
         pivot = int(np.argmax(variance))
         if variance[pivot] < inducing.tolerance * hyper.signal_variance:
             break
+        for_variance += bool(variance[pivot] >= inducing.variance_tolerance * hyper.signal_variance)
         row = hyper.covariance(points[[pivot]], points)[0] - factor[:i, pivot] @ factor[:i]
         factor[i] = row / np.sqrt(variance[pivot])
         variance = np.maximum(variance - factor[i] ** 2, 0.0)
         variance[pivot] = 0.0
         chosen.append(pivot)
-    return chosen
+    return chosen, for_variance
+
+
+def view(hyper: Hyperparameters, points: Array, chosen: Sequence[int]) -> View:
+    """See points (N, r), scaled, through the chosen of them."""
+    Z = points[chosen]
+    K_ZX = hyper.covariance(Z, points)
+    identity = np.eye(len(chosen))
+    L_inverse = solve_triangular(stable_cholesky(K_ZX[:, chosen]), identity, lower=True)
+    A = L_inverse @ K_ZX / np.sqrt(hyper.noise_variance)
+    R = solve_triangular(stable_cholesky(identity + A @ A.T), L_inverse, lower=True)
+    return View(Z, K_ZX, L_inverse, R)

@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.bias.gp_kernel import correct, packed, packed_points, packed_triangle
-from simbias.bias.inducing import Inducing, view
+from simbias.bias.inducing import Inducing, choose, view
 from simbias.interfaces import FittedBias, Kernel
 from simbias.records import Array, Transitions
 
@@ -123,9 +123,9 @@ def exact(hyper: Hyperparameters, transitions: Transitions) -> Posterior:
     L = stable_cholesky(K)
     L_inverse = solve_triangular(L, np.eye(len(L)), lower=True)
     W = solve_triangular(L, solve_triangular(L, transitions.residuals, lower=True), lower=True, trans="T")
-    seen = view(hyper, points, Inducing())
-    R = np.zeros((len(seen.chosen), len(points)))
-    R[:, seen.chosen] = seen.R
+    chosen, _ = choose(hyper, points, Inducing())
+    R = np.zeros((len(chosen), len(points)))
+    R[:, chosen] = view(hyper, points, chosen).R
     return Posterior(hyper, output_scale(transitions.residuals), points, L_inverse, W, R, {})
 
 
@@ -137,19 +137,20 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing)
     of the mean (in units of the residuals' root mean square) and of the weight of Eq. 7.
     """
     points = hyper.scaled(transitions.inputs)
-    seen = view(hyper, points, inducing)
+    chosen, for_variance = choose(hyper, points, inducing)
+    seen = view(hyper, points, chosen)
     W = seen.R.T @ (seen.R @ (seen.K_ZX @ transitions.residuals)) / hyper.noise_variance
-    coarsely = view(hyper, points, inducing.for_variance)
+    coarsely = view(hyper, points, chosen[:for_variance])
     U = _lower_root(coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R)
     scale = output_scale(transitions.residuals)
     posterior = Posterior(
         hyper,
         scale,
-        points[seen.chosen],
+        seen.Z,
         U,
         W,
         seen.R,
-        {"inducing_points": len(seen.chosen), "inducing_points_of_variance": len(U)},
+        {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance},
     )
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)
