@@ -1,8 +1,8 @@
 """The paper's premise and the first row of its Table II, measured.
 
-`python tests/studies/premise.py FOLDER` tells for each of 10 seeds, without noise and inertia error, how many
-hardware experiments Algorithm 1 needs, and in how many of 20 random starts its first policy (of the nominal
-model alone) and its last one balance the hardware.
+`python tests/studies/premise.py FOLDER [override ...]` tells for each of 10 seeds, without noise and inertia
+error if not overridden, how many hardware experiments Algorithm 1 needs, and in how many of 20 random starts its
+first policy (of the nominal model alone) and its last one balance the hardware.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,9 @@ def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
     return sum(study.experiment(theta, rng).failed_at is None for rng in rngs)
 
 
-def measure(seed: int) -> dict[str, Any]:
+def measure(seed: int, overrides: Sequence[str]) -> dict[str, Any]:
     """One trial, and its first and last policy on other starts."""
-    study = simbias.load(["tracking=none", f"seed={seed}"])
+    study = simbias.load(["tracking=none", *overrides, f"seed={seed}"])
     study.warm_up()
     began = time.perf_counter()
     iterations = list(study.run())
@@ -50,9 +51,9 @@ def measure(seed: int) -> dict[str, Any]:
     }
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, overrides: Sequence[str]) -> None:
     """Measure every seed, print the table and write it as premise.csv."""
-    rows = Parallel(n_jobs=2)(delayed(measure)(seed) for seed in SEEDS)
+    rows = Parallel(n_jobs=2)(delayed(measure)(seed, overrides) for seed in SEEDS)
     with (folder / "premise.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
         writer.writeheader()
@@ -66,4 +67,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:])
