@@ -5,6 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import ROOT
+from studies.side_by_side import side_by_side
 
 from simbias import results, tables
 from simbias.config import ConfigError
@@ -43,3 +44,7 @@ def test_what_is_not_published_or_lacks_a_column_is_named(
     pd.DataFrame({"hash": ["a"], "seed": [1]}).to_csv(tmp_path / "results" / "smoke" / "trials.csv")
     with pytest.raises(ConfigError, match=r"^trials\.csv: lacks experiments, hardware\.inertia_error, "):
         results.published(sweep)
+
+
+def test_readmes_table_is_that_of_both_published_sweeps() -> None:
+    assert side_by_side() in (ROOT / "README.md").read_text()

@@ -1,8 +1,8 @@
 """The paper's premise and the first row of its Table II, measured.
 
 `python tests/studies/premise.py FOLDER [override ...]` tells for each of 10 seeds, without noise and inertia
-error if not overridden, how many hardware experiments Algorithm 1 needs, and in how many of 20 random starts its
-first policy (of the nominal model alone) and its last one balance the hardware.
+error if not overridden, how many hardware experiments Algorithm 1 needs, and in how many of 20 random starts
+its first policy (of the nominal model alone) and its last one balance the hardware.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any
 from simbias import results, tables
 from simbias.grid import Sweep, expand
 
-MEASURES = ("paper", "its method here", "ours", "ours: iterations")
+MEASURES = ("paper", "its method here", "ours", "our iterations")
 
 
 def side_by_side() -> str:
