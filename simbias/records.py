@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from simbias.interfaces import FittedBias
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numba import get_num_threads, int64, njit, typeof, types, void
@@ -15,7 +15,9 @@ from numba import get_num_threads, int64, njit, typeof, types, void
 from simbias.interfaces import FittedBias, Kernel, Nominal, Policy, Simulator, Task
 from simbias.kernels import CONTROL, CUBE, MATRIX, MEASURE, OUTPUT, STEP, VECTOR, correction_signature
 from simbias.lanes import WIDTH
-from simbias.records import Array, Disturbance, Rollout
+from simbias.records import Array, Disturbance, Indices, Rollout
+
+_NOMINAL = 2  # of a simulator's kernels
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,47 @@ class Model:
         kernels = tuple(part for part in parts if part is not None)
         if len(kernels) < len(parts) or policy.kernel is None:
             return PlainSimulator(self, disturbance)
-        return CompiledSimulator(task, kernels, policy.kernel, disturbance)
+        noise = disturbance or Disturbance(np.empty((0, 0)), np.empty((0, 0)))
+        nominal = kernels[_NOMINAL].parameters
+        return CompiledSimulator(
+            task, kernels, policy.kernel, nominal[None], noise.inputs[None], noise.sensors[None]
+        )
+
+
+class Worlds(Protocol):
+    """Simulators of one task that are run together."""
+
+    def rollouts(self, thetas: Array, starts: Array, worlds: Indices) -> Sequence[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+
+
+def joined(simulators: Sequence[Simulator]) -> Worlds:
+    """Simulators as one: in step, if they share all but the nominal model's parameters and the noise."""
+    compiled = [simulator for simulator in simulators if isinstance(simulator, CompiledSimulator)]
+    first = compiled[0] if compiled else None
+    if first is None or len(compiled) < len(simulators) or not all(map(first.runs_in_step_with, compiled)):
+        return Apart(simulators)
+    return replace(
+        first,
+        nominal_data=np.concatenate([simulator.nominal_data for simulator in compiled]),
+        input_noise=np.concatenate([simulator.input_noise for simulator in compiled]),
+        sensor_noise=np.concatenate([simulator.sensor_noise for simulator in compiled]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Simulators that have to be run one after the other."""
+
+    simulators: Sequence[Simulator]
+
+    def rollouts(self, thetas: Array, starts: Array, worlds: Indices) -> list[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+        found: dict[int, Rollout] = {}
+        for world, simulator in enumerate(self.simulators):
+            own = np.flatnonzero(worlds == world)
+            found |= zip(own.tolist(), simulator.rollouts(thetas[own], starts[own]), strict=True)
+        return [found[index] for index in range(len(thetas))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,47 +109,66 @@ class PlainSimulator:
 
 @dataclass(frozen=True, eq=False)
 class CompiledSimulator:
-    """The closed loop without Python in it."""
+    """The closed loop without Python in it, in one world or in several."""
 
     task: Task
     kernels: tuple[Kernel, ...]  # of measure, output, nominal model and bias
     policy: Callable[[Array], Kernel]
-    disturbance: Disturbance | None = None
+    nominal_data: Array  # (w, q) the nominal kernel's parameters in each world
+    input_noise: Array  # (w, T, m); empty without noise
+    sensor_noise: Array  # (w, T, n); likewise
+
+    def runs_in_step_with(self, other: CompiledSimulator) -> bool:
+        """Whether their worlds differ in nothing but the nominal parameters' values and the noise's."""
+        same = all(
+            one.function is another.function and (index == _NOMINAL or one.parameters is another.parameters)
+            for index, (one, another) in enumerate(zip(self.kernels, other.kernels, strict=True))
+        )
+        shapes = [(s.nominal_data[0].shape, s.sensor_noise[0].shape) for s in (self, other)]
+        return same and self.task is other.task and shapes[0] == shapes[1]
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
         """Run theta (p,) from start (n,) to failure or horizon."""
-        return self._in_step([theta], [start])[0]
+        return self._in_step(theta[None], start[None], np.zeros(1, np.int64))[0]
 
-    def rollouts(self, thetas: Array, starts: Array) -> list[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n), on all threads if they are many."""
-        if len(thetas) == 0:
+    def rollouts(self, thetas: Array, starts: Array, worlds: Indices | None = None) -> list[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n), on all threads if they are many.
+
+        Each runs in its world of (k,); None is the first for all.
+        """
+        k = len(thetas)
+        if k == 0:
             return []
-        threads = min(get_num_threads(), math.ceil(len(thetas) / WIDTH))
+        worlds = np.zeros(k, np.int64) if worlds is None else worlds
+        threads = min(get_num_threads(), math.ceil(k / WIDTH))
         if threads < 2:  # what a thread frees stays with it: and is not given back
-            return self._in_step(thetas, starts)
-        parts = np.array_split(thetas, threads), np.array_split(starts, threads)
+            return self._in_step(thetas, starts, worlds)
+        parts = (np.array_split(each, threads) for each in (thetas, starts, worlds))
         with ThreadPoolExecutor(threads) as pool:
             return [rollout for part in pool.map(self._in_step, *parts) for rollout in part]
 
-    def _in_step(self, thetas: Sequence[Array] | Array, starts: Sequence[Array] | Array) -> list[Rollout]:
+    def _in_step(self, thetas: Array, starts: Array, worlds: Indices) -> list[Rollout]:
         """Rollouts of which up to WIDTH run in step."""
         task, k = self.task, len(thetas)
         policies = [self.policy(np.asarray(theta, dtype=np.float64)) for theta in thetas]
-        functions, parameters = zip(*self.kernels, strict=True)
-        noise = self.disturbance or Disturbance(np.empty((0, 0)), np.empty((0, 0)))
+        functions, (task_data, output_data, _, bias_data) = zip(*self.kernels, strict=True)
         states = np.empty((k, task.horizon + 1, len(task.states)))
         states[:, 0] = starts
         inputs = np.empty((k, task.horizon, len(task.inputs)))
         frames, violated = np.empty(k, np.int64), np.empty(k, np.int64)
-        _compile(typeof(parameters[-1]))(
+        _compile(typeof(bias_data))(
             policies[0].function,
             *functions,
             np.array([policy.parameters for policy in policies]),
-            *parameters,
+            task_data,
+            output_data,
+            self.nominal_data,
+            bias_data,
             np.array([criterion.limit for criterion in task.criteria]),
             np.empty(len(task.outputs)),
-            noise.inputs,
-            noise.sensors,
+            worlds,
+            self.input_noise,
+            self.sensor_noise,
             states,
             inputs,
             frames,
@@ -131,15 +192,15 @@ def _compile(bias_data: Any) -> Any:
     """The closed loop for one type of bias data."""
     roles = (CONTROL, MEASURE, OUTPUT, STEP, correction_signature(bias_data))
     functions = (types.FunctionType(role) for role in roles)
-    parameters = (MATRIX, VECTOR, VECTOR, VECTOR, bias_data, VECTOR, VECTOR)
-    signature = void(*functions, *parameters, MATRIX, MATRIX, CUBE, CUBE, int64[::1], int64[::1])
+    parameters = (MATRIX, VECTOR, VECTOR, MATRIX, bias_data, VECTOR, VECTOR)
+    signature = void(*functions, *parameters, int64[::1], *[CUBE] * 4, int64[::1], int64[::1])
     return njit(signature, cache=True, nogil=True)(_closed_loop)
 
 
 def _closed_loop(
     control, measure, output, step, correct,
     policy_data, task_data, output_data, nominal_data, bias_data,
-    limits, z, input_noise, sensor_noise, states, inputs, frames, violated,
+    limits, z, worlds, input_noise, sensor_noise, states, inputs, frames, violated,
 ):  # fmt: skip
     """Fill states (k, T+1, n) and inputs (k, T, m), frames (k,), and the criterion that ended each rollout.
 
@@ -163,7 +224,7 @@ def _closed_loop(
             begun += 1
         going = 0
         for b in running[:count]:
-            t = frames[b]
+            t, w = frames[b], worlds[b]
             for i in range(n):
                 x[i] = states[b, t, i]
             measure(x, task_data, measures)
@@ -175,14 +236,14 @@ def _closed_loop(
                 violated[b] = criterion
                 continue
             for i in range(n):
-                seen[i] = x[i] + sensor_noise[t, i] if noisy else x[i]
+                seen[i] = x[i] + sensor_noise[w, t, i] if noisy else x[i]
             output(seen, output_data, z)
             control(z, policy_data[b], u)
             for i in range(m):
                 inputs[b, t, i] = u[i]
-                u[i] += input_noise[t, i] if noisy else 0.0
+                u[i] += input_noise[w, t, i] if noisy else 0.0
                 all_u[going, i] = u[i]
-            step(x, u, nominal_data, x_next)
+            step(x, u, nominal_data[w], x_next)
             for i in range(n):
                 all_x[going, i] = x[i]
                 states[b, t + 1, i] = x_next[i]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,7 @@ import simbias
 from simbias.bias.none import ZeroBias
 from simbias.interfaces import FittedBias
 from simbias.records import Array, Disturbance, Transitions
-from simbias.simulate import CompiledSimulator, PlainSimulator
+from simbias.simulate import Apart, CompiledSimulator, PlainSimulator, joined
 from simbias.study import Study
 
 STATE_SCALE = np.array([0.3, 0.1, 0.3, 1.0, 1.0, 1.0])
@@ -135,6 +137,26 @@ def test_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
     assert len({rollout.frames for rollout in together}) > 20
     for rollout, theta, start in zip(together, thetas, starts, strict=True):
         np.testing.assert_array_equal(rollout.states, simulator.rollout(theta, start).states)
+
+
+def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
+    """To the last bit, whatever differs: noise, the nominal model's parameters, a bias that was drawn."""
+    rng = np.random.default_rng(0)
+    bias, T = learned(study), study.task.horizon
+    drawn = [bias.draw(rng) for _ in range(3)]
+    models = [replace(study.model(bias), nominal=study.nominal.draw(rng)) for _ in range(3)]
+    noises = [Disturbance(0.3 * rng.normal(size=(T, 1)), 0.01 * rng.normal(size=(T + 1, 6))) for _ in models]
+    simulators = [model.simulator(noise) for model, noise in zip(models, noises, strict=True)]
+    own = [replace(model, bias=bias).simulator() for model, bias in zip(models, drawn, strict=True)]
+    worlds = rng.integers(0, 3, 40)
+    thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
+    for several, in_step in ((simulators, True), (own, False), ([*simulators[:2], own[0]], False)):
+        made = joined(several)
+        assert isinstance(made, CompiledSimulator if in_step else Apart)
+        for index, rollout in enumerate(made.rollouts(thetas, starts, worlds)):
+            alone = several[worlds[index]].rollout(thetas[index], starts[index])
+            np.testing.assert_array_equal(rollout.states, alone.states)
+            np.testing.assert_array_equal(rollout.inputs, alone.inputs)
 
 
 def test_none_to_run_is_no_rollout(study: Study) -> None:

@@ -12,8 +12,8 @@ from pydantic import Field, PositiveInt
 
 from simbias.interfaces import Cost, Evaluation, Objective, Simulator, Task
 from simbias.noise import Noise
-from simbias.records import Array, Disturbance
-from simbias.simulate import Model
+from simbias.records import Array, Disturbance, Indices
+from simbias.simulate import Model, joined
 
 Aggregate = Literal["mean", "max", "cvar"]
 _NOISELESS = Noise()
@@ -27,38 +27,42 @@ class Scenario:
     start: Array  # (n,)
 
 
-@dataclass(frozen=True, eq=False)
 class CostOfScenarios:
     """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
 
     A policy that failed in each of the first `screening` scenarios is judged by these alone.
     """
 
-    scenarios: Sequence[Scenario]
-    cost: Cost
-    worst: int  # of the costs, so many worst ones are averaged
-    screening: int
+    def __init__(self, scenarios: Sequence[Scenario], cost: Cost, worst: int, screening: int) -> None:
+        self.scenarios = scenarios
+        self._simulators = joined([scenario.simulator for scenario in scenarios])
+        self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
+        self._cost = cost
+        self._worst = worst  # of the costs, so many worst ones are averaged
+        self._screening = screening
 
     def __call__(self, theta: Array) -> float:
         """The cost of theta (p,)."""
         return float(self.together(theta[None])[0])
 
     def together(self, thetas: Array) -> Array:
-        """The costs (k,) of thetas (k, p); scenario by scenario, so that the policies run in step."""
+        """The costs (k,) of thetas (k, p); all policies in all scenarios run in step."""
         costs = np.full((len(thetas), len(self.scenarios)), np.nan)
-        promising = np.arange(len(thetas))
-        for index, scenario in enumerate(self.scenarios):
-            starts = np.tile(scenario.start, (len(promising), 1))
-            rollouts = scenario.simulator.rollouts(thetas[promising], starts)
-            costs[promising, index] = [self.cost.of(rollout) for rollout in rollouts]
-            if index + 1 == self.screening:
-                failed = np.nanmin(costs, axis=1) > self.cost.max_cost
-                promising = np.flatnonzero(~failed)
+        first, others = np.split(np.arange(len(self.scenarios)), [self._screening])
+        costs[:, first] = self._costs(thetas, first)
+        promising = np.flatnonzero(costs[:, first].min(axis=1) <= self._cost.max_cost)
+        costs[np.ix_(promising, others)] = self._costs(thetas[promising], others)
         return np.array([self._aggregated(row[~np.isnan(row)]) for row in costs])
+
+    def _costs(self, thetas: Array, worlds: Indices) -> Array:
+        """The cost of each theta of (k, p) in each of the worlds."""
+        each = np.tile(worlds, len(thetas))
+        rollouts = self._simulators.rollouts(np.repeat(thetas, len(worlds), axis=0), self._starts[each], each)
+        return np.array([self._cost.of(rollout) for rollout in rollouts]).reshape(len(thetas), len(worlds))
 
     def _aggregated(self, costs: Array) -> float:
         """The mean of the worst of the costs."""
-        return float(np.mean(np.sort(costs)[-self.worst :]))
+        return float(np.mean(np.sort(costs)[-self._worst :]))
 
 
 class Robust(Evaluation):

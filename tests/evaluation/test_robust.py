@@ -93,10 +93,8 @@ def test_options_change_only_what_they_name(study: Study) -> None:
         np.testing.assert_array_equal(a.start, b.start)
         np.testing.assert_array_equal(c.start, study.task.start_mean)
         for other in (b, c):
-            np.testing.assert_array_equal(
-                a.simulator.disturbance.sensors, other.simulator.disturbance.sensors
-            )
-            np.testing.assert_array_equal(a.simulator.disturbance.inputs, other.simulator.disturbance.inputs)
+            np.testing.assert_array_equal(a.simulator.sensor_noise, other.simulator.sensor_noise)
+            np.testing.assert_array_equal(a.simulator.input_noise, other.simulator.input_noise)
     assert len({scenario.start.tobytes() for scenario in plain}) == 3
 
 
@@ -114,9 +112,9 @@ def test_by_default_the_declared_noise_is_the_hardwares() -> None:
         ["tracking=none", "evaluation=robust", "hardware.noise.torque_variance=0.1", "task.horizon=50"]
     )
     scenarios = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0)).scenarios
-    noise = np.concatenate([scenario.simulator.disturbance.inputs for scenario in scenarios])
+    noise = np.concatenate([scenario.simulator.input_noise for scenario in scenarios])
     assert np.var(noise) == pytest.approx(0.1, rel=0.3)
-    assert not any(scenario.simulator.disturbance.sensors.any() for scenario in scenarios)
+    assert not any(scenario.simulator.sensor_noise.any() for scenario in scenarios)
 
 
 def test_a_drawn_model_has_masses_as_uncertain_as_declared() -> None:
