@@ -72,14 +72,8 @@ def _mean(values: Sequence[float]) -> float:
 def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
     found = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
-    texts: dict[str, Callable[[Mapping[Any, Any]], str]] = {
-        "experiments": _experiments,
-        "iterations": lambda row: _number(row["iterations"]),
-        "succeeded": _succeeded,
-        "paper": lambda row: _number(row["paper"]),
-    }
     measures = sweep.report.measures
-    return arranged(sweep, measures, lambda labels: [texts[name](found[labels]) for name in measures])
+    return arranged(sweep, measures, lambda labels: [TEXTS[name](found[labels]) for name in measures])
 
 
 def arranged(
@@ -133,6 +127,15 @@ def _succeeded(row: Mapping[Any, Any]) -> str:
     """Success rate as a fraction, and what is in no number."""
     text = f"{row['succeeded']}/{row['trials']}"
     return f"{text}, {row['raised']} raised" if row["raised"] else text
+
+
+# Of a cell, by what `sweep.report.measures` names.
+TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
+    "experiments": _experiments,
+    "iterations": lambda row: _number(row["iterations"]),
+    "succeeded": _succeeded,
+    "paper": lambda row: _number(row["paper"]),
+}
 
 
 def markdown(laid: Layout) -> str:

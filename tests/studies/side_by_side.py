@@ -20,9 +20,9 @@ def side_by_side() -> str:
     theirs, ours = cells(sweep), cells(expand(["+sweep=table2_robust"]))
 
     def texts(labels: tuple[str, ...]) -> list[str]:
-        row = ours[labels]
-        paper = f"{theirs[labels]['paper']:.1f}"
-        return [paper, experiments(theirs[labels]), experiments(row), f"{row['iterations']:.1f}"]
+        paper, iterations = (tables.TEXTS[name] for name in ("paper", "iterations"))
+        its, own = theirs[labels], ours[labels]
+        return [paper(its), experiments(its), experiments(own), iterations(own)]
 
     return tables.markdown(tables.arranged(sweep, MEASURES, texts))
 
@@ -35,7 +35,7 @@ def cells(sweep: Sweep) -> dict[tuple[str, ...], Mapping[Any, Any]]:
 
 def experiments(row: Mapping[Any, Any]) -> str:
     """Mean, interval, and how many trials succeeded."""
-    return f"{row['mean']:.1f} [{row['low']:.1f}, {row['high']:.1f}] {row['succeeded']}/{row['trials']}"
+    return " ".join(tables.TEXTS[name](row) for name in ("experiments", "succeeded"))
 
 
 if __name__ == "__main__":
