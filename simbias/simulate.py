@@ -125,7 +125,8 @@ class CompiledSimulator:
             for index, (one, another) in enumerate(zip(self.kernels, other.kernels, strict=True))
         )
         shapes = [(s.nominal_data[0].shape, s.sensor_noise[0].shape) for s in (self, other)]
-        return same and self.task is other.task and shapes[0] == shapes[1]
+        own = self.task is other.task and self.policy == other.policy
+        return same and own and shapes[0] == shapes[1]
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
         """Run theta (p,) from start (n,) to failure or horizon."""
