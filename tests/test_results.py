@@ -5,6 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import ROOT
+from studies import optimizers
 from studies.side_by_side import side_by_side
 
 from simbias import results, tables
@@ -48,3 +49,11 @@ def test_what_is_not_published_or_lacks_a_column_is_named(
 
 def test_readmes_table_is_that_of_both_published_sweeps() -> None:
     assert side_by_side() in (ROOT / "README.md").read_text()
+
+
+def test_the_optimizers_table_is_that_of_its_searches() -> None:
+    folder = ROOT / "sweeps" / "results" / "optimizers"
+    searches = pd.read_csv(folder / "searches.csv")
+    assert set(searches.groupby(["optimizer", "budget"]).size()) == {50}
+    assert set(searches["optimizer"]) == set(optimizers.OPTIMIZERS)
+    assert optimizers.table(searches) == (folder / "table.md").read_text()
