@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from math import nan
 from typing import Any, NamedTuple
@@ -84,7 +85,7 @@ def arranged(
     down = [axis for axis in sweep.axes if axis is not aside]
     head = [name for axis in down for name in _heads(axis)]
     for label in aside.labels if aside else ("",):
-        head += [f"{label}: {measure}" if aside else measure for measure in measures]
+        head += [f"{_beside(aside, label)}: {measure}" if aside else measure for measure in measures]
     body = []
     for point in itertools.product(*(range(len(axis.labels)) for axis in down)):
         line = [text for axis, index in zip(down, point, strict=True) for text in _texts(axis, index)]
@@ -105,6 +106,11 @@ def _heads(axis: Axis) -> list[str]:
     """Heads of an axis' columns: its keys without their groups, in words."""
     names = [axis.name] if _labelled(axis) else axis.keys
     return [name.split(".")[-1].replace("_", " ") for name in names]
+
+
+def _beside(axis: Axis, label: str) -> str:
+    """A label at the head of columns; a number says of what."""
+    return f"{'/'.join(_heads(axis))} {label}" if re.fullmatch(r"[-+/.e\d]+", label) else label
 
 
 def _texts(axis: Axis, index: int) -> list[str]:

@@ -57,3 +57,8 @@ def test_the_optimizers_table_is_that_of_its_searches() -> None:
     assert set(searches.groupby(["optimizer", "budget"]).size()) == {50}
     assert set(searches["optimizer"]) == set(optimizers.OPTIMIZERS)
     assert optimizers.table(searches) == (folder / "table.md").read_text()
+
+
+def test_readme_shows_the_published_table_of_the_ablation() -> None:
+    table = ROOT / "sweeps" / "results" / "ablation" / "table.md"
+    assert table.read_text() in (ROOT / "README.md").read_text()

@@ -352,6 +352,17 @@ def test_measures_are_those_that_the_report_names() -> None:
     assert "iterations: likewise" in legend(sweep)
 
 
+def test_a_number_at_the_head_of_columns_says_of_what() -> None:
+    def head(columns: str) -> list[str]:
+        sweep = expand(["+sweep=learners", "sweep.trials=1", f"sweep.report.columns={columns}"])
+        return layout(cells(trials_frame(sweep), sweep), sweep).head
+
+    assert {"inertia error 0: experiments", "inertia error 0.2: experiments"} <= set(
+        head("hardware.inertia_error")
+    )
+    assert {"gp: experiments", "sparse_gp: experiments"} <= set(head("bias"))
+
+
 def test_interval_covers_the_mean_in_most_samples() -> None:
     """And does not depend on the order of the values."""
     rng = np.random.default_rng(0)
