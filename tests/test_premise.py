@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from studies.premise import STARTS, balanced_starts
+from premise import STARTS, balanced_starts
 
 from simbias.study import Study
 

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import last_policies
+import optimizers
 import pandas as pd
 import pytest
 from conftest import ROOT
-from studies import optimizers
-from studies.side_by_side import side_by_side
+from side_by_side import side_by_side
 
 from simbias import results, tables
 from simbias.config import ConfigError
@@ -62,3 +63,11 @@ def test_the_optimizers_table_is_that_of_its_searches() -> None:
 def test_readme_shows_the_published_table_of_the_ablation() -> None:
     table = ROOT / "sweeps" / "results" / "ablation" / "table.md"
     assert table.read_text() in (ROOT / "README.md").read_text()
+
+
+def test_readme_shows_what_the_policies_for_separate_feet_are_worth() -> None:
+    sweep = expand(["+sweep=feet"])
+    policies = pd.read_csv(ROOT / "sweeps" / "results" / "feet" / "policies.csv")
+    trials = results.published(sweep)
+    assert list(policies["repetition"]) == list(trials["repetition"])
+    assert last_policies.table(sweep, trials, policies) in (ROOT / "README.md").read_text()

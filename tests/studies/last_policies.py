@@ -1,8 +1,9 @@
 """How often the policies with which a sweep's trials ended balance the hardware.
 
-`python tests/studies/last_policies.py NAME FILE`, in the folder of the store, tries the last policy of every
-finished trial of `+sweep=NAME` from 20 random starts, the same for all, and writes a row for each to the file.
-A trial may succeed by luck, with two starts that its policy holds; this tells what the policy is worth.
+`python tests/studies/last_policies.py NAME FILE`, in the folder of the store, tries the last policy of each
+finished trial of `+sweep=NAME` from 20 random starts, the same for all, writes a row of the file for it and
+prints the sweep's table with them. A trial may succeed by luck, with two starts that its policy holds; this
+tells what the policy is worth.
 """
 
 from __future__ import annotations
@@ -11,14 +12,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
+from premise import STARTS, balanced_starts
 
 import simbias
-from simbias.grid import expand
+from simbias import tables
+from simbias.grid import Sweep, expand
 from simbias.recorded import load_trial
-from simbias.tables import interval
-from studies.premise import STARTS, balanced_starts
 
 
 def tried(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
@@ -29,16 +31,33 @@ def tried(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
     return told | {"balanced": balanced, "starts": STARTS}
 
 
-def main(name: str, path: Path) -> None:
-    """Try all policies, write the file, and print each cell's mean."""
-    sweep = expand([f"+sweep={name}"])
+def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
+    """The sweep's table, in markdown, and the mean share of starts that a cell's last policies balance."""
+    laid = tables.layout(tables.cells(trials, sweep), sweep)
     axes = [axis.name for axis in sweep.axes]
-    trials = simbias.load([]).tracking.finished(sweep).to_dict("records")
-    rows = pd.DataFrame(Parallel(n_jobs=2)(delayed(tried)(row, axes) for row in trials))
-    rows.to_csv(path, index=False, lineterminator="\n")
-    for cell, own in rows.groupby(axes, sort=False)["balanced"]:
-        low, high = interval(list(own / STARTS))
-        print(f"{' '.join(cell)}: {own.mean() / STARTS:.0%} [{low:.0%}, {high:.0%}] of {len(own)} policies' starts")
+    shares = dict(
+        iter((policies["balanced"] / policies["starts"]).groupby([policies[name] for name in axes]))
+    )
+    texts = []
+    for cell in sweep.cells:
+        own = list(shares[cell.labels])
+        low, high = tables.interval(own)
+        texts.append(f"{np.mean(own):.0%} [{low:.0%}, {high:.0%}]")
+    body = [[*line, text] for line, text in zip(laid.body, texts, strict=True)]
+    return tables.markdown(tables.Layout([*laid.head, "starts that the last policy balances"], body))
+
+
+def main(name: str, path: Path) -> None:
+    """Try all policies, write the file, and print the table."""
+    sweep = expand([f"+sweep={name}"])
+    if sweep.report.columns is not None:
+        sys.exit(f"{name} has cells side by side")
+    axes = [axis.name for axis in sweep.axes]
+    trials = simbias.load([]).tracking.finished(sweep)
+    rows = Parallel(n_jobs=2)(delayed(tried)(row, axes) for row in trials.to_dict("records"))
+    policies = pd.DataFrame(rows)
+    policies.to_csv(path, index=False, lineterminator="\n")
+    print(table(sweep, trials, policies), end="")
 
 
 if __name__ == "__main__":
