@@ -110,7 +110,7 @@ def _heads(axis: Axis) -> list[str]:
 
 def _beside(axis: Axis, label: str) -> str:
     """A label at the head of columns; a number says of what."""
-    return f"{'/'.join(_heads(axis))} {label}" if re.fullmatch(r"[-+/.e\d]+", label) else label
+    return f"{'/'.join(_heads(axis))} {label}" if re.fullmatch(r"[-+.]?\d[-+/.e\d]*", label) else label
 
 
 def _texts(axis: Axis, index: int) -> list[str]:

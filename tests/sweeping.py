@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlparse
@@ -39,11 +40,16 @@ def write_sweep(folder: Path, name: str, text: str) -> Path:
     return folder / "conf"
 
 
-def start(*arguments: str, folder: Path, **options: Any) -> subprocess.Popen[str]:
+SIMBIAS = ("-m", "simbias")
+
+
+def start(
+    *arguments: str, folder: Path, program: Sequence[str] = SIMBIAS, **options: Any
+) -> subprocess.Popen[str]:
     """A process of its own session, so that signals to it reach no one else."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "COLUMNS": "120"}
     return subprocess.Popen(
-        [sys.executable, "-u", "-m", "simbias", *arguments],
+        [sys.executable, "-u", *program, *arguments],
         cwd=folder,
         env=environment,
         stdout=subprocess.PIPE,

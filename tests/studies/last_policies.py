@@ -35,12 +35,10 @@ def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
     """The sweep's table, in markdown, and the mean share of starts that a cell's last policies balance."""
     laid = tables.layout(tables.cells(trials, sweep), sweep)
     axes = [axis.name for axis in sweep.axes]
-    shares = dict(
-        iter((policies["balanced"] / policies["starts"]).groupby([policies[name] for name in axes]))
-    )
+    shares = policies.assign(share=policies["balanced"] / policies["starts"]).groupby(axes)["share"]
     texts = []
     for cell in sweep.cells:
-        own = list(shares[cell.labels])
+        own = list(shares.get_group(cell.labels))
         low, high = tables.interval(own)
         texts.append(f"{np.mean(own):.0%} [{low:.0%}, {high:.0%}]")
     body = [[*line, text] for line, text in zip(laid.body, texts, strict=True)]
