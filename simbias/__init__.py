@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from simbias.study import Study
+    from simbias.tracking.trials import RecordedTrial
 
 __version__ = "0.1.0"
 
@@ -22,7 +23,20 @@ def load(overrides: Sequence[str] = (), config_dir: Path | str | None = None) ->
     simbias.config.ConfigError
         If an override or a value is bad; the message is one line that names the key.
     """
-    from simbias.build import build  # lazily: the command line's --help needs no components
-    from simbias.config import compose
+    from simbias.config import compose  # lazily: the command line's --help needs no components
+    from simbias.config.build import build
 
     return build(compose(overrides, config_dir))
+
+
+def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
+    """Read a trial back from a store: its study and its iterations.
+
+    Raises
+    ------
+    simbias.config.ConfigError
+        If the store has no such trial; the message is one line.
+    """
+    from simbias.tracking import trials
+
+    return trials.load_trial(run_id, uri)

@@ -93,9 +93,9 @@ def _as_yaml(composition: Composition) -> str:
 
 def _run(composition: Composition) -> int:
     """Run one trial in the terminal."""
-    from simbias.build import build
-    from simbias.console import TrialConsole, preparing, slowness_in_one_line
+    from simbias.config.build import build
     from simbias.interfaces import HardwareError
+    from simbias.terminal.trial import TrialConsole, preparing, slowness_in_one_line
     from simbias.trial import run_trial
 
     with preparing():
@@ -116,10 +116,10 @@ def _run(composition: Composition) -> int:
 
 def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run a sweep in the terminal, or tell what it would run."""
-    from simbias.build import engine
-    from simbias.console import preparing
-    from simbias.sweep import prepare, run_sweep
-    from simbias.sweep_console import SweepConsole, dry_run
+    from simbias.config.build import engine
+    from simbias.sweep.running import prepare, run_sweep
+    from simbias.terminal.sweep import SweepConsole, dry_run
+    from simbias.terminal.trial import preparing
     from simbias.tracking.store import cause
 
     trials_engine = engine(composition)

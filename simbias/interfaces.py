@@ -5,9 +5,9 @@ Units are the task's. Components are built from YAML: the keys of `conf/<group>/
 constructor's arguments, checked against its annotations; an argument named `task` receives the task.
 State is passed, never hidden; randomness comes only from a passed NumPy generator.
 
-A component may offer a compiled `kernel` (`simbias.kernels` has the signature of each role). When all parts
-of a closed loop do, whole rollouts run without Python; otherwise its methods are called frame by frame,
-with the same results.
+A component may offer a compiled `kernel` (`simbias.simulation.kernels` has the signature of each
+role). When all parts of a closed loop do, whole rollouts run without Python; otherwise its methods are
+called frame by frame, with the same results.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from simbias.optimizer.bookkeeping import Evaluations
 from simbias.records import Array, Iteration, Optimum, Rollout, Selection, Transitions
+from simbias.search import Evaluations
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from simbias.figures.batches import Batch, Outcomes
-    from simbias.figures.picture import Picture
-    from simbias.figures.swept import SweptTrials
-    from simbias.grid import Sweep, Trial
-    from simbias.recorded import RecordedTrial
-    from simbias.simulate import Model
+    from simbias.pictures.sweep.batches import Batch, Outcomes
+    from simbias.pictures.sweep.picture import Picture
+    from simbias.pictures.sweep.swept import SweptTrials
+    from simbias.simulation.closed_loop import Model
     from simbias.study import Study
+    from simbias.sweep.grid import Sweep, Trial
+    from simbias.tracking.trials import RecordedTrial
     from simbias.worker import TrialRecord
 
 T = TypeVar("T")
@@ -306,7 +306,7 @@ class Tracking(ABC):
 
     @abstractmethod
     def finished(self, sweep: Sweep) -> DataFrame:
-        """What is kept of a sweep's finished trials, as `simbias.results` describes it; changes nothing."""
+        """What is kept of a sweep's finished trials, see `simbias.tracking.results`; changes nothing."""
 
 
 class TrackedTrial(ABC):
@@ -344,7 +344,7 @@ class TrackedSweep(ABC):
 
     @abstractmethod
     def results(self) -> DataFrame:
-        """The trials that are finished or raised, as `simbias.results` describes them."""
+        """The trials that are finished or raised, as `simbias.tracking.results` describes them."""
 
     @abstractmethod
     def load(self, run_id: str) -> RecordedTrial:

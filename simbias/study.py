@@ -26,7 +26,7 @@ from simbias.interfaces import (
     Tracking,
 )
 from simbias.records import Array, Iteration, Rollout, Transitions
-from simbias.simulate import Model
+from simbias.simulation.closed_loop import Model
 
 
 class Unobserved:

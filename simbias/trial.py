@@ -47,7 +47,7 @@ def run_trial(
         raise
     tracked.close()
     if study.tracking.pictures:
-        from simbias.plots.gallery import pictures  # lazily: not everyone wants any
+        from simbias.pictures.trial.gallery import pictures  # lazily: not everyone wants any
 
         tracked.illustrate(pictures(study, iterations))
     return iterations[-1]

@@ -11,8 +11,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from simbias.build import build
 from simbias.config import Composition
+from simbias.config.build import build
 from simbias.interfaces import SlowWarning
 from simbias.records import Iteration
 
@@ -70,7 +70,7 @@ def run_plan(plan: Plan) -> TrialRecord:
             trace = traceback.format_exc()
         seconds = time.perf_counter() - start
         if error is None and study.tracking.pictures:
-            from simbias.plots.gallery import IN_SWEEPS, pictures  # lazily: not everyone wants any
+            from simbias.pictures.trial.gallery import IN_SWEEPS, pictures  # lazily: not everyone wants any
 
             drawn = pictures(study, iterations, IN_SWEEPS)
     light = tuple(replace(iteration, fitted_bias=None) for iteration in iterations)

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, int64, njit, types
 
-from simbias.kernels import VECTOR, correction_signature, kernel
-from simbias.lanes import WIDTH, everywhere, exp, loaded, stored
 from simbias.records import Array
+from simbias.simulation.kernels import VECTOR, correction_signature, kernel
+from simbias.simulation.lanes import WIDTH, everywhere, exp, loaded, stored
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 GROUP = 4  # panels of the triangle that have as many columns

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.interfaces import Bias, FittedBias, Kernel
-from simbias.kernels import VECTOR, correction_signature, kernel
 from simbias.records import Array, Transitions
+from simbias.simulation.kernels import VECTOR, correction_signature, kernel
 
 
 @kernel(correction_signature(VECTOR))

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
 from simbias.interfaces import Cost, Task
-from simbias.kernels import COST, kernel
 from simbias.records import Rollout
+from simbias.simulation.kernels import COST, kernel
 
 
 @kernel(COST)

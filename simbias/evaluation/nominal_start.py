@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.interfaces import Cost, Evaluation, Objective, Simulator, Task
 from simbias.records import Array
-from simbias.simulate import Model
+from simbias.simulation.closed_loop import Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import Field, PositiveInt
 
 from simbias.interfaces import Cost, Evaluation, Objective, Simulator, Task
-from simbias.noise import Noise
 from simbias.records import Array, Disturbance, Indices
-from simbias.simulate import Model, joined
+from simbias.simulation.closed_loop import Model, joined
+from simbias.simulation.noise import Noise
 
 Aggregate = Literal["mean", "max", "cvar"]
 _NOISELESS = Noise()

@@ -10,8 +10,8 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from simbias.hardware.pymunk_world import Feet, World
 from simbias.interfaces import Hardware, HardwareError, Policy
-from simbias.noise import Noise
 from simbias.records import Array, Rollout
+from simbias.simulation.noise import Noise
 from simbias.task.bongoboard import Bongoboard
 
 Record = Literal["true_state", "measured"]

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, types
 
-from simbias.kernels import STEP, VECTOR, kernel
 from simbias.records import Array
+from simbias.simulation.kernels import STEP, VECTOR, kernel
 from simbias.task.bongoboard import Robot
 
 

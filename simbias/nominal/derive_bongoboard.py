@@ -91,7 +91,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, types
 
-from simbias.kernels import STEP, VECTOR, kernel
+from simbias.simulation.kernels import STEP, VECTOR, kernel
 from simbias.records import Array
 from simbias.task.bongoboard import Robot
 

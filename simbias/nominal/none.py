@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from simbias.interfaces import Kernel, Nominal, Task
-from simbias.kernels import STEP, kernel
 from simbias.records import Array
+from simbias.simulation.kernels import STEP, kernel
 
 
 @kernel(STEP)

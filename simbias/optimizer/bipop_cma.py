@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import PositiveFloat, PositiveInt
 
 from simbias.interfaces import Optimizer
-from simbias.optimizer.bookkeeping import Evaluations
 from simbias.optimizer.cma import RESOLUTION, Population, evolve
+from simbias.search import Evaluations
 
 
 class BipopCma(Optimizer):

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from simbias.interfaces import Optimizer
-from simbias.optimizer.bookkeeping import Evaluations
 from simbias.records import Array
+from simbias.search import Evaluations
 
 RESOLUTION = "the resolution"
 Population = Annotated[int, Field(ge=2)]

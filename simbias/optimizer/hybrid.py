@@ -6,10 +6,10 @@ import numpy as np
 from pydantic import PositiveFloat, PositiveInt
 
 from simbias.interfaces import Optimizer
-from simbias.optimizer.bookkeeping import Evaluations
 from simbias.optimizer.cma import RESOLUTION, Population, evolve
 from simbias.optimizer.nlopt import Algorithm, Nlopt
 from simbias.records import Array
+from simbias.search import Evaluations
 
 
 class Hybrid(Optimizer):

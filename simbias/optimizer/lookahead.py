@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simbias.optimizer.bookkeeping import Evaluations, Search
 from simbias.records import Array
+from simbias.search import Evaluations, Search
 
 FIRST_GUESS = 1e6
 MOST = 32  # points evaluated together; of more, too many guesses are wrong

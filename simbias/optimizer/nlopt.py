@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import PositiveFloat, PositiveInt
 
 from simbias.interfaces import Optimizer
-from simbias.optimizer.bookkeeping import EVALUATION_LIMIT, Evaluations
 from simbias.optimizer.lookahead import look_ahead
 from simbias.records import Array
+from simbias.search import EVALUATION_LIMIT, Evaluations
 
 Algorithm = Literal[
     "GN_DIRECT",

@@ -7,8 +7,8 @@ from pydantic import PositiveFloat, PositiveInt
 from scipy.optimize import Bounds, direct
 
 from simbias.interfaces import Optimizer
-from simbias.optimizer.bookkeeping import Evaluations
 from simbias.optimizer.lookahead import look_ahead
+from simbias.search import Evaluations
 
 
 class ScipyDirect(Optimizer):

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import PositiveFloat
 
 from simbias.interfaces import Kernel, Policy, Task
-from simbias.kernels import CONTROL, kernel
 from simbias.records import Array
+from simbias.simulation.kernels import CONTROL, kernel
 
 
 @kernel(CONTROL)

@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from simbias.interfaces import Criterion, Kernel, Quantity, Task
-from simbias.kernels import MEASURE, OUTPUT, kernel
 from simbias.records import Array
+from simbias.simulation.kernels import MEASURE, OUTPUT, kernel
 
 SixNumbers = Annotated[list[float], Field(min_length=6, max_length=6)]
 

@@ -92,7 +92,7 @@ def metrics(iteration: Iteration) -> dict[str, float]:
 
 
 def sweep_metrics(trials: DataFrame) -> dict[str, float]:
-    """A sweep's trials, as `simbias.results` describes them, in numbers."""
+    """A sweep's trials, as `simbias.tracking.results` describes them, in numbers."""
     outcomes = list(trials["outcome"])
     counts = {
         name.replace(" ", "_"): outcomes.count(name) for name in ("succeeded", "not succeeded", "error")

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from pandas import DataFrame
 
-    from simbias.grid import Sweep
     from simbias.study import Study
+    from simbias.sweep.grid import Sweep
 
 NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 PICTURES = "pictures"  # folder of the artifacts
@@ -86,7 +86,7 @@ class Mlflow(Tracking):
 
     def finished(self, sweep: Sweep) -> DataFrame:
         """The finished trials of a sweep; a store that is not there is not made."""
-        from simbias import results
+        from simbias.tracking import results
 
         if not exists(self._uri):
             return results.frame([], sweep)

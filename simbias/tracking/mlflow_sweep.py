@@ -12,18 +12,18 @@ from typing import IO, TYPE_CHECKING, Any
 from omegaconf import OmegaConf
 from pandas import DataFrame
 
-from simbias import results, tables
 from simbias.interfaces import TrackedSweep
-from simbias.tracking import fields, notes, pages
+from simbias.sweep import tables
+from simbias.tracking import fields, notes, pages, results
 from simbias.tracking.mlflow import NOTE, MlflowTrial
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-    from simbias.figures.batches import Outcomes
-    from simbias.grid import Sweep, Trial
-    from simbias.recorded import RecordedTrial
+    from simbias.pictures.sweep.batches import Outcomes
     from simbias.study import Study
+    from simbias.sweep.grid import Sweep, Trial
+    from simbias.tracking.trials import RecordedTrial
     from simbias.worker import TrialRecord
 
 FIGURES = "figures"  # folder of the parent's artifacts
@@ -110,7 +110,7 @@ class MlflowSweep(TrackedSweep):
 
     def load(self, run_id: str) -> RecordedTrial:
         """A trial, read back."""
-        from simbias.recorded import load_trial
+        from simbias.tracking.trials import load_trial
 
         return load_trial(run_id, self._client.tracking_uri)
 
@@ -120,7 +120,7 @@ class MlflowSweep(TrackedSweep):
 
     def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
         """The outcomes that are in the store; what a killed process left half written is not."""
-        from simbias.figures.batches import Outcomes
+        from simbias.pictures.sweep.batches import Outcomes
 
         wanted = {f"{EXPERIMENTS}/{batch}.json": batch for batch in batches}
         found = {}

@@ -13,10 +13,10 @@ from simbias.records import Array, Iteration, Rollout
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from simbias.figures.batches import Outcomes
-    from simbias.grid import Sweep, Trial
-    from simbias.recorded import RecordedTrial
+    from simbias.pictures.sweep.batches import Outcomes
     from simbias.study import Study
+    from simbias.sweep.grid import Sweep, Trial
+    from simbias.tracking.trials import RecordedTrial
     from simbias.worker import TrialRecord
 
 
@@ -42,7 +42,7 @@ class NoTracking(Tracking):
 
     def finished(self, sweep: Sweep) -> DataFrame:
         """No trial."""
-        from simbias.results import frame
+        from simbias.tracking.results import frame
 
         return frame([], sweep)
 
@@ -78,13 +78,13 @@ class UntrackedSweep(TrackedSweep):
 
     def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
         """Keep a row of a trial."""
-        from simbias.results import row_of_record
+        from simbias.tracking.results import row_of_record
 
         self._rows.append(row_of_record(trial, record, study, self._sweep))
 
     def results(self) -> DataFrame:
         """The trials so far, in the sweep's order."""
-        from simbias.results import frame
+        from simbias.tracking.results import frame
 
         order = {trial.hash: index for index, trial in enumerate(self._sweep.trials)}
         return frame(sorted(self._rows, key=lambda row: order[row["hash"]]), self._sweep)

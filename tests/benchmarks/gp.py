@@ -22,8 +22,8 @@ from threadpoolctl import threadpool_limits
 import simbias
 from simbias.bias.covariance import correlation
 from simbias.interfaces import FittedBias, SlowWarning
-from simbias.lanes import WIDTH
 from simbias.records import Array, Transitions
+from simbias.simulation.lanes import WIDTH
 
 ROUNDS, STEPS, SLOW_STEPS = 15, 4 * WIDTH, 8
 SIZES = [50, 100, 200, 571, 1000, 2000, 4000]

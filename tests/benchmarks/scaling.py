@@ -22,10 +22,10 @@ from threadpoolctl import threadpool_limits
 import simbias
 from simbias.__main__ import main as command_line
 from simbias.interfaces import FittedBias
-from simbias.lanes import WIDTH
-from simbias.plots import save
-from simbias.plots.style import HARDWARE, SIMULATION, plain
+from simbias.pictures import save
+from simbias.pictures.style import HARDWARE, SIMULATION, plain
 from simbias.records import Array, Transitions
+from simbias.simulation.lanes import WIDTH
 from simbias.study import Study
 
 SAMPLES = [50, 100, 200, 400, 571, 1000, 2000, 4000]

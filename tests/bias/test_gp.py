@@ -16,12 +16,12 @@ from simbias.bias.covariance import stable_cholesky
 from simbias.bias.gp import GaussianProcess
 from simbias.bias.gp_kernel import FEW
 from simbias.bias.inducing import Inducing
-from simbias.build import build
-from simbias.console import slowness_in_one_line
+from simbias.config.build import build
 from simbias.interfaces import SlowWarning
-from simbias.lanes import WIDTH
 from simbias.records import Array, Transitions
+from simbias.simulation.lanes import WIDTH
 from simbias.study import Study
+from simbias.terminal.trial import slowness_in_one_line
 from simbias.worker import run_plan
 
 SCALE = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])  # of plausible states and torques

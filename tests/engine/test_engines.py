@@ -16,8 +16,8 @@ import psutil
 import pytest
 from sweeping import FOUR_CELLS, run, trial_by_trial, write_sweep
 
-from simbias.build import engine
 from simbias.config import ConfigError, compose
+from simbias.config.build import engine
 from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky
 from simbias.engine.rounds import RoundBrokenError, until_done

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import simbias
 from simbias.evaluation.robust import CostOfScenarios, Robust, Scenario
-from simbias.noise import Noise
 from simbias.records import Array, Rollout
+from simbias.simulation.noise import Noise
 from simbias.study import Study
 
 NOISE = Noise(torque_variance=0.1, angle_variance=1e-6, velocity_variance=1e-3)

@@ -16,10 +16,10 @@ import simbias
 from simbias.hardware.pymunk import BLOW_UP, PymunkBongoboard
 from simbias.hardware.pymunk_world import World, inertias, places
 from simbias.interfaces import HardwareError, Policy
-from simbias.noise import Noise
 from simbias.nominal.bongoboard import LagrangianBongoboard
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.records import Array, Rollout
+from simbias.simulation.noise import Noise
 from simbias.task.bongoboard import Bongoboard, Limits, Robot, Start
 
 CONF = Path(__file__).parents[2] / "conf"

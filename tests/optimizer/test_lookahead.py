@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import simbias
-from simbias.optimizer.bookkeeping import Evaluations
 from simbias.optimizer.lookahead import MOST, look_ahead
 from simbias.records import Array, Optimum
+from simbias.search import Evaluations
 
 SEARCHES = ["nlopt_direct", "nlopt_crs", "scipy_direct", "cma", "bipop_cma", "hybrid"]
 

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
 from simbias.interfaces import Optimizer
-from simbias.optimizer.bookkeeping import EVALUATION_LIMIT, RELATIVE_TOLERANCE, Evaluations
 from simbias.optimizer.cma import Cma
 from simbias.optimizer.hybrid import Hybrid
 from simbias.optimizer.nlopt import Algorithm, Nlopt
 from simbias.optimizer.scipy import ScipyDirect
 from simbias.records import Array, Optimum
+from simbias.search import EVALUATION_LIMIT, RELATIVE_TOLERANCE, Evaluations
 
 SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "optimizer").glob("*.yaml"))
 RANDOM = [name for name in SHIPPED if "direct" not in name]

@@ -18,9 +18,9 @@ from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
 
 import simbias
-from simbias import tables
-from simbias.grid import Sweep, expand
-from simbias.recorded import load_trial
+from simbias.sweep import tables
+from simbias.sweep.grid import Sweep, expand
+from simbias.tracking.trials import load_trial
 
 
 def tried(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:

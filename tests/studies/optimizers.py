@@ -28,7 +28,7 @@ import simbias
 from simbias.interfaces import Cost, Objective
 from simbias.optimizer.nlopt import Algorithm
 from simbias.records import Array, Rollout
-from simbias.tables import BLANK
+from simbias.sweep.tables import BLANK
 
 GOOD = 10.0  # a cost Z below which a search has found a good policy
 NEAR = 1.1  # times the seed's best known cost: the search has converged

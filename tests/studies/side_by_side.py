@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from simbias import results, tables
-from simbias.grid import Sweep, expand
+from simbias.sweep import tables
+from simbias.sweep.grid import Sweep, expand
+from simbias.tracking import results
 
 MEASURES = ("paper", "its method here", "ours", "our iterations")
 

@@ -27,9 +27,9 @@ from scipy.signal import savgol_filter
 
 import simbias
 from simbias.interfaces import Nominal
-from simbias.noise import Noise
 from simbias.records import Array, Rollout, Transitions
 from simbias.samples.thresholds import Thresholds, Windows
+from simbias.simulation.noise import Noise
 from simbias.study import Study
 
 ROWS = {1: (0, 0, 0), 5: (0.1, 1e-6, 1e-3), 8: (0.1, 8e-6, 8e-3), 10: (0.1, 3.2e-5, 3.2e-2)}

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from sweeping import write_sweep
 
 from simbias.config import ConfigError, Variations, compose, sweeps
-from simbias.grid import RESERVED, Sweep, expand
-from simbias.results import COLUMNS
-from simbias.tables import MEASURES
+from simbias.sweep.grid import RESERVED, Sweep, expand
+from simbias.sweep.tables import MEASURES
+from simbias.tracking.results import COLUMNS
 
 VALUES = [0.0, 0.001, 0.1, 0.2, 0.35, 1.5]
 axis_values = st.lists(st.sampled_from(VALUES), min_size=1, max_size=4, unique=True)

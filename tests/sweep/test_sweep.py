@@ -20,15 +20,15 @@ from rich.console import Console
 from sweeping import QUICK, artifacts, everything, run, runs, table, trial_by_trial, write_sweep
 
 from simbias.__main__ import main
-from simbias.build import build
 from simbias.config import sweeps
-from simbias.grid import Sweep, expand
+from simbias.config.build import build
 from simbias.interfaces import Engine
-from simbias.results import row_of_record
-from simbias.sweep_console import SweepConsole
-from simbias.tables import cells, interval, layout, legend, markdown
+from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.tables import cells, interval, layout, legend, markdown
+from simbias.terminal.sweep import SweepConsole
 from simbias.tracking.mlflow import MlflowTrial
 from simbias.tracking.mlflow_sweep import MlflowSweep
+from simbias.tracking.results import row_of_record
 from simbias.tracking.store import connect
 from simbias.worker import TrialRecord, run_plan
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 
-from simbias.grid import expand
+from simbias.sweep.grid import expand
 from simbias.tracking import pages
 
 

@@ -1,0 +1,32 @@
+"""Records in, Matplotlib figures out.
+
+No function touches pyplot, so none needs a display or leaves an open figure: save a figure with `save`, or
+let a notebook show what a function returns. Those of a trial take its study and its iterations, as
+`study.run()` yields them or `simbias.load_trial` reads them back. How a task looks is told by the drawing
+beside it: the functions `draw` and `move` of the module `<the task's module>_drawing`.
+"""
+
+from simbias.pictures.drawing import Drawing, drawing_of
+from simbias.pictures.style import save
+from simbias.pictures.trial.animation import save_animation
+from simbias.pictures.trial.costs import costs
+from simbias.pictures.trial.errors import prediction_errors
+from simbias.pictures.trial.forecast import forecast
+from simbias.pictures.trial.overview import overview
+from simbias.pictures.trial.phases import phases
+from simbias.pictures.trial.rejections import rejections
+from simbias.pictures.trial.snapshots import snapshots
+
+__all__ = [
+    "Drawing",
+    "costs",
+    "drawing_of",
+    "forecast",
+    "overview",
+    "phases",
+    "prediction_errors",
+    "rejections",
+    "save",
+    "save_animation",
+    "snapshots",
+]

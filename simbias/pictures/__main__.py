@@ -1,0 +1,83 @@
+"""Pictures from the command line: of a stored trial, or of one that runs for it.
+
+`python -m simbias.pictures RUN_ID FOLDER` and `python -m simbias.pictures OUT.png [override ...]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from simbias import load
+from simbias.config import ConfigError
+from simbias.interfaces import HardwareError
+from simbias.pictures import overview, save
+from simbias.pictures.trial.gallery import save_all
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Save what the arguments ask for; return the exit status."""
+    parser = _parser()
+    parsed = parser.parse_args(arguments)
+    try:
+        if parsed.what.endswith(".png"):
+            return _run(parser, Path(parsed.what), parsed.more, parsed.config_dir)
+        if len(parsed.more) != 1:
+            parser.error(f"{parsed.what}: neither OUT.png nor a RUN_ID that one FOLDER follows")
+        return _read(parsed.what, Path(parsed.more[0]), parsed.uri)
+    except ConfigError as error:
+        print(f"simbias: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except HardwareError as error:
+        print(f"simbias: hardware: {error}", file=sys.stderr)
+        return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    parser = argparse.ArgumentParser(
+        prog="python -m simbias.pictures",
+        usage="%(prog)s RUN_ID FOLDER [--uri URI] | OUT.png [override ...] [--config-dir DIR]",
+        description="Save all pictures of a trial in a store, as PNG, SVG and GIF; "
+        "or run a trial that no store keeps, and save its overview.",
+    )
+    parser.add_argument(
+        "what", metavar="RUN_ID | OUT.png", help="a trial's run in MLflow, or the file to write"
+    )
+    parser.add_argument(
+        "more", nargs="*", metavar="FOLDER | override", help="overrides as of python -m simbias"
+    )
+    parser.add_argument("--uri", default="sqlite:///mlflow.db", help="the run's store (default: %(default)s)")
+    parser.add_argument("--config-dir", metavar="DIR", help="a folder with groups and options of your own")
+    return parser
+
+
+def _read(run_id: str, folder: Path, uri: str) -> int:
+    """Save all pictures of a stored trial."""
+    from simbias.tracking.trials import load_trial
+
+    trial = load_trial(run_id, uri)
+    if not trial.iterations:
+        raise ConfigError(run_id, "no iteration has ended, so there is nothing to draw")
+    saved = save_all(trial.study, trial.iterations, folder)
+    print(f"{folder}: {', '.join(saved)} of {trial.study.title}, seed {trial.study.seed}")
+    return DONE
+
+
+def _run(parser: argparse.ArgumentParser, out: Path, overrides: Sequence[str], config_dir: str | None) -> int:
+    """Run a trial that no store keeps, and save its overview."""
+    if not out.parent.is_dir():
+        parser.error(f"{out}: OUT.png has to be in a folder that exists")
+    study = load([*overrides, "tracking=none"], config_dir)
+    iterations = list(study.run())
+    save(overview(study, iterations), out)
+    print(f"{out}: {study.title}, seed {study.seed}")
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""Hardware experiments that a figure needs besides those of the trials."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from simbias.config import Composition
+from simbias.config.build import build
+from simbias.interfaces import HardwareError
+from simbias.records import Array
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Experiments with one policy on one hardware, the i-th from the i-th start; the seed is of the noise."""
+
+    config: Mapping[str, Any]  # of the study whose hardware it is
+    choices: Mapping[str, str]
+    parameters: tuple[float, ...]  # theta (p,)
+    starts: tuple[tuple[float, ...], ...]  # (k, n)
+    seed: int
+
+    @staticmethod
+    def of(study: Composition, parameters: Array, starts: Array, seed: int) -> Batch:
+        """Experiments with theta (p,) from starts (k, n) on a study's hardware."""
+        plain = tuple(tuple(start) for start in starts.tolist())
+        return Batch(study.config, study.choices, tuple(parameters.tolist()), plain, seed)
+
+    @property
+    def hash(self) -> str:
+        """Identity: 12 hexadecimal digits of everything that affects the outcomes."""
+        parts = [Composition(self.config, self.choices).cell, self.parameters, self.starts, self.seed]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What the k experiments of a batch came to."""
+
+    costs: tuple[float, ...]  # (k,) Z of Eq. 8
+    frames: tuple[int, ...]  # (k,) for which the robot was controlled
+    failures: tuple[str, ...]  # (k,) criteria of Section IV-C that failed, in words; empty where none did
+    error: str = ""  # why there are none
+
+    def as_json(self) -> str:
+        """Text of which `from_json` makes the same again."""
+        return json.dumps(asdict(self))
+
+    @staticmethod
+    def from_json(text: str) -> Outcomes:
+        """Outcomes as `as_json` wrote them.
+
+        Raises
+        ------
+        ValueError
+            If the text is cut off.
+        """
+        fields = json.loads(text)
+        return Outcomes(tuple(fields["costs"]), tuple(fields["frames"]), tuple(fields["failures"]))
+
+
+def run_batch(batch: Batch) -> Outcomes:
+    """Run the experiments of a batch; what the hardware raises is part of the outcomes."""
+    study = build(Composition(batch.config, batch.choices))
+    parameters, starts = np.array(batch.parameters), np.array(batch.starts)
+    try:
+        rollouts = [
+            study.hardware.run(study.policy, parameters, start, rng)
+            for start, rng in zip(starts, np.random.default_rng(batch.seed).spawn(len(starts)), strict=True)
+        ]
+    except HardwareError as error:
+        return Outcomes((), (), (), f"hardware: {error}")
+    return Outcomes(
+        costs=tuple(float(study.cost.of(rollout)) for rollout in rollouts),
+        frames=tuple(rollout.frames for rollout in rollouts),
+        failures=tuple(rollout.failure or "" for rollout in rollouts),
+    )

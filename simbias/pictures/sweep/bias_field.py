@@ -1,0 +1,238 @@
+"""Fig. 5: the velocity field of the learned bias."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from pydantic import PositiveInt
+
+from simbias.interfaces import SweepFigure, Task
+from simbias.pictures.style import HARDWARE, SMALL, label, plain, symbol
+from simbias.pictures.sweep.batches import Outcomes
+from simbias.pictures.sweep.picture import Picture
+from simbias.pictures.sweep.swept import FigureError, SweptTrials
+from simbias.pictures.trial.compared import corrections
+from simbias.records import Array, Selection, Transitions
+from simbias.tracking.trials import RecordedTrial
+
+DATA, PREDICTION, TRUTH = "#56B4E9", HARDWARE, "0.1"  # as the paper's cyan, red and blue
+LONG = 0.15  # of an arrow that is longer than 95% of them, as a part of the widest axis
+HELD_OUT = 5  # apart from all other random numbers of a trial
+ThreeStates = tuple[str, str, str]
+
+
+class Held(NamedTuple):
+    """Residuals of experiments that were not learned from, and what was learned says of them."""
+
+    data: Transitions  # that was learned from
+    selection: Selection  # of the held-out experiments
+    mean: Array  # (N, n) of the bias, Eq. 4
+    corrected: Array  # (N, n) the last term of Eq. 7
+
+
+class Field(NamedTuple):
+    """Arrows of one colour."""
+
+    places: Array  # (k, 3) of the three states
+    velocities: Array  # (k, 3)
+    color: str
+    width: float  # pt
+    words: str
+
+
+class BiasField(SweepFigure):
+    """The bias that the last policy of the sweep's first trial was searched on, against held-out experiments.
+
+    Arrows are the residuals of Eq. 6 over the time step, in the subspace of three states: training data,
+    prediction and truth (Fig. 5). The truth is of experiments with each of the trial's policies, from starts
+    that the trial did not meet; which of their samples count is decided as for learning (Section IV-C).
+
+    Parameters
+    ----------
+    states
+        The three.
+    experiments
+        Held-out ones with each policy.
+    arrows
+        Held-out samples that are drawn, far from each other; all count in the error.
+    """
+
+    def __init__(
+        self, task: Task, states: ThreeStates, experiments: PositiveInt = 4, arrows: PositiveInt = 40
+    ) -> None:
+        names = [quantity.name for quantity in task.states]
+        for state in states:
+            if state not in names:
+                raise ValueError(f"the task has no state {state}; it has {', '.join(names)}")
+        self._task = task
+        self._chosen = [names.index(state) for state in states]
+        self._experiments = experiments
+        self._arrows = arrows
+
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture; its numbers are the held-out errors of every state."""
+        _, trial = next(trials.recorded())
+        held = self._held_out(trial)
+        if not len(held.selection.transitions):
+            raise FigureError("no held-out sample is within the limits of Section IV-C")
+        errors = self._errors(held)
+        experiments = self._experiments * len(trial.iterations)
+        return Picture(self._figure(held, errors), errors, self._caption(held, errors, experiments))
+
+    def _held_out(self, trial: RecordedTrial) -> Held:
+        """Experiments that the trial did not make, and what its bias predicts of them."""
+        study, bias = trial.study, trial.iterations[-1].fitted_bias
+        assert bias is not None  # read back, not from a worker
+        rng = np.random.default_rng([study.seed, HELD_OUT])
+        rollouts = [
+            study.experiment(iteration.optimum.parameters, experiment_rng)
+            for iteration in trial.iterations
+            for experiment_rng in rng.spawn(self._experiments)
+        ]
+        selection = study.samples.select(rollouts, study.nominal)
+        inputs, n = selection.transitions.inputs, len(study.task.states)
+        corrected = corrections(
+            bias, np.ascontiguousarray(inputs[:, :n]), np.ascontiguousarray(inputs[:, n:])
+        )
+        data = trial.iterations[-2].data if len(trial.iterations) > 1 else study.no_data
+        return Held(data, selection, bias.predict(inputs)[0], corrected)
+
+    def _errors(self, held: Held) -> pd.DataFrame:
+        """Root mean squares over the held-out samples: of every state's residual, and of what is left."""
+        truth = held.selection.transitions.residuals
+        table = pd.DataFrame(
+            {
+                "state": [quantity.name for quantity in self._task.states],
+                "unit": [quantity.unit for quantity in self._task.states],
+                "samples": len(truth),
+                "residual": _rms(truth),
+                "error_of_mean": _rms(truth - held.mean),
+                "error_of_eq7": _rms(truth - held.corrected),
+            }
+        )
+        for name in ("mean", "eq7"):
+            table[f"relative_{name}"] = table[f"error_of_{name}"] / table["residual"]
+        return table
+
+    def _figure(self, held: Held, errors: pd.DataFrame) -> Figure:
+        """The field in its three projections, and the errors."""
+        figure = Figure(figsize=(10.0, 8.2), layout=ConstrainedLayoutEngine(h_pad=0.12))
+        grid = figure.subplots(2, 2).ravel()
+        fields = self._fields(held)
+        width = max(np.ptp(np.concatenate([field.places for field in fields]), axis=0))
+        speeds = np.linalg.norm(np.concatenate([field.velocities for field in fields]), axis=1)
+        seconds = LONG * width / np.percentile(speeds, 95)  # that an arrow covers
+        for axes, pair in zip(grid, itertools.combinations(range(3), 2), strict=False):
+            self._draw_projection(axes, fields, list(pair), seconds)
+        _draw_errors(grid[3], errors)
+        handles = [Line2D([], [], color=field.color, lw=field.width, label=field.words) for field in fields]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
+        return figure
+
+    def _fields(self, held: Held) -> list[Field]:
+        """What is drawn as arrows, from back to front."""
+        truth = held.selection.transitions
+        shown = _far_apart(truth.inputs[:, self._chosen], self._arrows)
+        at, u, v = truth.inputs[shown], truth.residuals[shown], held.mean[shown]
+        learned = f"training data, {len(held.data)} samples"
+        return [
+            self._field(held.data.inputs, held.data.residuals, DATA, 0.6, learned),
+            self._field(at, u, TRUTH, 2.2, "truth at held-out samples"),
+            self._field(at, v, PREDICTION, 1.0, "prediction there (mean, Eq. 4)"),
+        ]
+
+    def _field(self, inputs: Array, residuals: Array, color: str, width: float, words: str) -> Field:
+        """Residuals (k, n) at inputs (k, n+m) as arrows."""
+        velocities = residuals[:, self._chosen] / self._task.time_step
+        return Field(inputs[:, self._chosen], velocities, color, width, words)
+
+    def _draw_projection(self, axes: Axes, fields: Sequence[Field], pair: list[int], seconds: float) -> None:
+        """Two of the three dimensions."""
+        for field in fields:
+            arrows = axes.quiver(
+                *field.places[:, pair].T,
+                *(seconds * field.velocities[:, pair]).T,
+                color=field.color,
+                angles="xy",
+                scale_units="xy",
+                scale=1.0,
+                units="inches",
+                width=field.width / 72,
+            )
+        ends = [p for f in fields for p in (f.places[:, pair], (f.places + seconds * f.velocities)[:, pair])]
+        axes.update_datalim(np.concatenate(ends))
+        axes.autoscale_view()
+        velocity = 10.0 ** np.floor(np.log10(0.2 * np.ptp(axes.get_xlim()) / seconds))
+        words = f"{velocity:g} {self._task.states[self._chosen[0]].unit}/s"
+        axes.quiverkey(
+            arrows,
+            0.8,
+            1.03,
+            seconds * velocity,
+            words,
+            labelpos="E",
+            color=TRUTH,
+            fontproperties={"size": SMALL},
+        )
+        horizontal, vertical = (self._task.states[self._chosen[index]] for index in pair)
+        axes.set(xlabel=label(horizontal), ylabel=label(vertical))
+        plain(axes)
+
+    def _caption(self, held: Held, errors: pd.DataFrame, experiments: int) -> str:
+        """What is seen."""
+        selection, rows = held.selection, errors.to_dict("records")
+        left = ", ".join(
+            f"{row['state']} {row['relative_mean']:.0%} ({row['relative_eq7']:.0%})" for row in rows
+        )
+        count, sampled = len(selection.transitions), selection.sampled
+        return (
+            f"The bias learned from {len(held.data)} samples, as velocities, against {experiments} "
+            f"experiments from other starts ({count} samples; {sampled - count} more rejected as in "
+            "learning). Root mean square of what the mean leaves of the residual, over that of the residual "
+            f"itself (in brackets: with the weight of Eq. 7): {left}."
+        )
+
+
+def _rms(values: Array) -> Array:
+    """Root mean square of the columns of (N, n)."""
+    return np.sqrt(np.mean(values**2, axis=0))
+
+
+def _far_apart(points: Array, count: int) -> Array:
+    """Indices of up to `count` of the points (N, 3), each the farthest from those before it."""
+    chosen = [0]
+    distance = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.array(chosen)
+
+
+def _draw_errors(axes: Axes, errors: pd.DataFrame) -> None:
+    """The held-out error of every state, relative to the residual itself."""
+    x = np.arange(len(errors))
+    for aside, name, color, words in (
+        (-0.2, "relative_mean", PREDICTION, "of the mean (Eq. 4)"),
+        (0.2, "relative_eq7", "#E69F00", "of the weighted mean (Eq. 7)"),
+    ):
+        bars = axes.bar(x + aside, errors[name], 0.38, color=color, label=words)
+        axes.bar_label(bars, fmt="%.2f", fontsize=SMALL)
+    axes.axhline(1.0, color=TRUTH, linewidth=0.8)
+    axes.text(len(x) - 0.5, 1.01, "nominal model", ha="right", va="bottom", fontsize=SMALL)
+    ticks = [
+        f"{symbol(row['state'])}\n{row['residual']:.1e}\n{row['unit']}" for row in errors.to_dict("records")
+    ]
+    axes.set_xticks(x, ticks, fontsize=SMALL)
+    axes.set_xlabel("state, and the rms of its residual in a time step", fontsize=SMALL)
+    axes.set_ylabel("held-out rms error / rms residual")
+    axes.legend(loc="upper left", frameon=False, fontsize=SMALL)
+    axes.set_ylim(0.0, 1.15 * max(1.0, errors[["relative_mean", "relative_eq7"]].to_numpy().max()) + 0.1)
+    plain(axes)

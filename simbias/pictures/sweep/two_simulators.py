@@ -1,0 +1,148 @@
+"""Fig. 4: snapshots of both simulators under the policy of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pydantic import PositiveInt
+
+from simbias.interfaces import SweepFigure, Task
+from simbias.pictures.drawing import drawing_of, same_view
+from simbias.pictures.style import HARDWARE, NOMINAL, SMALL, seconds
+from simbias.pictures.sweep.batches import Outcomes
+from simbias.pictures.sweep.picture import Picture
+from simbias.pictures.sweep.swept import SweptTrials
+from simbias.pictures.trial.animation import animate
+from simbias.pictures.trial.compared import first_and_last, hardware_words, policy_words
+from simbias.pictures.trial.snapshots import strip
+from simbias.records import Iteration, Rollout
+from simbias.study import Study
+
+PICTURE, TOP, HEAD, GAP, LEFT = 1.3, 0.42, 0.62, 0.12, 0.3  # snapshot, what is above it and beside, in
+NOISE = 4  # apart from all other random numbers of a trial
+
+
+class Run(NamedTuple):
+    """A policy on a simulator."""
+
+    policy: str
+    simulator: str
+    color: str
+    rollout: Rollout
+
+
+class TwoSimulators(SweepFigure):
+    """The first and the last policy of the sweep's first trial, on the nominal model and on the hardware.
+
+    The first is optimised for the nominal model alone, the last is what was learned (Fig. 4); they are one
+    if the first succeeded. All start at the task's mean.
+
+    Parameters
+    ----------
+    columns
+        Snapshots of each.
+    """
+
+    def __init__(self, task: Task, columns: PositiveInt = 6) -> None:
+        draw = drawing_of(task)
+        if draw is None:
+            raise ValueError(f"nothing draws {type(task).__name__}")
+        self._draw = draw
+        self._columns = columns
+
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture; its numbers are a row for each policy and simulator."""
+        _, trial = next(trials.recorded())
+        policies = first_and_last(trial.iterations)
+        study, task = trial.study, trial.study.task
+        runs = [run for iteration in policies for run in _runs(study, iteration)]
+        headline = " | ".join(dict.fromkeys(run.policy for run in runs))
+        return Picture(
+            self._figure(task, runs),
+            _numbers(study, runs),
+            _caption(study, runs),
+            animate=partial(animate, task, [run[1:] for run in runs], headline),
+        )
+
+    def _figure(self, task: Task, runs: Sequence[Run]) -> Figure:
+        """A row for each run, under the words of its policy where these change."""
+        times = np.linspace(0.0, seconds(task, task.horizon), self._columns)
+        heads = [TOP, *[HEAD if index % 2 == 0 else GAP for index in range(1, len(runs))]]
+        heights = [height for head in heads for height in (head, PICTURE)]
+        figure = Figure(figsize=(LEFT + PICTURE * self._columns, sum(heights)))
+        sides = {"left": LEFT / figure.get_figwidth(), "right": 1.0, "bottom": 0.03, "top": 1.0}
+        grid = figure.add_gridspec(
+            len(heights), self._columns, height_ratios=heights, wspace=0, hspace=0, **sides
+        )
+        drawings: list[Axes] = []
+        before = ""
+        for index, run in enumerate(runs):
+            row = [figure.add_subplot(grid[2 * index + 1, column]) for column in range(self._columns)]
+            failing = strip(row, task, run.rollout, times, self._draw, run.color)
+            _write(row[0], run.simulator, (-0.04, 0.5), rotation=90, ha="right", va="center", color=run.color)
+            if failing is not None:
+                _write(failing, _failure(task, run), (0.5, -0.01), ha="center", va="top", color=run.color)
+            if run.policy != before:
+                for axes, time in zip(row, times, strict=True):
+                    _write(axes, f"{time:g} s", (0.5, 1.0), ha="center", va="bottom")
+                _write(row[0], run.policy, (0.0, 1.14), fontweight="bold", fontsize="large")
+            before = run.policy
+            drawings += row
+        same_view(drawings)
+        return figure
+
+
+def _failure(task: Task, run: Run) -> str:
+    """When and by which criterion a run failed."""
+    return f"{seconds(task, run.rollout.frames):.2f} s: {run.rollout.failure}"
+
+
+def _write(axes: Axes, words: str, place: tuple[float, float], **style: Any) -> None:
+    """Write words at a place in units of the axes."""
+    axes.text(*place, words, transform=axes.transAxes, **({"fontsize": SMALL} | style))
+
+
+def _runs(study: Study, iteration: Iteration) -> list[Run]:
+    """A policy on the nominal model and on the hardware, from the same start."""
+    theta, start = iteration.optimum.parameters, study.task.start_mean
+    rng = np.random.default_rng([study.seed, NOISE])
+    hardware = study.hardware.run(study.policy, theta, start, rng)
+    policy = policy_words(iteration)
+    return [
+        Run(policy, f"nominal: {study.choices['nominal']}", NOMINAL, study.simulate(theta, start=start)),
+        Run(policy, hardware_words(study), HARDWARE, replace(hardware, cost=study.cost.of(hardware))),
+    ]
+
+
+def _numbers(study: Study, runs: Sequence[Run]) -> pd.DataFrame:
+    """How long each balanced, why it ended and what it cost."""
+    return pd.DataFrame(
+        {
+            "policy": run.policy,
+            "simulator": run.simulator,
+            "seconds": seconds(study.task, run.rollout.frames),
+            "failure": run.rollout.failure or "",
+            "cost": run.rollout.cost,
+        }
+        for run in runs
+    )
+
+
+def _caption(study: Study, runs: Sequence[Run]) -> str:
+    """What is seen."""
+    told = []
+    for run in runs:
+        time = f"{seconds(study.task, run.rollout.frames):.2f} s"
+        ending = f"fails at {time} ({run.rollout.failure})" if run.rollout.failure else f"lasts all {time}"
+        told.append(f"{run.policy}, {run.simulator}: {ending}")
+    return (
+        f"Each policy on both simulators, from the same start. {'; '.join(told)}. "
+        "In the paper, each policy fails on the simulator that it was not optimised for."
+    )

@@ -1,0 +1,155 @@
+"""A policy on the nominal model, on the corrected one and on hardware, moving side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import IO, NamedTuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.text import Text
+from PIL import Image
+
+from simbias.interfaces import Task
+from simbias.pictures.drawing import Movement, NoPictureError, drawing_of, movement_of, same_view
+from simbias.pictures.style import HARDWARE, NOMINAL, SIMULATION, SMALL, seconds
+from simbias.pictures.trial.compared import (
+    experiments_before,
+    hardware_words,
+    outcome_words,
+    policy_words,
+    worst,
+)
+from simbias.records import Iteration, Rollout
+from simbias.study import Study
+
+WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture and of each drawing
+HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings
+PICTURE_SECONDS = 0.1  # GIF knows hundredths of a second
+LAST = 1500  # ms for which the last picture stays
+COLOURS, NEARLY_WHITE = 24, 245
+LINE = 34  # characters
+LOOKS = 20  # at each rollout, to find a view that holds it
+
+
+class Scene(NamedTuple):
+    """A rollout, and what shows it."""
+
+    axes: Axes
+    rollout: Rollout
+    artists: Mapping[str, Artist]
+    clock: Text
+
+
+def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | str | IO[bytes]) -> None:
+    """Write a GIF, in real time, of the last policy in its worst experiment and in simulation.
+
+    All start at the experiment's start: the nominal model alone, the one with the learned bias that the
+    policy was optimised on, if anything was learned, and the hardware. What has failed stays so, pale.
+
+    Raises
+    ------
+    NoPictureError
+        If the task has no drawing, or none that moves.
+    """
+    iteration = iterations[-1]
+    measured, theta = worst(iteration), iteration.optimum.parameters
+    start = measured.states[0]
+    shown = [("nominal model", NOMINAL, study.simulate(theta, None, start))]
+    if experiments_before(iteration):
+        corrected = study.simulate(theta, iteration.fitted_bias, start)
+        shown.append(("nominal model + learned bias", SIMULATION, corrected))
+    shown.append((hardware_words(study), HARDWARE, measured))
+    animate(study.task, shown, f"{policy_words(iteration)}: {outcome_words(study, measured)}", file)
+
+
+def animate(
+    task: Task, shown: Sequence[tuple[str, str, Rollout]], headline: str, file: Path | str | IO[bytes]
+) -> None:
+    """Write a GIF, in real time, of rollouts side by side, each under its name, in its colour.
+
+    Raises
+    ------
+    NoPictureError
+        If the task has no drawing, or none that moves.
+    """
+    draw, move = drawing_of(task), movement_of(task)
+    if draw is None or move is None:
+        raise NoPictureError(f"nothing draws and moves {type(task).__name__}")
+    figure = Figure(dpi=DOTS_PER_INCH)
+    scenes = []
+    for index, (name, color, rollout) in enumerate(shown):
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), label=str(index))
+        axes.set_title(name, fontsize="medium", color=color)
+        artists = draw(axes, task, rollout.states[0], color=color)
+        clock = axes.text(0.5, -0.02, "", transform=axes.transAxes, ha="center", va="top", fontsize=SMALL)
+        scenes.append(Scene(axes, rollout, artists, clock))
+    _lay_out(figure, task, scenes, move)
+    figure.suptitle(headline, fontsize="medium", fontweight="bold", y=0.98)
+    step = max(1, round(PICTURE_SECONDS / task.time_step))
+    longest = max(scene.rollout.frames for scene in scenes)
+    pictures = list(_pictures(figure, task, scenes, move, [*range(0, longest, step), longest]))
+    each = round(1000 * seconds(task, step))
+    first, *others = pictures
+    durations = [each] * len(others) + [LAST]
+    first.save(file, "GIF", save_all=True, append_images=others, duration=durations, loop=0)
+
+
+def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement) -> None:
+    """Put the scenes side by side, in one view that holds all that they will show."""
+    for axes, rollout, artists, _ in scenes:
+        for frame in np.linspace(0, rollout.frames, LOOKS).round().astype(int):
+            move(artists, task, rollout.states[frame])
+            for patch in artists.values():
+                if isinstance(patch, Patch):
+                    axes.update_datalim(patch.get_patch_transform().transform(patch.get_path().vertices))
+    same_view([scene.axes for scene in scenes])
+    (left, right), (bottom, top) = scenes[0].axes.get_xlim(), scenes[0].axes.get_ylim()
+    height = EACH * (top - bottom) / (right - left)
+    total = HEAD + height + FOOT
+    figure.set_size_inches(WIDTH, total)
+    for i, scene in enumerate(scenes):
+        at = WIDTH / 2 + (i - len(scenes) / 2) * EACH
+        scene.axes.set_position((at / WIDTH, FOOT / total, EACH / WIDTH, height / total))
+
+
+def _pictures(
+    figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement, frames: Sequence[int]
+) -> Iterator[Image.Image]:
+    """The scenes at the frames; what stands still is drawn once."""
+    moving = [(s.axes, artist) for s in scenes for artist in (*s.artists.values(), s.clock)]
+    for _, artist in moving:
+        artist.set_animated(True)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)
+    palette = None
+    for frame in frames:
+        canvas.restore_region(still)
+        for _, rollout, artists, clock in scenes:
+            now = min(frame, rollout.frames)
+            failed = rollout.failed_at is not None and now == rollout.frames
+            move(artists, task, rollout.states[now], muted=failed)
+            ending = f": {rollout.failure}" if failed else ""
+            clock.set_text(fill(f"{seconds(task, now):.2f} s{ending}", LINE))
+        for axes, artist in moving:
+            axes.draw_artist(artist)
+        size = canvas.get_width_height()
+        picture = Image.frombytes("RGBA", size, canvas.buffer_rgba().tobytes()).convert("RGB")
+        palette = palette or _palette(picture)
+        yield picture.quantize(palette=palette, dither=Image.Dither.NONE)
+
+
+def _palette(picture: Image.Image) -> Image.Image:
+    """The colours of a picture; what is nearly white becomes white, as it was before they were averaged."""
+    palette = picture.quantize(COLOURS, dither=Image.Dither.NONE)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[colours.min(axis=1) >= NEARLY_WHITE] = 255
+    palette.putpalette(colours.ravel().tolist())
+    return palette

@@ -1,0 +1,149 @@
+"""How well experiments are predicted that nothing was learned from yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from threadpoolctl import threadpool_limits
+
+from simbias.interfaces import FittedBias, Task
+from simbias.pictures.drawing import NoPictureError
+from simbias.pictures.panels import headline, legend, panels
+from simbias.pictures.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
+from simbias.pictures.trial.compared import corrections
+from simbias.records import Array, Iteration
+from simbias.study import Study
+
+HORIZONS = (1, 5, 20, 100)  # frames
+WINDOWS = 40  # at most, in the experiments of an iteration
+HEIGHT, APART = 1.7, 0.12  # in, of a panel; iterations, between the two models
+
+
+def prediction_errors(
+    study: Study, iterations: Sequence[Iteration], horizons: Sequence[int] = HORIZONS
+) -> Figure:
+    """Errors of predictions some frames ahead, in each iteration's experiments: medians and quartiles.
+
+    The bias has been learned from earlier iterations only. A prediction starts at the true state in one of
+    some evenly spread frames and applies the inputs that the policy had commanded. Its error is the norm over
+    all states that share a unit. Horizons (in frames) longer than a quarter of the task's or than every
+    experiment are left out, and so are experiments shorter than the longest horizon.
+
+    Raises
+    ------
+    NoPictureError
+        If no experiment lasted as long as the shortest horizon.
+    """
+    lasted = max(rollout.frames for iteration in iterations for rollout in iteration.experiments)
+    horizons = [k for k in horizons if k <= max(1, study.task.horizon // 4) and k <= lasted]
+    if not horizons:
+        raise NoPictureError("no experiment lasted as long as the shortest horizon")
+    groups = _groups(study.task)
+    figure, grid = panels(len(groups), len(horizons), HEIGHT)
+    zero = study.bias.fit(study.no_data)
+    for iteration in iterations:
+        pieces = windows(study, iteration, max(horizons))
+        corrected = prediction_error(study, iteration.fitted_bias or zero, pieces, horizons)
+        nominal = prediction_error(study, zero, pieces, horizons)
+        for row, states in zip(grid, groups.values(), strict=True):
+            for column, axes in enumerate(row):
+                for errors, side, color, marker in (
+                    (nominal, -APART, NOMINAL, "s"),
+                    (corrected, APART, SIMULATION, "o"),
+                ):
+                    norms = np.linalg.norm(errors[column][:, states], axis=1)
+                    _draw(axes, iteration.index + side, norms, color, marker)
+    for row, (unit, states) in zip(grid, groups.items(), strict=True):
+        names = ", ".join(symbol(study.task.states[i].name) for i in states)
+        row[0].set_ylabel(f"error of {names} ({unit})", labelpad=1)
+        _same_scale(row)
+    for axes, k in zip(grid[0], horizons, strict=True):
+        headline(axes, f"{k} frame{'' if k == 1 else 's'} ahead ({1000 * seconds(study.task, k):g} ms)")
+    legend(figure, _entries())
+    return figure
+
+
+class Windows(NamedTuple):
+    """Pieces of experiments, k frames long: true states and commanded inputs."""
+
+    states: Array  # (w, k+1, n)
+    inputs: Array  # (w, k, m)
+
+
+def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
+    """Pieces, so long, spread evenly over the experiments of an iteration; none of a shorter experiment."""
+    starts = [
+        (rollout, t)
+        for rollout in iteration.experiments
+        for t in _spread(rollout.frames - frames, WINDOWS // len(iteration.experiments))
+    ]
+    n, m = len(study.task.states), len(study.task.inputs)
+    return Windows(
+        np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(-1, frames + 1, n),
+        np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(-1, frames, m),
+    )
+
+
+def _spread(last: int, most: int) -> list[int]:
+    """At most so many of the frames from 0 to the last."""
+    return sorted({round(t) for t in np.linspace(0, last, most)}) if last >= 0 else []
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def prediction_error(
+    study: Study, fitted_bias: FittedBias, pieces: Windows, horizons: Sequence[int]
+) -> Array:
+    """Errors (horizons, w, n) of predictions (Eq. 7) from the first state of each piece, under its inputs."""
+    predicted, errors = np.ascontiguousarray(pieces.states[:, 0]), []
+    for k in range(1, max(horizons) + 1):
+        u = np.ascontiguousarray(pieces.inputs[:, k - 1])
+        added = corrections(fitted_bias, predicted, u)
+        steps = [study.nominal.step(*pair) for pair in zip(predicted, u, strict=True)]
+        predicted = np.array(steps).reshape(added.shape) + added
+        if k in horizons:
+            errors.append(predicted - pieces.states[:, k])
+    return np.array(errors)
+
+
+def _groups(task: Task) -> dict[str, list[int]]:
+    """Indices of the states of each unit."""
+    units = [quantity.unit for quantity in task.states]
+    return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
+
+
+def _draw(axes: Axes, x: float, values: Array, color: str, marker: str) -> None:
+    """Median and quartiles."""
+    if len(values):
+        low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
+        axes.plot([x, x], [low, high], color=color, linewidth=2.5, solid_capstyle="butt")
+        axes.plot(x, median, marker, color=color, markersize=6, markeredgecolor="white")
+
+
+def _same_scale(row: Sequence[Axes]) -> None:
+    """One scale for a row, logarithmic if there is any error, and its axes."""
+    low, high = min(axes.dataLim.minposy for axes in row), max(axes.dataLim.y1 for axes in row)
+    for axes in row:
+        if low <= high:
+            logarithmic(axes, "y")
+            axes.set_ylim(low / 1.5, high * 1.5)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("iteration", labelpad=1)
+        plain(axes)
+
+
+def _entries() -> dict[str, Line2D]:
+    """What is seen."""
+    models = {
+        "nominal model alone": (NOMINAL, "s"),
+        "with the bias learned from earlier iterations": (SIMULATION, "o"),
+    }
+    return {
+        name: Line2D([], [], color=color, marker=marker, linewidth=2.5, markeredgecolor="white")
+        for name, (color, marker) in models.items()
+    }

@@ -1,0 +1,91 @@
+"""All pictures of a trial, as files."""
+
+from __future__ import annotations
+
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from simbias.config import ConfigError
+from simbias.pictures.drawing import NoPictureError
+from simbias.pictures.style import png, save
+from simbias.pictures.trial.animation import save_animation
+from simbias.pictures.trial.costs import costs
+from simbias.pictures.trial.errors import prediction_errors
+from simbias.pictures.trial.forecast import forecast
+from simbias.pictures.trial.overview import overview
+from simbias.pictures.trial.phases import phases
+from simbias.pictures.trial.rejections import rejections
+from simbias.records import Iteration
+from simbias.study import Study
+
+FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
+    "overview": overview,
+    "costs": costs,
+    "prediction_errors": prediction_errors,
+    "forecast": forecast,
+    "phases": phases,
+    "rejections": rejections,
+}
+ANIMATION = "animation"
+IN_SWEEPS = ("overview",)  # the others take long; `python -m simbias.pictures` draws all
+
+
+def pictures(
+    study: Study, iterations: Sequence[Iteration], names: Sequence[str] = (*FIGURES, ANIMATION)
+) -> dict[str, bytes]:
+    """The pictures of a trial as files by name, PNG and GIF; none of a trial without iterations.
+
+    What a task or trial cannot have is left out. In place of a picture that fails there is a warning and a
+    text with the traceback: no trial is worth losing for a picture.
+    """
+    files: dict[str, bytes] = {}
+    for name in names if iterations else ():
+        try:
+            if name == ANIMATION:
+                files[f"{name}.gif"] = _gif(study, iterations)
+            else:
+                files[f"{name}.png"] = png(FIGURES[name](study, iterations))
+        except NoPictureError:
+            continue
+        except Exception as error:
+            warnings.warn(f"picture {name}: {type(error).__name__}: {error}", RuntimeWarning, stacklevel=2)
+            files[f"{name}.txt"] = traceback.format_exc().encode()
+    return files
+
+
+def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> list[str]:
+    """Write all pictures of a trial to be published, PNG, SVG and GIF; return the names of the files.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(str(folder), f"no folder ({error.strerror})") from error
+    saved = []
+    for name, draw in FIGURES.items():
+        with suppress(NoPictureError):
+            figure = draw(study, iterations)
+            for suffix in (".png", ".svg"):
+                save(figure, folder / f"{name}{suffix}")
+                saved.append(f"{name}{suffix}")
+    with suppress(NoPictureError):
+        (folder / f"{ANIMATION}.gif").write_bytes(_gif(study, iterations))
+        saved.append(f"{ANIMATION}.gif")
+    return saved
+
+
+def _gif(study: Study, iterations: Sequence[Iteration]) -> bytes:
+    """The animation."""
+    file = BytesIO()
+    save_animation(study, iterations, file)
+    return file.getvalue()

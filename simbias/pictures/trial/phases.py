@@ -1,0 +1,103 @@
+"""Phase portraits: each state against its rate, on hardware and in simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from simbias.interfaces import Task
+from simbias.pictures.drawing import NoPictureError
+from simbias.pictures.panels import headline, legend, panels
+from simbias.pictures.style import BEYOND, HARDWARE, LIMIT, SIMULATION, label, plain
+from simbias.pictures.trial.compared import first_and_last, outcome_words, policy_words, simulated, worst
+from simbias.pictures.trial.limits import state_limits
+from simbias.records import Array, Iteration, Rollout
+from simbias.study import Study
+
+HEIGHT = 2.3  # in, of a panel
+NEAR = 0.5  # of a limit: what comes so close to it is shown together with it
+
+
+def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
+    """All experiments of the first and of the last policy, in the planes of a state and its rate.
+
+    Beside each the simulation that its policy was optimised in, from the same start (a dot); a cross is where
+    a rollout failed. Shaded is what a criterion forbids to a state or rate whatever the other states are;
+    failures also lie elsewhere, as a criterion may weigh several states against each other.
+
+    Raises
+    ------
+    NoPictureError
+        If no state is the rate of another by its unit.
+    """
+    task, pairs = study.task, phase_pairs(study.task)
+    if not pairs:
+        raise NoPictureError(f"no state of {type(task).__name__} has another's unit per second")
+    shown = first_and_last(iterations)
+    figure, grid = panels(len(shown), len(pairs), HEIGHT)
+    for row, iteration in zip(grid, shown, strict=True):
+        headline(row[0], f"{policy_words(iteration)}: {outcome_words(study, worst(iteration))}")
+        models = simulated(study, iteration)
+        for axes, pair in zip(row, pairs, strict=True):
+            _draw(axes, task, pair, models, SIMULATION, "--")
+            _draw(axes, task, pair, iteration.experiments, HARDWARE, "-")
+    limits = state_limits(task)
+    for column, pair in zip(grid.T, pairs, strict=True):
+        _same_view(column, limits[list(pair)])
+    legend(figure, _entries())
+    return figure
+
+
+def phase_pairs(task: Task) -> list[tuple[int, int]]:
+    """Indices of states and their rates: the k-th state in a unit, and the k-th in that unit per second."""
+    units = [quantity.unit for quantity in task.states]
+    rates = {unit: iter([i for i, other in enumerate(units) if other == f"{unit}/s"]) for unit in units}
+    pairs = ((i, next(rates[unit], None)) for i, unit in enumerate(units))
+    return [(i, rate) for i, rate in pairs if rate is not None]
+
+
+def _draw(
+    axes: Axes, task: Task, pair: tuple[int, int], rollouts: Sequence[Rollout], color: str, line: str
+) -> None:
+    """Rollouts in the plane of two states, each with its start and its failure."""
+    for rollout in rollouts:
+        x, y = rollout.states[:, pair].T
+        axes.plot(x, y, line, color=color, linewidth=0.9)
+        axes.plot(x[0], y[0], "o", color="black", markersize=3.5, zorder=4)
+        if rollout.failed_at is not None:
+            axes.plot(x[-1], y[-1], "X", color=color, markersize=8, markeredgecolor="white", zorder=3)
+    axes.set_xlabel(label(task.states[pair[0]]), labelpad=1)
+    axes.set_ylabel(label(task.states[pair[1]]), labelpad=1)
+    plain(axes)
+
+
+def _same_view(column: Sequence[Axes], limits: Array) -> None:
+    """One view of all panels of a plane; the limits (2, 2) of its states where a rollout comes near them."""
+    corners = np.concatenate([axes.dataLim.get_points() for axes in column])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.06 * (high - low)
+    low = np.where(low < NEAR * limits[:, 0], np.minimum(low, limits[:, 0]), low) - margin
+    high = np.where(high > NEAR * limits[:, 1], np.maximum(high, limits[:, 1]), high) + margin
+    for axes in column:
+        for edges in ((low[0], limits[0, 0]), (limits[0, 1], high[0])):
+            if edges[0] < edges[1]:
+                axes.axvspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
+        for edges in ((low[1], limits[1, 0]), (limits[1, 1], high[1])):
+            if edges[0] < edges[1]:
+                axes.axhspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def _entries() -> dict[str, Line2D | Patch]:
+    """What is seen."""
+    return {
+        "hardware": Line2D([], [], color=HARDWARE),
+        "simulation": Line2D([], [], color=SIMULATION, linestyle="--"),
+        "failure": Line2D([], [], color=LIMIT, marker="X", linestyle="", markeredgecolor="white"),
+        "beyond a limit": Patch(color=BEYOND),
+    }

@@ -1,0 +1,76 @@
+"""Which samples were learned from, and why others were not (Section IV-C)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import cycle
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from simbias.interfaces import Task
+from simbias.pictures.panels import headline, panels
+from simbias.pictures.style import HARDWARE, NOMINAL, OTHERS, SIMULATION, SMALL, plain
+from simbias.records import Iteration
+from simbias.study import Study
+
+BAR, MARGIN = 0.3, 0.2  # in, for each iteration and beside them
+COLORS = (*OTHERS, HARDWARE, NOMINAL)
+READABLE = 0.04  # of the longest bar: where a number has room
+
+
+def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
+    """For each iteration, how many of the downsampled transitions became training data.
+
+    The others are counted under the first criterion that rejected them. The last column is the size of D
+    afterwards, which a cleared model begins anew (line 7 of Algorithm 1).
+    """
+    figure, grid = panels(1, 2, MARGIN + BAR * len(iterations))
+    axes, beside = grid[0]
+    rows = [iteration.index for iteration in iterations]
+    names = dict.fromkeys(name for iteration in iterations for name in iteration.selection.rejected)
+    ends, longest = np.zeros(len(rows)), max(1, *(_sampled(iteration) for iteration in iterations))
+    accepted = [len(iteration.selection.transitions) for iteration in iterations]
+    parts = {"accepted": (accepted, SIMULATION)}
+    for name, color in zip(names, cycle(COLORS), strict=False):
+        counts = [iteration.selection.rejected.get(name, 0) for iteration in iterations]
+        parts[f"rejected: {_words(study.task, name)}"] = counts, color
+    for words, (counts, color) in parts.items():
+        if any(counts):
+            bars = axes.barh(rows, counts, left=ends, color=color, label=words, height=0.75)
+            texts = [str(count) if count > READABLE * longest else "" for count in counts]
+            axes.bar_label(bars, texts, label_type="center", fontsize=SMALL, color=_readable_on(color))
+            ends += counts
+    for iteration, end in zip(iterations, ends, strict=True):
+        cleared = ", cleared before" if iteration.model_reset else ""
+        words = f"{len(iteration.data)} in D{cleared}"
+        axes.annotate(
+            words, (end, iteration.index), (4, 0), textcoords="offset points", va="center", fontsize=SMALL
+        )
+    axes.set(xlabel="transitions, after downsampling", ylabel="iteration", xlim=(0, 1.3 * longest))
+    axes.invert_yaxis()
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True))
+    plain(axes)
+    headline(axes, "Samples of each iteration's experiments")
+    beside.axis("off")
+    beside.legend(*axes.get_legend_handles_labels(), loc="upper left", frameon=False, fontsize=SMALL)
+    return figure
+
+
+def _sampled(iteration: Iteration) -> int:
+    """How many transitions were judged."""
+    return len(iteration.selection.transitions) + sum(iteration.selection.rejected.values())
+
+
+def _words(task: Task, name: str) -> str:
+    """A criterion in words."""
+    words = {criterion.name: criterion.words for criterion in task.criteria}
+    return words.get(name, "too far from the nominal model's prediction" if name == "residual" else name)
+
+
+def _readable_on(color: str) -> str:
+    """Black or white."""
+    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return "white" if 0.3 * red + 0.59 * green + 0.11 * blue < 140 else "black"

@@ -1,0 +1,1 @@
+"""The closed loop in simulation: plain and compiled."""

@@ -1,0 +1,1 @@
+"""Grids of trials: what they are, running them, their tables."""

@@ -1,0 +1,293 @@
+"""A sweep's grid: from a composed config to the list of its trials. Nothing runs here."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, NotRequired, Required
+
+from pydantic import Field, PositiveInt
+
+from simbias.config import Composition, ConfigError, Variations
+from simbias.config.build import construct, validated
+from simbias.interfaces import SweepFigure, Task
+
+SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
+RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
+    [
+        *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
+        *("run_id", "trials", "succeeded", "mean", "low", "high", "paper"),
+    ]
+)
+
+FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
+Measure = Literal["experiments", "iterations", "succeeded", "paper"]
+FIGURES = {
+    "experiments": {"_target_": "simbias.pictures.sweep.experiments.Experiments"}
+}  # where none is named
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A dimension of the grid: points that each set the same keys."""
+
+    name: str
+    keys: tuple[str, ...]
+    values: tuple[tuple[Any, ...], ...]  # of each point, in the order of the keys
+    labels: tuple[str, ...]  # of each point
+
+    def settings(self, index: int) -> dict[str, Any]:
+        """What a point sets."""
+        return dict(zip(self.keys, self.values[index], strict=True))
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is told of the results."""
+
+    columns: str | None  # the axis whose points stand side by side
+    measures: tuple[Measure, ...]  # of each cell
+    paper: Mapping[tuple[str, ...], float]  # labels of a cell -> the paper's mean number of experiments
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A point of the grid: a config but for its seed."""
+
+    labels: tuple[str, ...]  # one for each axis
+    composition: Composition
+    identity: str  # what its trials' seeds come from; cells that share it meet the same random numbers
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A repetition of a cell."""
+
+    cell: Cell
+    repetition: int
+    seed: int
+
+    @property
+    def composition(self) -> Composition:
+        """The trial's config; all but the seed is shared with the cell's other trials."""
+        return Composition({**self.cell.composition.config, "seed": self.seed}, self.cell.composition.choices)
+
+    @cached_property
+    def hash(self) -> str:
+        """The trial's identity, as of a study of its own."""
+        return self.composition.hash
+
+    @property
+    def name(self) -> str:
+        """The trial in a few words."""
+        return " ".join([*self.cell.labels, f"#{self.repetition}"])
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A grid and what to do with it."""
+
+    name: str
+    base: Composition  # what all trials share, with the axes' keys as they were before
+    axes: tuple[Axis, ...]
+    cells: tuple[Cell, ...]  # the last axis changes fastest
+    repetitions: int
+    dry_run: bool
+    report: Report
+    figures: Mapping[str, SweepFigure]  # by the name of their files
+    figures_to: str | None  # folder for the files, beside the store
+
+    @cached_property
+    def trials(self) -> tuple[Trial, ...]:
+        """Every trial: the first of each cell, then the second of each, so that all cells fill alike."""
+        base_seed = self.base.config["seed"]
+        return tuple(
+            Trial(cell, repetition, trial_seed(cell.identity, base_seed, repetition))
+            for repetition in range(self.repetitions)
+            for cell in self.cells
+        )
+
+    @property
+    def hash(self) -> str:
+        """Identity of a sweep whose cells and trials may grow: its name and what all trials share."""
+        return hashlib.sha256(f"{self.name} {self.base.trial.hash}".encode()).hexdigest()[:12]
+
+
+def trial_seed(cell: str, base_seed: int, repetition: int) -> int:
+    """The seed of a repetition: from what it is, so that no other cell or trial changes it."""
+    text = f"{cell} {base_seed} {repetition}"
+    return int(hashlib.sha256(text.encode()).hexdigest()[:SEED_DIGITS], 16)
+
+
+def expand(overrides: Sequence[str], config_dir: Path | str | None = None) -> Sweep:
+    """The grid that `+sweep=NAME` and further overrides describe.
+
+    Raises
+    ------
+    ConfigError
+        If the sweep, an axis or a value is bad; the components of each cell are not built, so not checked.
+    """
+    variations = Variations(overrides, config_dir)
+    base = variations.composition({})
+    values = _specification(base)
+    axes = tuple(_axis(name, spec) for name, spec in values["axes"].items())
+    _check_keys(axes, overrides)
+    cells = tuple(_cells(axes, _common_seeds(values, axes), variations))
+    return Sweep(
+        name=base.choices.get("sweep", "sweep"),
+        base=base,
+        axes=axes,
+        cells=cells,
+        repetitions=values["trials"],
+        dry_run=values.get("dry_run", False),
+        report=_report(values.get("report", {}), axes),
+        figures=dict(_figures(values.get("figures", FIGURES if axes else {}), cells)),
+        figures_to=values.get("figures_to"),
+    )
+
+
+def _specification(base: Composition) -> dict[str, Any]:
+    """The config's node `sweep`, checked."""
+    node = base.config["sweep"]
+    if not isinstance(node, Mapping):
+        raise ConfigError("sweep", f"must be a mapping, got {node!r}")
+    fields = {
+        "trials": Required[PositiveInt],
+        "axes": Required[dict[str, Any]],
+        "common_seeds": NotRequired[list[str]],
+        "dry_run": NotRequired[bool],
+        "report": NotRequired[dict[str, Any]],
+        "figures": NotRequired[dict[FileName, Any]],
+        "figures_to": NotRequired[str | None],
+    }
+    return validated(node, fields, "sweep")
+
+
+def _axis(name: str, spec: Any) -> Axis:
+    """An axis from `key: [value, ...]` or `name: {keys, values, labels}`."""
+    where = f"sweep.axes.{name}"
+    if name in RESERVED - {"seed"}:
+        raise ConfigError(where, "an axis may not have this name: tables have a column of this name")
+    if not isinstance(spec, Mapping):
+        spec = {"keys": name, "values": spec}
+    fields = {
+        "keys": Required[str | list[str]],
+        "values": Required[list[Any]],
+        "labels": NotRequired[list[str | float]],
+    }
+    if not isinstance(spec.get("values"), list):
+        raise ConfigError(where, f"must be a list of values, got {spec.get('values')!r}")
+    checked = validated(spec, fields, where)
+    one = isinstance(checked["keys"], str)
+    keys = (checked["keys"],) if one else tuple(checked["keys"])
+    values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])
+    labels = tuple(map(label, checked.get("labels", map(joined, values))))
+    if not values:
+        raise ConfigError(where, "has no values")
+    if len(labels) != len(values):
+        raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
+    if len(set(labels)) != len(labels):
+        raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
+    return Axis(name, keys, values, labels)
+
+
+def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:
+    """The values of a point, one for each key."""
+    if not isinstance(value, list) or len(value) != length:
+        raise ConfigError(where, f"each of its values must list {length}, one for each key, got {value!r}")
+    return tuple(value)
+
+
+def label(value: Any) -> str:
+    """A value as tables show it."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def joined(values: Sequence[Any]) -> str:
+    """The values of a point as tables show them."""
+    return "/".join(map(label, values))
+
+
+def _check_keys(axes: Sequence[Axis], overrides: Sequence[str]) -> None:
+    """Refuse keys that two axes set, and overrides of what an axis sets: they would be without effect."""
+    owners: dict[str, str] = {"seed": ""}
+    for axis in axes:
+        for key in axis.keys:
+            if key in owners:
+                raise ConfigError(
+                    f"sweep.axes.{axis.name}", f"{key} is set elsewhere: {owners[key] or 'trials'}"
+                )
+            owners[key] = axis.name
+    for override in overrides:
+        key = override.partition("=")[0].lstrip("+~")
+        if key != "seed" and key in owners:
+            raise ConfigError(key, f"is an axis of the sweep; its values are in sweep.axes.{owners[key]}")
+
+
+def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[str]:
+    """The axes along which trials differ in nothing but the axis: repetition i has one seed at all points."""
+    names = [axis.name for axis in axes]
+    for name in (chosen := values.get("common_seeds", [])):
+        if name not in names:
+            raise ConfigError("sweep.common_seeds", f"no such axis: {name}; there are {', '.join(names)}")
+    return frozenset(chosen)
+
+
+def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Variations) -> Iterator[Cell]:
+    """Every combination of the axes' points."""
+    found: dict[str, tuple[str, ...]] = {}
+    for point in itertools.product(*(range(len(axis.values)) for axis in axes)):
+        settings: dict[str, Any] = {}
+        seeding: dict[str, Any] = {}
+        for axis, index in zip(axes, point, strict=True):
+            settings |= axis.settings(index)
+            seeding |= {} if axis.name in common_seeds else axis.settings(index)
+        composition = variations.composition(settings).trial
+        labels = tuple(axis.labels[index] for axis, index in zip(axes, point, strict=True))
+        twin = found.setdefault(composition.cell, labels)
+        if twin != labels:
+            raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")
+        identity = variations.composition(seeding).trial.cell if common_seeds else composition.cell
+        yield Cell(labels, composition, identity)
+
+
+def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
+    """What to report, checked against the axes."""
+    fields = {
+        "columns": NotRequired[str | None],
+        "measures": NotRequired[list[Measure]],
+        "paper": NotRequired[dict[Any, Any]],
+    }
+    checked = validated(spec, fields, "sweep.report")
+    columns = checked.get("columns")
+    names = [axis.name for axis in axes]
+    if columns is not None and columns not in names:
+        raise ConfigError("sweep.report.columns", f"no such axis: {columns}; there are {', '.join(names)}")
+    paper = dict(_flat(checked.get("paper", {}), ()))
+    for labels, value in paper.items():
+        if len(labels) != len(axes) or not isinstance(value, int | float):
+            raise ConfigError(
+                "sweep.report.paper", f"must lead over {', '.join(names)} to a number: {labels}"
+            )
+    measures = checked.get("measures", ["experiments", "succeeded", *(["paper"] if paper else [])])
+    return Report(columns, tuple(measures), paper)
+
+
+def _figures(specs: Mapping[str, Any], cells: Sequence[Cell]) -> Iterator[tuple[str, SweepFigure]]:
+    """The figures, by the name of their files; arguments named `task` and `cells` are provided."""
+    task = construct(cells[0].composition.config["task"], Task, "task")
+    for name, spec in specs.items():
+        yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", task=task, cells=cells)
+
+
+def _flat(tree: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The leaves of nested mappings, by their paths of labels."""
+    if not isinstance(tree, Mapping):
+        yield path, tree
+        return
+    for key, branch in tree.items():
+        yield from _flat(branch, (*path, label(key)))

@@ -1,0 +1,170 @@
+"""The table of a sweep: cells with their mean number of experiments, beside the paper's."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Mapping, Sequence
+from math import nan
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from simbias.sweep.grid import Axis, Sweep
+
+RESAMPLES = 10_000
+CONFIDENCE = 0.95
+BLANK = "–"  # noqa: RUF001  where there is no number
+MEASURES = ("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "paper")
+
+
+class Layout(NamedTuple):
+    """A table as text."""
+
+    head: list[str]
+    body: list[list[str]]
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
+    sample = np.sort(np.asarray(values, dtype=np.float64))
+    if len(sample) < 2:
+        return nan, nan
+    draws = np.random.default_rng(0).choice(sample, (RESAMPLES, len(sample)))
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(draws.mean(axis=1), [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
+    """A row for each cell of the grid, in its order: the axes' labels and the MEASURES.
+
+    `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
+    bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
+    trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
+    none.
+    """
+    names = [axis.name for axis in sweep.axes]
+    found: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
+    for row in trials.to_dict("records"):
+        found[tuple(row[name] for name in names)].append(row)
+    paper = sweep.report.paper
+    rows = [[*labels, *_measures(own), paper.get(labels, nan)] for labels, own in found.items()]
+    return pd.DataFrame(rows, columns=[*names, *MEASURES])
+
+
+def _measures(trials: Sequence[Mapping[str, Any]]) -> list[float]:
+    """The measures of a cell but the last."""
+    outcomes = [trial["outcome"] for trial in trials]
+    ended = [trial for trial in trials if trial["outcome"] != "error"]
+    experiments, iterations = (
+        [float(trial[name]) for trial in ended] for name in ("experiments", "iterations")
+    )
+    counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
+    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations)]
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Their mean; nan if there are none."""
+    return float(np.mean(values)) if values else nan
+
+
+def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
+    """The cells as text."""
+    found = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
+    measures = sweep.report.measures
+    return arranged(sweep, measures, lambda labels: [TEXTS[name](found[labels]) for name in measures])
+
+
+def arranged(
+    sweep: Sweep, measures: Sequence[str], texts: Callable[[tuple[str, ...]], Sequence[str]]
+) -> Layout:
+    """Texts of every cell, by its labels: the report's column axis side by side, the other axes downwards."""
+    aside = next((axis for axis in sweep.axes if axis.name == sweep.report.columns), None)
+    down = [axis for axis in sweep.axes if axis is not aside]
+    head = [name for axis in down for name in _heads(axis)]
+    for label in aside.labels if aside else ("",):
+        head += [f"{_beside(aside, label)}: {measure}" if aside else measure for measure in measures]
+    body = []
+    for point in itertools.product(*(range(len(axis.labels)) for axis in down)):
+        line = [text for axis, index in zip(down, point, strict=True) for text in _texts(axis, index)]
+        labels = {axis.name: axis.labels[index] for axis, index in zip(down, point, strict=True)}
+        for label in aside.labels if aside else ("",):
+            where = labels | ({aside.name: label} if aside else {})
+            line += texts(tuple(where[axis.name] for axis in sweep.axes))
+        body.append(line)
+    return Layout(head, body)
+
+
+def _labelled(axis: Axis) -> bool:
+    """Whether the labels of an axis are words of its own, or it has but one key."""
+    return len(axis.keys) == 1 or any(len(label.split("/")) != len(axis.keys) for label in axis.labels)
+
+
+def _heads(axis: Axis) -> list[str]:
+    """Heads of an axis' columns: its keys without their groups, in words."""
+    names = [axis.name] if _labelled(axis) else axis.keys
+    return [name.split(".")[-1].replace("_", " ") for name in names]
+
+
+def _beside(axis: Axis, label: str) -> str:
+    """A label at the head of columns; a number says of what."""
+    return f"{'/'.join(_heads(axis))} {label}" if re.fullmatch(r"[-+.]?\d[-+/.e\d]*", label) else label
+
+
+def _texts(axis: Axis, index: int) -> list[str]:
+    """A point of an axis, a text for each of its columns."""
+    return [axis.labels[index]] if _labelled(axis) else axis.labels[index].split("/")
+
+
+def _number(value: float) -> str:
+    """A mean with one decimal."""
+    return BLANK if np.isnan(value) else f"{value:.1f}"
+
+
+def _experiments(row: Mapping[Any, Any]) -> str:
+    """Mean and interval."""
+    text = _number(row["mean"])
+    return text if np.isnan(row["low"]) else f"{text} [{row['low']:.1f}, {row['high']:.1f}]"
+
+
+def _succeeded(row: Mapping[Any, Any]) -> str:
+    """Success rate as a fraction, and what is in no number."""
+    text = f"{row['succeeded']}/{row['trials']}"
+    return f"{text}, {row['raised']} raised" if row["raised"] else text
+
+
+# Of a cell, by what `sweep.report.measures` names.
+TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
+    "experiments": _experiments,
+    "iterations": lambda row: _number(row["iterations"]),
+    "succeeded": _succeeded,
+    "paper": lambda row: _number(row["paper"]),
+}
+
+
+def markdown(laid: Layout) -> str:
+    """A layout as markdown."""
+    lines = [laid.head, ["--:"] * len(laid.head), *laid.body]
+    return "\n".join("| " + " | ".join(texts) + " |" for texts in lines) + "\n"
+
+
+def plain(laid: Layout) -> str:
+    """A layout as aligned text, its heads on two lines."""
+    heads = [head.rpartition(": " if ": " in head else " ") for head in laid.head]
+    lines = [[head[0] for head in heads], [head[2] for head in heads], *laid.body]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(text.rjust(width) for text, width in zip(texts, widths, strict=True)).rstrip()
+        for texts in lines
+    )
+
+
+def legend(sweep: Sweep) -> str:
+    """What the numbers are."""
+    iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
+    return (
+        f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
+        f"interval]; {iterations}a trial that never succeeds counts all that it may make."
+    )

@@ -1,0 +1,179 @@
+"""What a person sees in the terminal while a sweep runs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+
+from pandas import DataFrame
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from simbias.interfaces import Engine
+from simbias.study import Study
+from simbias.sweep.estimate import estimate
+from simbias.sweep.grid import Sweep, Trial
+from simbias.sweep.tables import BLANK, Layout, arranged, cells, layout, legend, plain
+from simbias.worker import TrialRecord
+
+SHOWN_ERRORS = 5
+
+
+def duration(seconds: float) -> str:
+    """A duration in the largest unit that suits it."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+class SweepConsole:
+    """A bar and a table that fills on a terminal; else a line for every trial."""
+
+    def __init__(
+        self, sweep: Sweep, before: DataFrame, keeps: bool = True, console: Console | None = None
+    ) -> None:
+        self._sweep = sweep
+        self._keeps = keeps
+        self._console = console or Console(highlight=False)
+        self._total = len(sweep.trials)
+        self._ran = 0  # by this process
+        self._start = time.monotonic()
+        self._experiments: dict[tuple[str, ...], list[float]] = defaultdict(list)
+        self._drawn: list[tuple[str, str, Sequence[Path]]] = []
+        self._outcomes: list[str] = list(before["outcome"])
+        names = [axis.name for axis in sweep.axes]
+        for row in before.to_dict("records"):
+            self._experiments[tuple(row[name] for name in names)].append(row["experiments"])
+        self._progress = Progress(
+            TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[state]}")
+        )
+        self._bar = self._progress.add_task("", total=self._total, completed=len(before), state="")
+        self._live = Live(get_renderable=self._view, console=self._console, refresh_per_second=2)
+
+    def __enter__(self) -> SweepConsole:
+        done = len(self._outcomes)
+        resumed = f", {done} of them finished already" if done else ""
+        counts = f"{len(self._sweep.cells)} cells x {self._sweep.repetitions} trials = {self._total}"
+        self._console.print(f"[bold]{self._sweep.name}[/bold]: {counts}{resumed}", soft_wrap=True)
+        if not self._keeps:
+            self._console.print("No trial is kept (tracking=none): once interrupted, it starts anew.")
+        self._start = time.monotonic()
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def ended(self, trial: Trial, record: TrialRecord) -> None:
+        """Tell of a trial that has ended and is kept."""
+        self._ran += 1
+        self._outcomes.append(
+            "error" if record.error else "succeeded" if record.succeeded else "not succeeded"
+        )
+        experiments = record.iterations[-1].total_experiments if record.iterations else 0
+        if record.error is None:
+            self._experiments[trial.cell.labels].append(experiments)
+        self._progress.update(self._bar, completed=len(self._outcomes), state=self._state())
+        if record.error or not self._console.is_terminal:
+            done = f"[{len(self._outcomes)}/{self._total}]"
+            outcome = record.error or f"{self._outcomes[-1]} after {experiments} experiments"
+            line = f"{done} {trial.name}: {outcome}, {record.seconds:.1f} s; {self._state()}"
+            self._console.print(line, soft_wrap=True, markup=False)
+
+    def _state(self) -> str:
+        """Rate, time left and failures so far."""
+        elapsed = time.monotonic() - self._start
+        rate = self._ran / max(elapsed, 1e-9)
+        left = f"{duration((self._total - len(self._outcomes)) / rate)} left" if self._ran else ""
+        failed, raised = self._outcomes.count("not succeeded"), self._outcomes.count("error")
+        counts = [f"{failed} failed" if failed else "", f"{raised} raised" if raised else ""]
+        return ", ".join(filter(None, [f"{60 * rate:.1f}/min", left, *counts]))
+
+    def _view(self) -> Group:
+        """The table as far as it is, and the bar."""
+        return Group(_rich(arranged(self._sweep, ["done, mean"], self._cell)), self._progress)
+
+    def _cell(self, labels: tuple[str, ...]) -> list[str]:
+        """How far a cell is, and its mean so far."""
+        found = self._experiments.get(labels, [])
+        mean = f"{sum(found) / len(found):.1f}" if found else BLANK
+        return [f"{len(found)}/{self._sweep.repetitions} {mean:>5}"]
+
+    @contextmanager
+    def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
+        """A bar, or a line for every step; call what this gives after each."""
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=self._console, disable=not self._console.is_terminal) as progress:
+            bar = progress.add_task(words, total=total, completed=done)
+            steps = count(done + 1)
+
+            def advance() -> None:
+                progress.advance(bar)
+                if not self._console.is_terminal:
+                    self._console.print(f"[{next(steps)}/{total}] {words}", soft_wrap=True, markup=False)
+
+            yield advance
+
+    def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        """Tell, at the end, of a figure and where its files are."""
+        self._drawn.append((name, caption, files))
+
+    def conclude(self, trials: DataFrame, where: str | None) -> None:
+        """The table, what it means, and how to look at the rest."""
+        laid = layout(cells(trials, self._sweep), self._sweep)
+        self._console.print(plain(laid), soft_wrap=True, markup=False)
+        self._console.print(legend(self._sweep), soft_wrap=True, markup=False)
+        raised = [row for row in trials.to_dict("records") if row["outcome"] == "error"]
+        for row in raised[:SHOWN_ERRORS]:
+            cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)
+            line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
+            self._console.print(line, style="red", soft_wrap=True, markup=False)
+        if raised:
+            self._console.print(f"{len(raised)} trials raised an error; the same command runs them again.")
+        for name, caption, files in self._drawn:
+            if files:
+                shown = " ".join(map(str, files))
+                self._console.print(f"{name}: {caption}\n  {shown}", soft_wrap=True, markup=False)
+        if where:
+            self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
+
+    def stopped(self, why: str, again: str) -> None:
+        """Tell that the sweep ended early, what is done, and how to go on."""
+        done = len(self._outcomes) - self._outcomes.count("error")
+        kept = f"{done} of {self._total} trials are done" + ("" if self._keeps else ", but not kept")
+        text = f"simbias: {' '.join(why.split())[:500]}; {kept}.\nGo on with:  {again}"
+        print(text, file=sys.stderr, flush=True)
+
+
+def _rich(laid: Layout) -> Table:
+    """A layout as rich shows it."""
+    table = Table(box=None, pad_edge=False)
+    for head in laid.head:
+        table.add_column(Text(head), justify="right")
+    for line in laid.body:
+        table.add_row(*map(Text, line))
+    return table
+
+
+def dry_run(sweep: Sweep, study: Study, finished: DataFrame, engine: Engine) -> None:
+    """Tell which trials there are, which are finished, and how long the others may take."""
+    done = frozenset(finished["hash"])
+    for trial in sweep.trials:
+        state = "finished" if trial.hash in done else "missing"
+        print(f"{state:8}  {trial.hash}  seed {trial.seed:<15}  {trial.name}")
+    n_jobs = getattr(engine, "n_jobs", 1)
+    seconds, basis = estimate(sweep, finished, study, n_jobs)
+    print(
+        f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; "
+        f"the others may take {duration(seconds)} on {n_jobs} job{'' if n_jobs == 1 else 's'} ({basis})."
+    )

@@ -1,0 +1,131 @@
+"""A trial, read back from the store."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from simbias.config import Composition, ConfigError
+from simbias.config.build import build
+from simbias.records import Iteration, Optimum
+from simbias.study import Study
+from simbias.tracking.files import load_rollout, load_transitions
+from simbias.tracking.mlflow import data_name, experiment_name, policy_name
+from simbias.tracking.store import cause, find_run
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+NO_TRACKING = {"_target_": "simbias.tracking.none.NoTracking"}
+FOLDERS = ("policies", "experiments", "data")
+PER_ITERATION = ("model/", "experiments/total", "bias/", "seconds/")  # metrics that are in no file
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedTrial:
+    """A trial that a store holds."""
+
+    run_id: str
+    study: Study  # built from the run's config, without a store
+    iterations: tuple[Iteration, ...]  # those that have ended
+
+
+def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
+    """The study of a run and its full records; the run may be one of a sweep's, or still go on.
+
+    Components of one's own have to be importable. What follows from the files is computed again: D_i from the
+    experiments, and each fitted bias from the data of the iteration before.
+
+    Raises
+    ------
+    ConfigError
+        If the store cannot be used, has no such run, or the run is no trial, or its files are not complete.
+    """
+    client, run = find_run(uri, run_id)
+    if "sweep" in run.data.tags:
+        raise ConfigError(run_id, "is a sweep; each of its trials is a run of its own")
+    if "hash" not in run.data.tags:
+        raise ConfigError(run_id, "is no run of simbias")
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            _download(client, run_id, Path(folder))
+            study = build(_composition(Path(folder, "config.yaml"), run))
+            with threadpool_limits(1, user_api="blas"):  # as when the trial ran
+                iterations = tuple(_iterations(study, Path(folder), _metrics(client, run)))
+        except ConfigError:
+            raise
+        except Exception as error:
+            raise ConfigError(run_id, f"its files cannot be read ({cause(error)})") from error
+    return RecordedTrial(run_id, study, iterations)
+
+
+def _download(client: MlflowClient, run_id: str, folder: Path) -> None:
+    """Copy a run's files."""
+    for file in client.list_artifacts(run_id):
+        if file.path in (*FOLDERS, "config.yaml"):
+            client.download_artifacts(run_id, file.path, str(folder))
+
+
+def _composition(path: Path, run: Run) -> Composition:
+    """What the trial was composed of, but for the store."""
+    from omegaconf import OmegaConf
+
+    loaded: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    config = {**loaded, "tracking": NO_TRACKING}
+    chosen = {group: run.data.params[group] for group in config if isinstance(config[group], Mapping)}
+    return Composition(config, {**chosen, "tracking": "none"})
+
+
+def _metrics(client: MlflowClient, run: Run) -> dict[int, dict[str, float]]:
+    """The metrics of each iteration that are not in its files."""
+    found: dict[int, dict[str, float]] = defaultdict(dict)
+    for name in sorted(run.data.metrics):
+        if name.startswith(PER_ITERATION):
+            for metric in client.get_metric_history(run.info.run_id, name):
+                found[metric.step][name] = metric.value
+    return found
+
+
+def _iterations(
+    study: Study, folder: Path, metrics: Mapping[int, Mapping[str, float]]
+) -> Iterator[Iteration]:
+    """The records, as the method yielded them."""
+    data, total = study.no_data, 0
+    for index in sorted(metrics):
+        before, total = total, int(metrics[index]["experiments/total"])
+        names = [experiment_name(index, experiment) for experiment in range(total - before)]
+        experiments = tuple(load_rollout(folder / name)[1] for name in names)
+        policy = json.loads((folder / policy_name(index)).read_text())
+        optimum = Optimum(np.array(policy["parameters"]), **policy["search"])
+        fitted_bias = study.bias.fit(data)
+        data = load_transitions(folder / data_name(index))
+        yield Iteration(
+            index=index,
+            optimum=optimum,
+            predicted_cost=policy["predicted_cost"],
+            model_reset=bool(metrics[index]["model/reset"]),
+            experiments=experiments,
+            hardware_cost=policy["hardware_cost"],
+            succeeded=policy["succeeded"],
+            total_experiments=total,
+            selection=study.samples.select(experiments, study.nominal),
+            data=data,
+            fitted_bias=fitted_bias,
+            diagnostics=_of_group("bias", metrics[index]),
+            seconds=_of_group("seconds", metrics[index]),
+        )
+
+
+def _of_group(group: str, metrics: Mapping[str, float]) -> dict[str, float]:
+    """The metrics of a group, without its name."""
+    prefix = f"{group}/"
+    return {name.removeprefix(prefix): value for name, value in metrics.items() if name.startswith(prefix)}

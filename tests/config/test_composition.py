@@ -1,0 +1,108 @@
+"""Bad input ends in one line that names the key, before anything runs."""
+
+from __future__ import annotations
+
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+
+import simbias
+from simbias.config import ConfigError, compose, options
+
+GROUPS = [(group, option) for group, names in options().items() for option in names]
+OF_TRIALS = [(group, option) for group, option in GROUPS if group != "engine"]
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("bias.d=abc", "bias.d: must be a valid number"),
+        ("bias.d=-1", "bias.d: must be greater than 0, got -1"),
+        ("bias.d=nan", "bias.d: must be a finite number"),
+        ("bias.dd=1", "bias.dd: no such key"),
+        ("+bias.dd=1", "bias.dd: no such key"),
+        ("bias.length_scale=[1,2]", "bias: length_scale has 2 values; the task has 7"),
+        ("optimizer=unknown", "optimizer=unknown: no such option; optimizer has "),
+        ("nosuch=1", "nosuch: no such key"),
+        ("+nosuch=1", "nosuch: no such group"),
+        ("~bias", "bias: missing"),
+        ("bias", "missing EQUAL"),
+        ("bias.d=[1", "[1"),
+        ("bias.d=1,2", "bias.d=1,2"),
+        ("bias=[gp,none]", "bias"),
+        ("seed=-1", "seed: must be greater than or equal to 0, got -1"),
+        ("seed=1.5", "seed: must be a valid integer"),
+        ("seed=???", "seed: Missing mandatory value"),
+        ("seed=${nosuch}", "seed: Interpolation key 'nosuch' not found"),
+        ("hardware.inertia_error=-2", "hardware.inertia_error: must be greater than -1"),
+        ("hardware.noise.torque_variance=-1", "hardware.noise.torque_variance: must be greater"),
+        ("hardware.feet=three", "hardware.feet: must be 'plate', 'separate' or 'fixed', got 'three'"),
+        ("task.horizon=0", "task.horizon: must be greater than 0"),
+        ("task.robot.wheel_radius=0", "task.robot.wheel_radius: must be greater than 0"),
+        ("task.start.mean=[0]", "task.start.mean: must have at least 6 items"),
+        ("cost.state_weights=[1]", "cost: state_weights has 1 values; the task has 6"),
+        ("+samples.limits.size=1", "samples: limits names no criterion of the task: size"),
+        ("bias._target_=simbias.cost.quadratic.Quadratic", "bias._target_: "),
+        ("bias._target_=no.such.Class", "bias._target_: cannot import 'no.such.Class'"),
+        ("+bias.task=1", "bias.task: is provided"),
+        ("optimizer.algorithm=GN_NONE", "optimizer"),
+        ("hydra.searchpath=[file:///no/such/folder]", "/no/such/folder"),
+    ],
+)
+def test_bad_override(override: str, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        simbias.load([override, "tracking=none"])
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_config_dir_must_exist() -> None:
+    with pytest.raises(ConfigError, match="--config-dir: no such folder"):
+        compose([], "/no/such/folder")
+
+
+@pytest.mark.parametrize(("group", "option"), OF_TRIALS)
+def test_every_shipped_option_builds(group: str, option: str) -> None:
+    component = getattr(simbias.load(["tracking=none", f"{group}={option}"]), group)
+    assert type(component).__module__.startswith(f"simbias.{group}.")
+
+
+@pytest.mark.parametrize(("group", "option"), GROUPS)
+def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
+    """Every value a person may change stands in the YAML, to be seen."""
+    from simbias.config.build import _fields, _locate
+
+    config = compose([f"{group}={option}"]).config[group]
+    assert set(config) - {"_target_"} == set(_fields(_locate(config["_target_"], group))) - {"task"}
+
+
+def test_own_components_come_from_a_config_dir() -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
+    assert type(study.nominal).__module__ == "point_mass"
+    searched = simbias.load([*POINT_MASS, "tracking=none", f"hydra.searchpath=[file://{OWN_CONF}]"])
+    assert searched.hash == study.hash
+
+
+def test_hash_follows_what_affects_the_result() -> None:
+    base = compose([]).hash
+    assert compose(["tracking=none"]).hash == base
+    assert compose(["seed=1"]).hash != base
+    assert compose(["bias.d=2"]).hash != base
+    assert compose(["bias=gp", "seed=0"]).hash == base
+
+
+def test_defaults_are_table_1() -> None:
+    config = compose([]).config
+    assert config["bias"]["length_scale"] == 1.0
+    assert config["bias"]["signal_variance"] == 1.0
+    assert config["bias"]["noise_variance"] == pytest.approx(2.718281828459045**-4, rel=1e-15)
+    assert config["bias"]["d"] == 1.0
+    assert config["cost"]["failure_weight"] == config["cost"]["max_cost"] == 200
+    assert config["cost"]["input_weights"] == [1e-6]
+    assert config["cost"]["state_weights"] == [10, 10, 10, 0.1, 0.1, 0.1]
+    assert config["task"]["horizon"] == 5000
+    assert config["task"]["time_step"] == 0.001
+    assert config["task"]["input_limit"] == 100
+    assert (config["method"]["max_iterations"], config["method"]["experiments"]) == (10, 2)
+    assert config["optimizer"]["max_evaluations"] == 1000
+    assert config["optimizer"]["relative_tolerance"] == 1e-6
+    assert config["policy"]["bound"] == 10

@@ -1,0 +1,165 @@
+"""The compiled closed loop against the plain one, and the rules that both keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import simbias
+from simbias.bias.none import ZeroBias
+from simbias.interfaces import FittedBias
+from simbias.records import Array, Disturbance, Transitions
+from simbias.simulation.closed_loop import Apart, CompiledSimulator, PlainSimulator, joined
+from simbias.study import Study
+
+STATE_SCALE = np.array([0.3, 0.1, 0.3, 1.0, 1.0, 1.0])
+
+
+def both(
+    study: Study, bias: FittedBias, disturbance: Disturbance | None = None
+) -> tuple[CompiledSimulator, PlainSimulator]:
+    model = study.model(bias)
+    compiled = model.simulator(disturbance)
+    assert isinstance(compiled, CompiledSimulator)
+    return compiled, PlainSimulator(model, disturbance)
+
+
+def learned(study: Study, n: int = 60) -> FittedBias:
+    """A bias from made-up, smooth residuals of some 0.1 mrad, as the hardware's are."""
+    rng = np.random.default_rng(1)
+    scale = np.append(STATE_SCALE, 20.0)
+    inputs = rng.normal(size=(n, 7))
+    return study.bias.fit(Transitions(inputs * scale, 1e-4 * np.tanh(inputs @ rng.normal(size=(7, 6)))))
+
+
+@pytest.fixture(scope="module")
+def stable(study: Study) -> Array:
+    """A policy that balances the nominal model: DIRECT's optimum."""
+    objective = lambda theta: study.simulate(theta).cost  # noqa: E731
+    return study.optimizer.minimize(objective, *study.policy.bounds, np.random.default_rng(0)).parameters
+
+
+@pytest.fixture(scope="module")
+def one_step() -> Study:
+    """A study whose rollouts end after one step."""
+    return simbias.load(["tracking=none", "task.horizon=1"])
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_single_steps_agree(one_step: Study, seed: int) -> None:
+    """One step from random states: single precision leaves 1e-9 of a correction of some 1e-4."""
+    rng = np.random.default_rng(seed)
+    theta, start = rng.uniform(-5, 5, 5), rng.normal(size=6) * STATE_SCALE
+    noise = Disturbance(rng.normal(size=(1, 1)), 0.01 * rng.normal(size=(2, 6)))
+    for bias, tolerance, disturbance in (
+        (ZeroBias(6), 1e-13, None),
+        (ZeroBias(6), 1e-13, noise),
+        (learned(one_step), 1e-9, None),
+        (learned(one_step), 1e-9, noise),
+    ):
+        compiled, plain = both(one_step, bias, disturbance)
+        fast, slow = compiled.rollout(theta, start), plain.rollout(theta, start)
+        np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(fast.states, slow.states, rtol=1e-11, atol=tolerance)
+        assert (fast.failed_at, fast.failure) == (slow.failed_at, slow.failure)
+
+
+def test_stable_rollouts_agree(study: Study, stable: Array) -> None:
+    """A stable loop contracts the differences of single steps, so its whole cost agrees."""
+    for bias, tolerance in ((ZeroBias(6), 1e-9), (learned(study), 1e-5)):
+        fast, slow = (s.rollout(stable, study.task.start_mean) for s in both(study, bias))
+        assert fast.failed_at is None
+        assert study.cost.of(fast) == pytest.approx(study.cost.of(slow), rel=tolerance)
+
+
+def test_falling_rollouts_agree(study: Study) -> None:
+    """Without torque the robot falls by the same criterion at the same frame."""
+    fast, slow = (s.rollout(np.zeros(5), study.task.start_mean) for s in both(study, ZeroBias(6)))
+    assert fast.failed_at == slow.failed_at == len(fast.inputs) == len(fast.states) - 1
+    assert fast.failure == slow.failure
+    assert fast.failure in {criterion.words for criterion in study.task.criteria}
+
+
+def test_noise_acts_where_it_belongs(one_step: Study) -> None:
+    """On the sensors it changes the command; on the input what the model does, and not the command."""
+    theta, start = np.array([1.0, 1.0, 1.0, 1.0, 1.0]), one_step.task.start_mean
+    none, one = np.zeros((2, 6)), np.full((2, 6), 0.1)
+    quiet = one_step.model().simulator().rollout(theta, start)
+    for loop in both(one_step, ZeroBias(6), Disturbance(np.zeros((1, 1)), one)):
+        seen = loop.rollout(theta, start)
+        np.testing.assert_allclose(seen.inputs[0], one_step.policy.act(theta, start + 0.1), rtol=1e-9)
+        np.testing.assert_array_equal(seen.states[0], start)
+    for loop in both(one_step, ZeroBias(6), Disturbance(np.full((1, 1), 5.0), none)):
+        pushed = loop.rollout(theta, start)
+        np.testing.assert_allclose(pushed.inputs, quiet.inputs, rtol=1e-9)
+        np.testing.assert_allclose(pushed.states[1], one_step.nominal.step(start, quiet.inputs[0] + 5.0))
+
+
+def test_a_bad_start_fails_at_once(study: Study) -> None:
+    start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 100.0])
+    for loop in both(study, ZeroBias(6)):
+        rollout = loop.rollout(np.zeros(5), start)
+        assert (rollout.failed_at, rollout.failure, rollout.frames) == (0, "too fast", 0)
+
+
+def test_what_is_not_a_number_fails(study: Study) -> None:
+    """A numerical blow-up ends the rollout; its cost stays finite only if the state before it counts."""
+    start = np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
+    for loop in both(study, ZeroBias(6)):
+        assert loop.rollout(np.zeros(5), start).failed_at == 0
+
+
+def test_plain_components_work_and_mix_with_compiled_ones(point_mass: Study) -> None:
+    """A user's components have no kernels; the GP, which has one, runs beside them."""
+    rollout = point_mass.simulate(np.array([9.0, 4.0, 0.0]))
+    assert rollout.frames == point_mass.task.horizon
+    assert rollout.cost == point_mass.cost.of(rollout) < 0.1875
+    assert isinstance(point_mass.simulator(), PlainSimulator)
+
+
+def test_simulation_is_repeatable(study: Study, stable: Array) -> None:
+    first, second = study.simulate(stable), study.simulate(stable)
+    np.testing.assert_array_equal(first.states, second.states)
+    assert not np.shares_memory(first.states, second.states)
+
+
+def test_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
+    """Nor on how many run in step: most fall, and others take their places."""
+    rng = np.random.default_rng(0)
+    thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
+    simulator = study.simulator(learned(study))
+    together = simulator.rollouts(thetas, starts)
+    assert len({rollout.frames for rollout in together}) > 20
+    for rollout, theta, start in zip(together, thetas, starts, strict=True):
+        np.testing.assert_array_equal(rollout.states, simulator.rollout(theta, start).states)
+
+
+def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
+    """To the last bit, whatever differs: noise, the nominal model's parameters, a bias that was drawn."""
+    rng = np.random.default_rng(0)
+    bias, T = learned(study), study.task.horizon
+    drawn = [bias.draw(rng) for _ in range(3)]
+    models = [replace(study.model(bias), nominal=study.nominal.draw(rng)) for _ in range(3)]
+    noises = [Disturbance(0.3 * rng.normal(size=(T, 1)), 0.01 * rng.normal(size=(T + 1, 6))) for _ in models]
+    simulators = [model.simulator(noise) for model, noise in zip(models, noises, strict=True)]
+    own = [replace(model, bias=bias).simulator() for model, bias in zip(models, drawn, strict=True)]
+    worlds = rng.integers(0, 3, 40)
+    thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
+    for several, in_step in ((simulators, True), (own, False), ([*simulators[:2], own[0]], False)):
+        made = joined(several)
+        assert isinstance(made, CompiledSimulator if in_step else Apart)
+        for index, rollout in enumerate(made.rollouts(thetas, starts, worlds)):
+            alone = several[worlds[index]].rollout(thetas[index], starts[index])
+            np.testing.assert_array_equal(rollout.states, alone.states)
+            np.testing.assert_array_equal(rollout.inputs, alone.inputs)
+
+
+def test_none_to_run_is_no_rollout(study: Study) -> None:
+    """As when the screening of an evaluation has left no policy."""
+    for simulator in both(study, ZeroBias(6)):
+        assert simulator.rollouts(np.empty((0, 5)), np.empty((0, 6))) == []

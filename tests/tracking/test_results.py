@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import last_policies
+import optimizers
+import pandas as pd
+import pytest
+from conftest import ROOT
+from side_by_side import side_by_side
+
+from simbias.config import ConfigError
+from simbias.sweep import tables
+from simbias.sweep.grid import expand
+from simbias.tracking import results
+
+PUBLISHED = sorted(path.parent for path in (ROOT / "sweeps" / "results").glob("*/trials.csv"))
+
+
+@pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
+def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> None:
+    sweep = expand([f"+sweep={folder.name}"])
+    trials = results.published(sweep)
+    assert len(trials) == len(sweep.trials)
+    table = tables.layout(tables.cells(trials, sweep), sweep)
+    _, _, *body = (folder / "table.md").read_text().strip().splitlines()
+    assert tables.markdown(table).splitlines()[2:] == body
+
+
+def test_published_trials_are_typed_as_those_of_a_store() -> None:
+    trials = results.published(expand(["+sweep=learners"]))
+    axes = ["hardware.noise.torque_variance", "hardware.inertia_error", "bias"]
+    assert list(trials.columns) == [*axes, *results.COLUMNS[:-1]]
+    assert set(trials["hardware.inertia_error"]) == {"0", "0.2"}
+    assert trials["experiments"].dtype == float
+    assert set(trials["raised"]) == {""}
+
+
+def test_what_is_not_published_or_lacks_a_column_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sweep = expand(["+sweep=smoke"])
+    monkeypatch.setattr(results, "shipped", lambda _: tmp_path)
+    with pytest.raises(ConfigError, match=r"^sweep: smoke has no published results$"):
+        results.published(sweep)
+    (tmp_path / "results" / "smoke").mkdir(parents=True)
+    pd.DataFrame({"hash": ["a"], "seed": [1]}).to_csv(tmp_path / "results" / "smoke" / "trials.csv")
+    with pytest.raises(ConfigError, match=r"^trials\.csv: lacks experiments, hardware\.inertia_error, "):
+        results.published(sweep)
+
+
+def test_readmes_table_is_that_of_both_published_sweeps() -> None:
+    assert side_by_side() in (ROOT / "README.md").read_text()
+
+
+def test_the_optimizers_table_is_that_of_its_searches() -> None:
+    folder = ROOT / "sweeps" / "results" / "optimizers"
+    searches = pd.read_csv(folder / "searches.csv")
+    assert set(searches.groupby(["optimizer", "budget"]).size()) == {50}
+    assert set(searches["optimizer"]) == set(optimizers.OPTIMIZERS)
+    assert optimizers.table(searches) == (folder / "table.md").read_text()
+
+
+def test_readme_shows_the_published_table_of_the_ablation() -> None:
+    table = ROOT / "sweeps" / "results" / "ablation" / "table.md"
+    assert table.read_text() in (ROOT / "README.md").read_text()
+
+
+def test_readme_shows_what_the_policies_for_separate_feet_are_worth() -> None:
+    sweep = expand(["+sweep=feet"])
+    policies = pd.read_csv(ROOT / "sweeps" / "results" / "feet" / "policies.csv")
+    trials = results.published(sweep)
+    assert list(policies["repetition"]) == list(trials["repetition"])
+    assert last_policies.table(sweep, trials, policies) in (ROOT / "README.md").read_text()
