@@ -1,50 +1,36 @@
-"""Every contract of simbias, on one page.
+"""The contract of every component: what the author of one reads.
 
-n states x, m inputs u, q outputs z, p policy parameters theta; T frames of `time_step` seconds.
-Units are the task's. Components are built from YAML: the keys of `conf/<group>/<name>.yaml` are the
-constructor's arguments, checked against its annotations; an argument named `task` receives the task.
-State is passed, never hidden; randomness comes only from a passed NumPy generator.
+n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's memory; T frames of
+`time_step` seconds. Units are the task's. Components are built from YAML: the keys of
+`conf/<group>/<name>.yaml` are the constructor's arguments, checked against its annotations; an argument named
+`task` receives the task. State is passed, never hidden; randomness comes only from a passed NumPy generator.
 
-A component may offer a compiled `kernel` (`simbias.simulation.kernels` has the signature of each
-role). When all parts of a closed loop do, whole rollouts run without Python; otherwise its methods are
-called frame by frame, with the same results.
+Where a shape begins with `...`, any leading axes may stand, as in NumPy's own functions: a policy search
+simulates all its candidates together. A component may offer a compiled `kernel` besides
+(`simbias.simulation.kernels`). When all parts of a closed loop do, rollouts run without Python, with the same
+numbers. The contract of a method is beside the study that it runs: `simbias.study`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from simbias.records import Array, Iteration, Optimum, Rollout, Selection, Transitions
+from simbias.records import Array, Indices, Optimum, Rollout, Selection, Transitions
 from simbias.search import Evaluations
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from simbias.pictures.sweep.batches import Batch, Outcomes
-    from simbias.pictures.sweep.picture import Picture
-    from simbias.pictures.sweep.swept import SweptTrials
-    from simbias.simulation.closed_loop import Model
-    from simbias.study import Study
-    from simbias.sweep.grid import Sweep, Trial
-    from simbias.tracking.trials import RecordedTrial
-    from simbias.worker import TrialRecord
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 class HardwareError(RuntimeError):
     """The hardware could not carry out an experiment; a robot that falls is no error but a failure."""
 
 
-class WorkerLostError(RuntimeError):
-    """A worker died with its trial, again and again."""
+class Waiting(Exception):  # noqa: N818 (no error: a lab takes its time)
+    """The result of an experiment is not there yet; the message says in one sentence what to do meanwhile."""
 
 
 class SlowWarning(UserWarning):
@@ -52,10 +38,10 @@ class SlowWarning(UserWarning):
 
 
 class Kernel(NamedTuple):
-    """A compiled function of one role and the arrays that it reads besides its role's arguments."""
+    """What a component offers to the compiled closed loop: see `simbias.simulation.kernels`."""
 
-    function: Any
-    parameters: Any
+    function: Callable
+    parameters: Any  # an array; of a bias that works on all lanes, a tuple of arrays
 
 
 class Quantity(NamedTuple):
@@ -63,6 +49,12 @@ class Quantity(NamedTuple):
 
     name: str
     unit: str
+    kind: str = ""  # what it shares with others, so that noise can be declared of all at once: "angle"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it can be called by, its own name first."""
+        return (self.name, self.kind) if self.kind else (self.name,)
 
 
 class Criterion(NamedTuple):
@@ -72,6 +64,7 @@ class Criterion(NamedTuple):
     words: str
     limit: float
     unit: str
+    bounds: Mapping[str, float] = MappingProxyType({})  # state -> |state| that it allows, whatever the others
 
 
 class Task(ABC):
@@ -91,18 +84,29 @@ class Task(ABC):
 
     @abstractmethod
     def measure(self, x: Array) -> Array:
-        """Measures (c,) of the state x (n,), to be held against the limits of the criteria."""
+        """Measures (..., c) of states x (..., n), to be held against the limits of the criteria."""
 
     @abstractmethod
     def output(self, x: Array) -> Array:
-        """Outputs z (q,) of the state x (n,), from which a policy computes its input."""
+        """Outputs z (..., q) of states x (..., n), from which a policy computes its input."""
 
-    def violated(self, x: Array) -> int | None:
-        """Index of the first criterion that x (n,) violates, or None; what is not a number violates."""
-        for index, (value, criterion) in enumerate(zip(self.measure(x), self.criteria, strict=True)):
-            if not value <= criterion.limit:
-                return index
-        return None
+    def violated(self, x: Array) -> Indices:
+        """Index (...) of the first criterion that each state x (..., n) violates, -1 where it violates none.
+
+        What is not a number violates.
+        """
+        within = self.measure(x) <= np.array([criterion.limit for criterion in self.criteria])
+        return np.where(within.all(axis=-1), -1, np.argmin(within, axis=-1))
+
+    def failure(self, x: Array) -> str | None:
+        """Name of the first criterion that the state x (n,) violates, or None."""
+        index = int(self.violated(x))
+        return None if index < 0 else self.criteria[index].name
+
+    def words(self, failure: str) -> str:
+        """A failure in words: those of its criterion, or the name that a hardware gave it."""
+        words = {criterion.name: criterion.words for criterion in self.criteria}
+        return words.get(failure, failure.replace("_", " "))
 
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,): start_mean + N(0, start_deviation^2) (Section VI-A)."""
@@ -116,7 +120,7 @@ class Nominal(ABC):
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (n,) = x + f'(x, u), one time step after x (n,) under u (m,) (Eq. 1)."""
+        """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1)."""
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model that might be the right one, as far as its parameters are known; this one if they are."""
@@ -124,19 +128,49 @@ class Nominal(ABC):
 
 
 class Policy(ABC):
-    """The feedback law whose parameters theta are searched."""
+    """The feedback law whose parameters theta are searched.
+
+    A law with a filter, an integral or a delay keeps what it needs in its memory, which is zero at the start.
+    """
 
     n_parameters: int
     bounds: tuple[Array, Array]  # lower (p,), upper (p,)
-    kernel: Callable[[Array], Kernel] | None = None  # of theta (p,)
+    memory_size: int = 0  # s
+    kernel: Callable[[Array], Kernel] | None = None  # of thetas (k, p): its parameters (k, r) are theirs
 
     @abstractmethod
-    def act(self, theta: Array, x: Array) -> Array:
-        """Input u (m,) at the (measured) state x (n,), within the task's limits."""
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) within the task's limits, and the memory (..., s) for the next frame.
+
+        theta (..., p), (measured) states x (..., n), time t in s since the start, memory (..., s). Most laws
+        ignore the time, and return the memory as it came.
+        """
 
     @abstractmethod
     def outputs(self, x: Array) -> Array:
-        """What the policy feeds back: z (q,) at the state x (n,)."""
+        """What the policy feeds back: z (..., q) at states x (..., n)."""
+
+    def controller(self, theta: Array, time_step: float) -> Controller:
+        """The policy theta (p,) as a robot's control loop runs it: once a frame of `time_step` s."""
+        return Controller(self, theta, time_step)
+
+
+class Controller:
+    """A policy in a control loop: u (m,) = controller(x), called once a frame; it keeps time and memory."""
+
+    def __init__(self, policy: Policy, theta: Array, time_step: float) -> None:
+        self._policy = policy
+        self._theta = theta
+        self._time_step = time_step
+        self._frame = 0
+        self._memory = np.zeros(policy.memory_size)
+
+    def __call__(self, x: Array) -> Array:
+        """Input u (m,) at the (measured) state x (n,) of the next frame."""
+        time = self._frame * self._time_step
+        u, self._memory = self._policy.act(self._theta, x, time, self._memory)
+        self._frame += 1
+        return u
 
 
 class FittedBias(ABC):
@@ -151,7 +185,7 @@ class FittedBias(ABC):
 
     @abstractmethod
     def correction(self, x: Array, u: Array) -> Array:
-        """What is added to the nominal step at x (n,), u (m,): the last term (n,) of Eq. 7."""
+        """What is added to the nominal step at x (..., n), u (..., m): the last term (..., n) of Eq. 7."""
 
     def draw(self, rng: np.random.Generator) -> FittedBias:
         """A bias that might be the right one, as far as the data tells; this one if it does not say."""
@@ -166,6 +200,16 @@ class Bias(ABC):
         """Learn from the data; without data the bias is zero everywhere."""
 
 
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The corrected simulation model of Eq. 7, and the task and policy that close its loop."""
+
+    task: Task
+    policy: Policy
+    nominal: Nominal
+    bias: FittedBias
+
+
 class Simulator(Protocol):
     """The closed loop of policy, nominal model and bias (Eq. 7, 9), with or without noise."""
 
@@ -174,6 +218,9 @@ class Simulator(Protocol):
 
     def rollouts(self, thetas: Array, starts: Array) -> Sequence[Rollout]:
         """Run each theta of (k, p) from its start of (k, n); much faster together than one by one."""
+
+    def costs(self, cost: Cost, thetas: Array, starts: Array) -> Array:
+        """Costs (k,) of these rollouts; faster than the rollouts."""
 
 
 class Objective(Protocol):
@@ -189,14 +236,21 @@ class Objective(Protocol):
 class Hardware(ABC):
     """The expensive system."""
 
+    sets_start: bool = True  # whether an experiment begins where it is asked to; else where the robot stands
+
     @abstractmethod
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,) from start (n,); its cost is not set.
+        """One experiment with theta (p,); cost and parameters of the rollout are not set.
+
+        It begins at the start (n,), or as near to it as the robot can: the rollout's first state says where.
+        `policy.controller(theta, time_step)` computes the input of each frame.
 
         Raises
         ------
         HardwareError
             If the experiment could not be carried out.
+        Waiting
+            If its result is not there yet. The same experiment is asked for again at the next start.
         """
 
 
@@ -212,10 +266,20 @@ class Cost(ABC):
     """What a rollout costs, and above which cost a policy has failed."""
 
     max_cost: float  # Z_max
+    kernel: Kernel | None = None
+    totals: int = 0  # s, how many numbers the kernel sums up
 
     @abstractmethod
     def of(self, rollout: Rollout) -> float:
-        """Z of a rollout: finite, and above max_cost where the rollout failed."""
+        """Z of a rollout: finite."""
+
+    def of_totals(self, totals: Array, lost: Indices) -> Array:
+        """Z (k,) of rollouts that the kernel summed up as totals (k, s), of frames (k,) lost by failure."""
+        raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
+
+    def passes(self, rollout: Rollout) -> bool:
+        """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""
+        return rollout.failed_at is None and rollout.cost < self.max_cost
 
 
 class Evaluation(ABC):
@@ -269,134 +333,3 @@ class Optimizer(ABC):
         evaluations.try_first(candidates)
         stopped_by = evaluations.run(lambda running: self.search(running, rng))
         return evaluations.optimum(stopped_by)
-
-
-class Observer(Protocol):
-    """Hears of what happens inside an iteration, while it happens."""
-
-    def searching(self, evaluations: int, best_cost: float) -> None:
-        """A policy search has simulated so many policies, a few in vain if it looks ahead."""
-
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """A hardware experiment has ended; called before its data is used."""
-
-
-class Method(ABC):
-    """An algorithm that learns and optimises."""
-
-    max_iterations: int  # N_out
-
-    @abstractmethod
-    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield a record of every iteration as it ends."""
-
-
-class Tracking(ABC):
-    """A store for the records of a trial."""
-
-    pictures: bool = False  # whether it keeps pictures of trials
-
-    @abstractmethod
-    def open(self, study: Study) -> TrackedTrial:
-        """Begin the record of a trial."""
-
-    @abstractmethod
-    def open_sweep(self, sweep: Sweep, again: str) -> TrackedSweep:
-        """Begin the record of a sweep, or go on with it; `again` is the command that does so."""
-
-    @abstractmethod
-    def finished(self, sweep: Sweep) -> DataFrame:
-        """What is kept of a sweep's finished trials, see `simbias.tracking.results`; changes nothing."""
-
-
-class TrackedTrial(ABC):
-    """The open record of one trial; every call returns after its data is safe."""
-
-    where: str | None  # one line that tells a person how to look at it
-
-    @abstractmethod
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """Keep a hardware experiment."""
-
-    @abstractmethod
-    def log(self, iteration: Iteration) -> None:
-        """Keep an iteration."""
-
-    @abstractmethod
-    def illustrate(self, pictures: Mapping[str, bytes]) -> None:
-        """Keep pictures of the trial, files by name; it may have been closed."""
-
-    @abstractmethod
-    def close(self, error: BaseException | None = None) -> None:
-        """End the record; the error says why it ended early."""
-
-
-class TrackedSweep(ABC):
-    """The open record of a sweep."""
-
-    where: str | None  # one line that tells a person how to look at it
-    keeps: bool  # whether a later process finds the finished trials
-    finished: frozenset[str]  # hashes of the trials that were finished before
-
-    @abstractmethod
-    def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
-        """Keep all of a trial; it counts as finished once everything is written, unless it raised."""
-
-    @abstractmethod
-    def results(self) -> DataFrame:
-        """The trials that are finished or raised, as `simbias.tracking.results` describes them."""
-
-    @abstractmethod
-    def load(self, run_id: str) -> RecordedTrial:
-        """A trial that was kept, in full."""
-
-    @abstractmethod
-    def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
-        """Keep the outcomes of a batch of experiments, by its hash."""
-
-    @abstractmethod
-    def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
-        """Those outcomes that are kept, by the hashes of their batches."""
-
-    @abstractmethod
-    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
-        """Keep a figure; its files replace those of the same names."""
-
-    @abstractmethod
-    def close(self, error: BaseException | None = None) -> None:
-        """End the record with the table of what is there; the error says why it ended early."""
-
-
-class SweepFigure(ABC):
-    """A figure of a sweep, drawn once all trials have ended."""
-
-    reads_trials = True  # in full, from the store; else only their table
-
-    def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
-        """Hardware experiments that it needs besides those of the trials; none, if not said otherwise."""
-        return ()
-
-    @abstractmethod
-    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
-        """The picture, from the trials and the outcomes of the experiments.
-
-        Raises
-        ------
-        FigureError
-            If it cannot be drawn from what there is.
-        """
-
-
-class Engine(ABC):
-    """Where the trials of a sweep run."""
-
-    @abstractmethod
-    def run(
-        self, function: Callable[[T], R], tasks: Sequence[T]
-    ) -> Iterator[tuple[int, R | WorkerLostError]]:
-        """Yield (index of a task, function(task)) as tasks end, in any order, every task once.
-
-        `function` is one of a module's, raises nothing and changes nothing, so a task whose worker died runs
-        again; one whose workers die each time yields a WorkerLostError. Tasks are plain containers.
-        Closing the iterator stops the workers.
-        """

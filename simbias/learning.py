@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.interfaces import FittedBias, Objective, Observer
-from simbias.records import Array, Optimum, Rollout
-from simbias.study import Study
+from simbias.interfaces import FittedBias, Objective
+from simbias.records import Array, Optimum, Rollout, Search
+from simbias.study import Observer, Study
 
 
 def search(
@@ -22,25 +22,26 @@ def search(
     candidates: Sequence[Array] = (),
     retries: int = 0,
     satisfactory: float | None = None,
-) -> tuple[Optimum, float]:
-    """Optimise the policy in simulation (the dashed loop of Fig. 1); return it with its predicted cost.
+) -> Search:
+    """Optimise the policy in simulation (the dashed loop of Fig. 1).
 
     A search that ends above a satisfactory cost, by default Z_max, is made again with other random numbers,
     up to `retries` times. The best one is returned, with the evaluations of all.
     """
     enough = study.cost.max_cost if satisfactory is None else satisfactory
-    found = [_search(study, fitted_bias, rng, observer, candidates, enough)]
-    while found[-1][1] > enough and len(found) <= retries:
-        found.append(_search(study, fitted_bias, rng, observer, candidates, enough))
-    best = min(range(len(found)), key=lambda index: found[index][1])
-    optimum, predicted_cost = found[best]
-    if len(found) > 1:
+    searches: list[tuple[Optimum, float]] = []
+    while not searches or (searches[-1][1] > enough and len(searches) <= retries):
+        (search_rng,) = rng.spawn(1)
+        searches.append(_search(study, fitted_bias, search_rng, observer, candidates, enough))
+    best = min(range(len(searches)), key=lambda index: searches[index][1])
+    optimum, predicted_cost = searches[best]
+    if len(searches) > 1:
         optimum = replace(
             optimum,
-            evaluations=sum(one.evaluations for one, _ in found),
-            stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(found)}",
+            evaluations=sum(one.evaluations for one, _ in searches),
+            stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
-    return optimum, predicted_cost
+    return Search(optimum, predicted_cost, fitted_bias, fitted_bias.diagnostics)
 
 
 def _search(
@@ -51,11 +52,12 @@ def _search(
     candidates: Sequence[Array],
     satisfactory: float,
 ) -> tuple[Optimum, float]:
-    """One search."""
-    objective = study.evaluation.objective(study.model(fitted_bias), study.cost, rng)
+    """One search, and the cost that it predicts."""
+    scenario_rng, optimizer_rng = rng.spawn(2)
+    objective = study.evaluation.objective(study.model(fitted_bias), study.cost, scenario_rng)
     lower, upper = study.policy.bounds
     watched = _Watched(objective, observer)
-    optimum = study.optimizer.minimize(watched, lower, upper, rng, satisfactory, candidates)
+    optimum = study.optimizer.minimize(watched, lower, upper, optimizer_rng, satisfactory, candidates)
     return optimum, objective(optimum.parameters)
 
 
@@ -90,19 +92,20 @@ def experiment(
     theta: Array,
     rng: np.random.Generator,
     observer: Observer,
-    iteration: int,
     count: int,
-    stop_at: float = np.inf,
+    stop_at_failure: bool = False,
 ) -> tuple[Rollout, ...]:
     """Evaluate a policy with hardware experiments (the solid loop of Fig. 1).
 
-    Once one costs `stop_at`, no more are made; this changes nothing in those of later iterations.
+    If told so, none follows the first that fails; this changes nothing in those of later iterations.
     """
     rollouts: list[Rollout] = []
-    for index, experiment_rng in enumerate(rng.spawn(count)):
-        rollouts.append(study.experiment(theta, experiment_rng))
-        observer.experimented(iteration, index, theta, rollouts[-1])
-        if rollouts[-1].cost >= stop_at:
+    for experiment_rng in rng.spawn(count):
+        start = study.task.draw_start(experiment_rng)
+        observer.experimenting(theta, start)
+        rollouts.append(study.experiment(theta, experiment_rng, start))
+        observer.experimented(rollouts[-1])
+        if stop_at_failure and not study.cost.passes(rollouts[-1]):
             break
     return tuple(rollouts)
 

@@ -24,10 +24,11 @@ class Rollout:
     states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the failing frame
     inputs: Array  # (k, m) commanded inputs u_0 .. u_{k-1}
     failed_at: int | None = None  # t_fail of Eq. 8: the frame whose state failed
-    failure: str | None = None  # the criterion of Section IV-C that failed, in words
+    failure: str | None = None  # name of the criterion of Section IV-C that failed
     cost: float = math.nan  # Z of Eq. 8; nan until a cost has judged the rollout
     measured: Array | None = None  # (k+1, n) what the sensors said; None where nothing was sensed
     sensed: bool = False  # whether the recorded states are these, as on a real robot; else the true ones
+    parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
 
     @property
     def frames(self) -> int:
@@ -87,19 +88,34 @@ class Optimum:
 
 
 @dataclass(frozen=True, eq=False)
+class Search:
+    """A policy search in simulation, and what it was made on (lines 4 and 5 of Algorithm 1)."""
+
+    optimum: Optimum
+    predicted_cost: float  # Z_g
+    fitted_bias: FittedBias | None  # g; None once the record came from a worker
+    diagnostics: Mapping[str, float] = field(default_factory=dict)  # what the learner says of g
+
+
+@dataclass(frozen=True, eq=False)
+class Learning:
+    """What was learned from an iteration's experiments (lines 6-8 and 13)."""
+
+    selection: Selection  # D_i
+    data: Transitions  # D afterwards
+    reset: bool = False  # whether D was cleared before
+
+
+@dataclass(frozen=True, eq=False)
 class Iteration:
-    """One pass through lines 3-15 of Algorithm 1."""
+    """One pass through the loop of a method, with those parts that the method has."""
 
     index: int  # i, from 0
-    optimum: Optimum  # line 4
-    predicted_cost: float  # Z_g, line 5
-    model_reset: bool  # whether lines 6-8 cleared D and g
-    experiments: tuple[Rollout, ...]  # line 9
-    hardware_cost: float  # Z_r, line 9: the maximum over the experiments
+    parameters: Array  # (p,) the policy that it arrived at
+    experiments: tuple[Rollout, ...]  # line 9; of several policies, where a method tries several
+    hardware_cost: float  # Z_r of that policy: the maximum over its experiments
     succeeded: bool  # line 10
     total_experiments: int  # hardware experiments of the trial so far
-    selection: Selection  # D_i
-    data: Transitions  # D after line 13
-    fitted_bias: FittedBias | None  # g that the policy was searched on; None once it came from a worker
-    diagnostics: Mapping[str, float] = field(default_factory=dict)  # what the learner says of g
+    search: Search | None = None
+    learning: Learning | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)  # wall time of each phase

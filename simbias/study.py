@@ -1,42 +1,64 @@
-"""A study: the components of a trial, composed."""
+"""A study: the components of a trial, composed, and the contract of the method that runs it."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from simbias.config import Composition
+from simbias.checks import checked
+from simbias.config.composition import Composition
 from simbias.interfaces import (
     Bias,
     Cost,
     Evaluation,
     FittedBias,
     Hardware,
-    Method,
+    Model,
     Nominal,
-    Observer,
     Optimizer,
     Policy,
     Samples,
     Simulator,
     Task,
-    Tracking,
 )
 from simbias.records import Array, Iteration, Rollout, Transitions
-from simbias.simulation.closed_loop import Model
+from simbias.simulation.closed_loop import simulator
 
 
-class Unobserved:
-    """An observer that ignores everything."""
+class Observer:
+    """Hears of what happens in a trial, while it happens; one that hears of it only is told nothing else."""
 
     def searching(self, evaluations: int, best_cost: float) -> None:
-        """Ignore a search's progress."""
+        """A policy search has simulated so many policies, a few in vain if it looks ahead."""
 
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """Ignore an experiment."""
+    def experimenting(self, theta: Array, start: Array) -> None:
+        """A hardware experiment with theta (p,) from start (n,) begins."""
+
+    def experimented(self, rollout: Rollout) -> None:
+        """A hardware experiment has ended."""
+
+    def iterated(self, iteration: Iteration) -> None:
+        """An iteration has ended."""
+
+
+class Method(ABC):
+    """An algorithm that searches, experiments and learns, in the steps of `simbias.learning`.
+
+    It knows nothing of stores, and may be begun again: experiments that were made and searches that ended
+    are then not made twice but recalled. So every search and every experiment has a generator of its own,
+    spawned from the method's, as the steps see to.
+    """
+
+    max_iterations: int  # N_out
+    max_experiments: int  # hardware experiments of a trial that never succeeds
+
+    @abstractmethod
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every iteration as it ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +75,6 @@ class Study:
     evaluation: Evaluation
     optimizer: Optimizer
     method: Method
-    tracking: Tracking
     seed: int
     composition: Composition  # what the components were built from
 
@@ -83,7 +104,7 @@ class Study:
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
         """Run the method; the same seed gives the same records."""
-        return self.method.run(self, np.random.default_rng(self.seed), observer or Unobserved())
+        return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
 
     def simulate(
         self, theta: Array, fitted_bias: FittedBias | None = None, start: Array | None = None
@@ -92,27 +113,42 @@ class Study:
 
         Without a fitted bias g = 0; without a start (n,) it is the task's mean start.
         """
-        rollout = self.simulator(fitted_bias).rollout(
-            np.asarray(theta, dtype=np.float64), self.task.start_mean if start is None else start
-        )
-        return replace(rollout, cost=self.cost.of(rollout))
+        theta = np.asarray(theta, dtype=np.float64)
+        begin = self.task.start_mean if start is None else start
+        return self._judged(self.simulator(fitted_bias).rollout(theta, begin), theta)
 
-    def experiment(self, theta: Array, rng: np.random.Generator) -> Rollout:
-        """Run theta (p,) on the hardware once, from a random start."""
-        rollout = self.hardware.run(self.policy, theta, self.task.draw_start(rng), rng)
-        return replace(rollout, cost=self.cost.of(rollout))
+    def experiment(self, theta: Array, rng: np.random.Generator, start: Array | None = None) -> Rollout:
+        """Run theta (p,) on the hardware once; without a start (n,) from a random one.
+
+        Raises
+        ------
+        HardwareError
+            If the experiment could not be carried out, or its rollout is not what the contract asks for.
+        Waiting
+            If its result is not there yet.
+        """
+        theta = np.asarray(theta, dtype=np.float64)
+        begin = self.task.draw_start(rng) if start is None else start
+        rollout = checked(self.hardware.run(self.policy, theta, begin, rng), self.hardware, self.task)
+        return self._judged(rollout, theta)
+
+    def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
+        """A rollout with its cost and the policy that it ran."""
+        return replace(rollout, cost=self.cost.of(rollout), parameters=theta)
 
     def simulator(self, fitted_bias: FittedBias | None = None) -> Simulator:
         """The closed loop on the nominal model, corrected by a fitted bias; g = 0 without one."""
-        return self.model(fitted_bias).simulator()
+        return simulator(self.model(fitted_bias))
 
     def model(self, fitted_bias: FittedBias | None = None) -> Model:
         """The nominal model, corrected by a fitted bias; g = 0 without one."""
         return Model(self.task, self.policy, self.nominal, fitted_bias or self.bias.fit(self.no_data))
 
     def warm_up(self) -> None:
-        """Compile what a simulated rollout needs, so that a search does not begin with it."""
-        self.simulate(np.zeros(self.policy.n_parameters))
+        """Compile what a simulated rollout and a search need, so that none begins with it."""
+        theta = np.zeros(self.policy.n_parameters)
+        self.simulate(theta)
+        self.evaluation.objective(self.model(), self.cost, np.random.default_rng(0))(theta)
 
     @property
     def no_data(self) -> Transitions:

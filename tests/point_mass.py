@@ -24,7 +24,7 @@ class PointMass(Task):
         self.start_mean = np.array([0.5, 0.0])
 
     def measure(self, x: Array) -> Array:
-        return np.abs(x[:1])
+        return np.abs(x[..., :1])
 
     def output(self, x: Array) -> Array:
         return x.copy()
@@ -35,8 +35,8 @@ class WithoutWind(Nominal):
         self._dt, self._mass = task.time_step, mass
 
     def step(self, x: Array, u: Array) -> Array:
-        velocity = x[1] + self._dt * u[0] / self._mass
-        return np.array([x[0] + self._dt * velocity, velocity])
+        velocity = x[..., 1] + self._dt * u[..., 0] / self._mass
+        return np.stack([x[..., 0] + self._dt * velocity, velocity], axis=-1)
 
 
 class InTheWind(Hardware):
@@ -46,15 +46,18 @@ class InTheWind(Hardware):
         self._task, self._wind, self._still = task, wind, WithoutWind(task)
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        states, inputs, violated = [start], [], self._task.violated(start)
-        while violated is None and len(inputs) < self._task.horizon:
-            inputs.append(policy.act(theta, states[-1]))
+        states, inputs, failure = [start], [], self._task.failure(start)
+        controller = policy.controller(theta, self._task.time_step)
+        while failure is None and len(inputs) < self._task.horizon:
+            inputs.append(controller(states[-1]))
             states.append(self._still.step(states[-1], inputs[-1] + self._wind))
-            violated = self._task.violated(states[-1])
-        failed_at, failure = None, None
-        if violated is not None:
-            failed_at, failure = len(inputs), self._task.criteria[violated].words
-        return Rollout(np.array(states), np.array(inputs).reshape(-1, 1), failed_at, failure)
+            failure = self._task.failure(states[-1])
+        return Rollout(
+            states=np.array(states),
+            inputs=np.array(inputs).reshape(-1, 1),
+            failed_at=None if failure is None else len(inputs),
+            failure=failure,
+        )
 
 
 class Spring(Policy):
@@ -66,8 +69,9 @@ class Spring(Policy):
     def __init__(self, task: PointMass) -> None:
         self._limit = task.input_limit
 
-    def act(self, theta: Array, x: Array) -> Array:
-        return np.clip(np.atleast_1d(theta[2] - theta[:2] @ x), -self._limit, self._limit)
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        force = theta[..., 2:] - np.sum(theta[..., :2] * x, axis=-1, keepdims=True)
+        return np.clip(force, -self._limit, self._limit), memory
 
     def outputs(self, x: Array) -> Array:
         return x.copy()

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
-from simbias.interfaces import Method, Observer
 from simbias.learning import Stopwatch, experiment, search
-from simbias.records import Array, Iteration
-from simbias.study import Study
+from simbias.records import Array, Iteration, Learning
+from simbias.study import Method, Observer, Study
 
 
 class Algorithm1(Method):
@@ -50,7 +49,8 @@ class Algorithm1(Method):
         warm_start: bool = False,
     ) -> None:
         self.max_iterations = max_iterations
-        self.experiments = experiments
+        self.max_experiments = max_iterations * experiments
+        self._experiments = experiments
         self._keep_data = keep_data
         self._stop_at_failure = stop_at_failure
         self._retry_search = retry_search
@@ -63,27 +63,26 @@ class Algorithm1(Method):
         max_cost = study.cost.max_cost
         data = study.no_data  # 1
         bias = study.bias.fit(data)
-        stop_at = max_cost if self._stop_at_failure else np.inf
         earlier: list[Array] = []
         total_experiments = 0
         for i in range(self.max_iterations):  # 2, 3, 15
             clock = Stopwatch()
-            searched_on = bias
             with clock("search"):
-                optimum, predicted_cost = search(
+                proposal = search(
                     study, bias, search_rng, observer, earlier, self._retry_search, self._satisfactory_cost
                 )  # 4, 5
-            theta = optimum.parameters
+            theta = proposal.optimum.parameters
             if self._warm_start:
                 earlier.append(theta)
-            reset = predicted_cost > max_cost and not self._keep_data  # 6
+            reset = proposal.predicted_cost > max_cost and not self._keep_data  # 6
             if reset:
                 data = study.no_data  # 7
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, i, self.experiments, stop_at)  # 9
+                rollouts = experiment(
+                    study, theta, hardware_rng, observer, self._experiments, self._stop_at_failure
+                )  # 9
             total_experiments += len(rollouts)
-            hardware_cost = max(rollout.cost for rollout in rollouts)
-            succeeded = hardware_cost < max_cost  # 10
+            succeeded = all(map(study.cost.passes, rollouts))  # 10
             with clock("learning"):
                 selection = study.samples.select(rollouts, study.nominal)
                 if not succeeded:
@@ -91,17 +90,13 @@ class Algorithm1(Method):
                     bias = study.bias.fit(data)  # 14
             yield Iteration(
                 index=i,
-                optimum=optimum,
-                predicted_cost=predicted_cost,
-                model_reset=reset,
+                parameters=theta,
                 experiments=rollouts,
-                hardware_cost=hardware_cost,
+                hardware_cost=max(rollout.cost for rollout in rollouts),
                 succeeded=succeeded,
                 total_experiments=total_experiments,
-                selection=selection,
-                data=data,
-                fitted_bias=searched_on,
-                diagnostics=searched_on.diagnostics,
+                search=proposal,
+                learning=Learning(selection, data, reset),
                 seconds=clock.seconds,
             )
             if succeeded:  # 11

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,6 +29,23 @@ def test_every_failure_costs_more_than_the_maximum(study: Study) -> None:
     """c = Z_max: even a robot that falls in the last frame exceeds Z_max (Section V)."""
     still = Rollout(np.zeros((5000, 6)), np.zeros((4999, 1)), failed_at=4999, failure="a fall")
     assert study.cost.of(still) == 200 >= study.cost.max_cost
+
+
+def test_who_falls_in_the_very_last_frame_does_not_succeed(study: Study) -> None:
+    """Eq. 8 has no penalty left for t_fail = T; a fall is a fall."""
+    states, inputs = np.zeros((5001, 6)), np.zeros((5000, 1))
+    fallen = Rollout(states, inputs, failed_at=5000, failure="a fall")
+    fallen = replace(fallen, cost=study.cost.of(fallen))
+    assert fallen.cost == 0.0
+    assert not study.cost.passes(fallen)
+    assert study.cost.passes(replace(fallen, failed_at=None, failure=None))
+
+
+def test_the_maximum_itself_does_not_pass(study: Study) -> None:
+    """Line 10 asks for less than Z_max."""
+    balanced = Rollout(np.zeros((5001, 6)), np.zeros((5000, 1)))
+    assert study.cost.passes(replace(balanced, cost=np.nextafter(200.0, 0.0)))
+    assert not study.cost.passes(replace(balanced, cost=200.0))
 
 
 def test_the_start_does_not_count_in_the_peak(study: Study) -> None:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from point_mass import Distance
+from point_mass import Distance, PointMass
 
 from simbias.bias.none import NoBias
 from simbias.evaluation.nominal_start import NominalStart
 from simbias.interfaces import Evaluation, FittedBias, Hardware, HardwareError
 from simbias.method.algorithm1 import Algorithm1
 from simbias.optimizer.nlopt import Nlopt
-from simbias.records import Iteration, Rollout
-from simbias.study import Study
+from simbias.records import Array, Iteration, Rollout
+from simbias.study import Observer, Study
+
+FRAMES = 25  # of a scripted experiment: five become training data
 
 
 class ScriptedPrediction(Evaluation):
@@ -36,19 +38,22 @@ class ScriptedHardware(Hardware):
         self._costs = iter(costs)
 
     def run(self, policy, theta, start, rng):
-        states = np.full((26, 2), next(self._costs))
-        return Rollout(states, np.zeros((25, 1)))
+        states = np.full((FRAMES + 1, 2), next(self._costs))
+        return Rollout(states, np.zeros((FRAMES, 1)))
 
 
-@dataclass
-class Listener:
-    heard: list = field(default_factory=list)
+class Listener(Observer):
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, Any]] = []
 
     def searching(self, evaluations: int, best_cost: float) -> None:
         self.heard.append(("search", evaluations))
 
-    def experimented(self, iteration: int, experiment: int, theta, rollout: Rollout) -> None:
-        self.heard.append(("experiment", iteration, experiment))
+    def experimenting(self, theta: Array, start: Array) -> None:
+        self.heard.append(("begins", (theta, start)))
+
+    def experimented(self, rollout: Rollout) -> None:
+        self.heard.append(("ends", rollout))
 
 
 class Impossible(Distance):
@@ -60,7 +65,8 @@ class Impossible(Distance):
 def scripted(study: Study, predicted: list[float], hardware: list[float], **options: Any) -> list[Iteration]:
     """Run with the costs that searches predict and experiments have, two an iteration; Z_max is 0.1875."""
     scripts = {"evaluation": ScriptedPrediction(predicted), "hardware": ScriptedHardware(hardware)}
-    return list(replace(study, **scripts, method=Algorithm1(**options)).run())
+    task = PointMass(horizon=FRAMES)
+    return list(replace(study, task=task, **scripts, method=Algorithm1(**options)).run())
 
 
 def test_success_ends_the_loop(point_mass: Study) -> None:
@@ -82,27 +88,55 @@ def test_failure_ends_after_n_out(point_mass: Study) -> None:
 def test_data_accumulates(point_mass: Study) -> None:
     """Line 13: D is the union of all D_i; line 14: the next search is on g_D."""
     first, second, last = scripted(point_mass, [0.1] * 3, [0.9, 0.8, 0.7, 0.6, 0.0, 0.0])
-    assert [len(i.data) for i in (first, second, last)] == [10, 20, 20]  # success learns no more (line 11)
-    np.testing.assert_array_equal(second.data.inputs[:10], first.data.inputs)
-    np.testing.assert_array_equal(second.data.inputs[10:], second.selection.transitions.inputs)
-    assert not predicts_something(first.fitted_bias)
-    assert predicts_something(second.fitted_bias)
+    learned = [i.learning.data.inputs for i in (first, second, last)]
+    assert [len(inputs) for inputs in learned] == [10, 20, 20]  # success learns no more (line 11)
+    np.testing.assert_array_equal(learned[1][:10], learned[0])
+    np.testing.assert_array_equal(learned[1][10:], second.learning.selection.transitions.inputs)
+    assert not predicts_something(first.search.fitted_bias)
+    assert predicts_something(second.search.fitted_bias)
 
 
 def test_a_bad_search_clears_the_model(point_mass: Study) -> None:
     """Lines 6-8, then line 9 all the same; D is then what line 13 adds."""
     iterations = scripted(point_mass, [0.1, 0.19, 0.1], [0.9] * 4 + [0.0] * 2)
-    assert [i.model_reset for i in iterations] == [False, True, False]
-    assert [len(i.data) for i in iterations] == [10, 10, 10]
+    assert [i.learning.reset for i in iterations] == [False, True, False]
+    assert [len(i.learning.data) for i in iterations] == [10, 10, 10]
     assert [len(i.experiments) for i in iterations] == [2, 2, 2]
+
+
+def test_a_fall_in_the_last_frame_is_no_success(point_mass: Study) -> None:
+    """Even where it costs nothing, as in Eq. 8, where c (T - t_fail) = 0."""
+
+    class Falling(ScriptedHardware):
+        def run(self, policy, theta, start, rng):
+            rollout = super().run(policy, theta, start, rng)
+            return replace(rollout, failed_at=rollout.frames, failure="distance")
+
+    class Lenient(Distance):
+        def of(self, rollout):
+            return super().of(replace(rollout, failed_at=None))
+
+    for hardware, succeeds in ((ScriptedHardware, True), (Falling, False)):
+        study = replace(
+            point_mass,
+            task=PointMass(horizon=FRAMES),
+            evaluation=ScriptedPrediction([0.1]),
+            hardware=hardware([0.0, 0.0]),
+            cost=Lenient(),
+            method=Algorithm1(1),
+        )
+        (only,) = study.run()
+        assert (only.hardware_cost, only.succeeded) == (0.0, succeeds)
+        assert len(only.learning.data) == (0 if succeeds else 10)
 
 
 def test_kept_data_outlive_a_bad_search(point_mass: Study) -> None:
     """Lines 6-8 left out."""
     iterations = scripted(point_mass, [0.1, 0.19, 0.1], [0.9] * 4 + [0.0] * 2, keep_data=True)
-    assert [i.predicted_cost > point_mass.cost.max_cost for i in iterations] == [False, True, False]
-    assert [i.model_reset for i in iterations] == [False] * 3
-    assert [len(i.data) for i in iterations] == [10, 20, 20]
+    max_cost = point_mass.cost.max_cost
+    assert [i.search.predicted_cost > max_cost for i in iterations] == [False, True, False]
+    assert [i.learning.reset for i in iterations] == [False] * 3
+    assert [len(i.learning.data) for i in iterations] == [10, 20, 20]
 
 
 def test_an_iteration_may_stop_at_its_first_failure(point_mass: Study) -> None:
@@ -113,7 +147,7 @@ def test_an_iteration_may_stop_at_its_first_failure(point_mass: Study) -> None:
     ]
     assert [i.total_experiments for i in iterations] == [1, 3, 5]
     assert [i.hardware_cost for i in iterations] == pytest.approx([0.9, 0.8, 0.1])
-    assert [len(i.data) for i in iterations] == [5, 15, 15]
+    assert [len(i.learning.data) for i in iterations] == [5, 15, 15]
 
 
 def test_z_max_itself_stops_an_iteration(point_mass: Study) -> None:
@@ -138,30 +172,30 @@ def test_a_failed_search_is_made_again(point_mass: Study) -> None:
     """Before hardware is spent on its policy; the evaluations are those of all searches."""
     once = scripted(point_mass, [0.1], [0.0] * 2)
     first, second = scripted(point_mass, [0.3, 0.19, 0.1, 0.1], [0.9] * 2 + [0.0] * 2, retry_search=2)
-    assert first.predicted_cost == 0.1
-    assert not first.model_reset
-    assert first.optimum.evaluations == 3 * once[0].optimum.evaluations
-    assert first.optimum.stopped_by.endswith(", in search 3 of 3")
-    assert second.optimum.evaluations == once[0].optimum.evaluations
-    assert second.optimum.stopped_by == once[0].optimum.stopped_by
+    assert first.search.predicted_cost == 0.1
+    assert not first.learning.reset
+    assert first.search.optimum.evaluations == 3 * once[0].search.optimum.evaluations
+    assert first.search.optimum.stopped_by.endswith(", in search 3 of 3")
+    assert second.search.optimum.evaluations == once[0].search.optimum.evaluations
+    assert second.search.optimum.stopped_by == once[0].search.optimum.stopped_by
 
 
 def test_what_is_satisfactory_may_be_less_than_z_max(point_mass: Study) -> None:
     """A search that ends between the two is made again, and clears nothing if it ends there again."""
     options = {"retry_search": 1, "satisfactory_cost": 0.15}
     first, last = scripted(point_mass, [0.19, 0.18, 0.1], [0.9] * 2 + [0.0] * 2, **options)
-    assert first.predicted_cost == 0.18
-    assert first.optimum.stopped_by.endswith(", with no cost below 0.15, in search 2 of 2")
-    assert not first.model_reset
-    assert " search " not in last.optimum.stopped_by
+    assert first.search.predicted_cost == 0.18
+    assert first.search.optimum.stopped_by.endswith(", with no cost below 0.15, in search 2 of 2")
+    assert not first.learning.reset
+    assert " search " not in last.search.optimum.stopped_by
 
 
 def test_after_its_last_retry_a_failed_search_is_one(point_mass: Study) -> None:
     """Lines 6-9 follow, with the best policy of all."""
     first, last = scripted(point_mass, [0.3, 0.2, 0.25, 0.1], [0.9] * 2 + [0.0] * 2, retry_search=2)
-    assert first.predicted_cost == 0.2
-    assert first.optimum.stopped_by.endswith(", in search 2 of 3")
-    assert first.model_reset
+    assert first.search.predicted_cost == 0.2
+    assert first.search.optimum.stopped_by.endswith(", in search 2 of 3")
+    assert first.learning.reset
     assert len(first.experiments) == 2
     assert last.succeeded
 
@@ -172,10 +206,11 @@ def test_a_search_made_again_draws_other_numbers(point_mass: Study) -> None:
     once, thrice = (
         next(replace(impossible, method=Algorithm1(1, retry_search=retries)).run()) for retries in (0, 2)
     )
-    assert thrice.optimum.evaluations == 3 * once.optimum.evaluations == 150
-    assert thrice.predicted_cost < once.predicted_cost
+    assert thrice.search.optimum.evaluations == 3 * once.search.optimum.evaluations == 150
+    assert thrice.search.predicted_cost < once.search.predicted_cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("warm", [False, True])
 def test_a_warm_search_evaluates_the_earlier_policies_first(point_mass: Study, warm: bool) -> None:
     searches: list[list[np.ndarray]] = []
@@ -192,7 +227,7 @@ def test_a_warm_search_evaluates_the_earlier_policies_first(point_mass: Study, w
         bias=no_bias(),
         method=Algorithm1(3, warm_start=warm),
     )
-    policies = [iteration.optimum.parameters for iteration in study.run()]
+    policies = [iteration.parameters for iteration in study.run()]
     assert len(searches) == 3
     first_evaluated = [[theta.tolist() for theta in searched[:2]] for searched in searches]
     centre = np.mean(point_mass.policy.bounds, axis=0).tolist()
@@ -204,10 +239,11 @@ def test_z_max_itself_is_no_reset_and_no_success(point_mass: Study) -> None:
     """Line 6 asks for more than Z_max, line 10 for less."""
     at_limit = point_mass.cost.max_cost
     first, _ = scripted(point_mass, [at_limit, 0.1], [at_limit, 0.0, 0.0, 0.0])
-    assert not first.model_reset
+    assert not first.learning.reset
     assert not first.succeeded
 
 
+@pytest.mark.slow
 def test_the_bias_is_learned_and_the_policy_balances(point_mass: Study) -> None:
     """The real thing: wind that the nominal model does not know, on plain Python components."""
     blind = replace(point_mass, bias=no_bias())
@@ -218,12 +254,13 @@ def test_the_bias_is_learned_and_the_policy_balances(point_mass: Study) -> None:
     assert len(iterations) > 1
 
 
+@pytest.mark.slow
 def test_same_seed_same_records(point_mass: Study) -> None:
     one, other = list(point_mass.run()), list(point_mass.run())
     assert len(one) == len(other)
     for a, b in zip(one, other, strict=True):
-        np.testing.assert_array_equal(a.optimum.parameters, b.optimum.parameters)
-        np.testing.assert_array_equal(a.data.residuals, b.data.residuals)
+        np.testing.assert_array_equal(a.parameters, b.parameters)
+        np.testing.assert_array_equal(a.learning.data.residuals, b.learning.data.residuals)
         assert a.hardware_cost == b.hardware_cost
     different = list(replace(point_mass, seed=1).run())
     assert different[0].experiments[0].states[0] != pytest.approx(one[0].experiments[0].states[0])
@@ -239,11 +276,17 @@ def test_hardware_draws_do_not_depend_on_the_search(point_mass: Study) -> None:
 def test_the_observer_hears_every_experiment_before_the_record(point_mass: Study) -> None:
     listener = Listener()
     first = next(point_mass.run(listener))
-    experiments = [event for event in listener.heard if event[0] == "experiment"]
-    assert experiments == [("experiment", 0, 0), ("experiment", 0, 1)]
-    searches = [event[1] for event in listener.heard if event[0] == "search"]
+    names = [name for name, _ in listener.heard]
+    assert names == [*["search"] * (len(names) - 4), "begins", "ends", "begins", "ends"]
+    begun = [what for name, what in listener.heard if name == "begins"]
+    ended = [what for name, what in listener.heard if name == "ends"]
+    assert ended == list(first.experiments)
+    for (theta, start), rollout in zip(begun, ended, strict=True):
+        np.testing.assert_array_equal(theta, rollout.parameters)
+        np.testing.assert_array_equal(start, rollout.states[0])
+    searches = [what for name, what in listener.heard if name == "search"]
     assert searches == sorted(searches)
-    assert searches[-1] >= first.optimum.evaluations
+    assert searches[-1] >= first.search.optimum.evaluations
 
 
 def test_a_hardware_error_reaches_the_caller(point_mass: Study) -> None:
