@@ -6,13 +6,11 @@ import numpy as np
 
 from simbias.interfaces import Bias, FittedBias, Kernel
 from simbias.records import Array, Transitions
-from simbias.simulation.kernels import VECTOR, correction_signature, kernel
 
 
-@kernel(correction_signature(VECTOR))
-def _zero(x, u, data, correction):
-    """Correct nothing."""
-    correction[:, :] = 0.0
+def _constant(x, u, parameters):
+    """The same everywhere."""
+    return parameters
 
 
 class ZeroBias(FittedBias):
@@ -20,15 +18,15 @@ class ZeroBias(FittedBias):
 
     def __init__(self, n: int) -> None:
         self._n = n
-        self.kernel = Kernel(_zero, np.empty(0))
+        self.kernel = Kernel(_constant, np.zeros(n))
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) and variance (k, n): zeros."""
         return np.zeros((len(inputs), self._n)), np.zeros((len(inputs), self._n))
 
     def correction(self, x: Array, u: Array) -> Array:
-        """Zeros (n,)."""
-        return np.zeros(self._n)
+        """Zeros (..., n)."""
+        return np.zeros_like(x)
 
 
 class NoBias(Bias):

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import final
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, output_scale, stable_cholesky
-from simbias.bias.gp_kernel import correct, packed, packed_points, packed_triangle
+from simbias.bias.gp_kernel import correct, packed, packed_triangle
 from simbias.bias.inducing import Inducing, choose, view
 from simbias.interfaces import FittedBias, Kernel
 from simbias.records import Array, Transitions
 
+ROWS = 32
 MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, which takes N^3
 
 
@@ -62,9 +63,13 @@ class Posterior(FittedBias):
         return np.exp(-self._hyper.d * self._W.shape[1] * variance)
 
     def correction(self, x: Array, u: Array) -> Array:
-        """The last term (n,) of Eq. 7."""
-        mean, variance = self.relative(np.concatenate([x, u])[None])
-        return self.weight(variance[0]) * mean[0]
+        """The last term (..., n) of Eq. 7 at x (..., n), u (..., m)."""
+        return _row_by_row(self._weighted, x, u)
+
+    def _weighted(self, inputs: Array) -> Array:
+        """The mean (k, n) at raw inputs (k, n+m), as far as it is trusted."""
+        mean, variance = self.relative(inputs)
+        return self.weight(variance)[:, None] * mean
 
     def draw(self, rng: np.random.Generator) -> Drawn:
         """A function from the posterior of the latent values at the inducing points.
@@ -97,15 +102,28 @@ class Drawn(FittedBias):
         return values, np.zeros_like(values)
 
     def correction(self, x: Array, u: Array) -> Array:
-        """The function's value (n,)."""
-        return self.predict(np.concatenate([x, u])[None])[0][0]
+        """The function's value (..., n) at x (..., n), u (..., m)."""
+        return _row_by_row(lambda inputs: self.predict(inputs)[0], x, u)
+
+
+def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array:
+    """A function of inputs (k, n+m), at x (..., n) and u (..., m); no row depends on the others.
+
+    Linear algebra libraries choose how they add up by the size of a matrix: here all have ROWS rows.
+    """
+    inputs = np.concatenate([x, u], axis=-1)
+    rows = inputs.reshape(-1, inputs.shape[-1])
+    if not len(rows):
+        return np.empty_like(x)
+    padded = np.pad(rows, ((0, -len(rows) % ROWS), (0, 0)), mode="edge")
+    values = np.concatenate([function(padded[first : first + ROWS]) for first in range(0, len(padded), ROWS)])
+    return values[: len(rows)].reshape(*x.shape[:-1], -1)
 
 
 def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
     """The correction in single precision."""
     data = (
-        len(points),
-        packed_points(points),
+        points.astype(np.float32),
         packed_triangle(U),
         packed(W.T),
         len(U),

@@ -5,26 +5,19 @@ from __future__ import annotations
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from simbias.interfaces import Cost, Task
-from simbias.records import Rollout
-from simbias.simulation.kernels import COST, kernel
+from simbias.interfaces import Cost, Kernel, Task
+from simbias.records import Array, Indices, Rollout
 
 
-@kernel(COST)
-def _peak_and_effort(states, inputs, lost, weights):
-    """Eq. 8 with diagonal R and Q; weights are c, the diagonal of R, the diagonal of Q."""
-    n, m = states.shape[1], inputs.shape[1]
-    peak = 0.0
-    for t in range(1, states.shape[0]):
-        distance = 0.0
-        for i in range(n):
-            distance += weights[1 + i] * states[t, i] ** 2
-        peak = max(peak, distance)
-    effort = 0.0
-    for t in range(inputs.shape[0]):
-        for i in range(m):
-            effort += weights[1 + n + i] * inputs[t, i] ** 2
-    return weights[0] * lost + peak + effort
+def _peak_and_effort(x, u, weights, totals):
+    """The last two terms of Eq. 8 so far, after the step to x under u; R and Q are the weights' diagonals."""
+    peak, effort = totals
+    distance = 0.0
+    for i in range(len(x)):
+        distance += weights[i] * (x[i] * x[i])
+    for i in range(len(u)):
+        effort += weights[len(x) + i] * (u[i] * u[i])
+    return max(peak, distance), effort
 
 
 class Quadratic(Cost):
@@ -46,9 +39,18 @@ class Quadratic(Cost):
                 raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
         self.max_cost = max_cost
         self._horizon = task.horizon
-        self._weights = np.array([failure_weight, *state_weights, *input_weights])
+        self._failure_weight = failure_weight
+        self._R, self._Q = np.array(state_weights), np.array(input_weights)  # diagonals (n,), (m,)
+        self.kernel = Kernel(_peak_and_effort, np.concatenate([self._R, self._Q]))
+        self.totals = 2
 
     def of(self, rollout: Rollout) -> float:
         """Z of a rollout (Eq. 8)."""
         lost = 0 if rollout.failed_at is None else self._horizon - rollout.failed_at
-        return _peak_and_effort(rollout.states, rollout.inputs, lost, self._weights)
+        peak = np.fmax.reduce(np.square(rollout.states[1:]) @ self._R, initial=0.0)  # a state may be nan
+        effort = np.sum(np.square(rollout.inputs) @ self._Q)
+        return float(self._failure_weight * lost + peak + effort)
+
+    def of_totals(self, totals: Array, lost: Indices) -> Array:
+        """Z (k,) of rollouts whose peaks and efforts are totals (k, 2) and who lost so many frames (k,)."""
+        return self._failure_weight * lost + totals.sum(axis=1)

@@ -6,27 +6,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.interfaces import Cost, Evaluation, Objective, Simulator, Task
+from simbias.interfaces import Cost, Evaluation, Model, Objective, Task
 from simbias.records import Array
-from simbias.simulation.closed_loop import Model
+from simbias.simulation.closed_loop import Worlds, joined, simulator
 
 
 @dataclass(frozen=True, eq=False)
 class CostOfOneRollout:
     """Z (Eq. 8) of a policy's rollout from one start."""
 
-    simulator: Simulator
+    simulator: Worlds
     cost: Cost
     start: Array  # (n,)
 
     def __call__(self, theta: Array) -> float:
         """Z of theta (p,)."""
-        return self.cost.of(self.simulator.rollout(theta, self.start))
+        return float(self.together(theta[None])[0])
 
     def together(self, thetas: Array) -> Array:
         """Z (k,) of thetas (k, p)."""
-        rollouts = self.simulator.rollouts(thetas, np.tile(self.start, (len(thetas), 1)))
-        return np.array([self.cost.of(rollout) for rollout in rollouts])
+        k = len(thetas)
+        return self.simulator.costs(self.cost, thetas, np.tile(self.start, (k, 1)), np.zeros(k, np.int64))
 
 
 class NominalStart(Evaluation):
@@ -37,4 +37,4 @@ class NominalStart(Evaluation):
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
         """Z (Eq. 8) of a policy's rollout in simulation."""
-        return CostOfOneRollout(model.simulator(), cost, self._start)
+        return CostOfOneRollout(joined([simulator(model)]), cost, self._start)

@@ -10,13 +10,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, PositiveInt
 
-from simbias.interfaces import Cost, Evaluation, Objective, Simulator, Task
-from simbias.records import Array, Disturbance, Indices
-from simbias.simulation.closed_loop import Model, joined
-from simbias.simulation.noise import Noise
+from simbias.interfaces import Cost, Evaluation, Model, Objective, Simulator, Task
+from simbias.records import Array, Indices
+from simbias.simulation.closed_loop import joined, simulator
+from simbias.simulation.noise import QUIET, Noise, Variances
 
 Aggregate = Literal["mean", "max", "cvar"]
-_NOISELESS = Noise()
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +39,7 @@ class CostOfScenarios:
         self._cost = cost
         self._worst = worst  # of the costs, so many worst ones are averaged
         self._screening = screening
+        self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
 
     def __call__(self, theta: Array) -> float:
         """The cost of theta (p,)."""
@@ -48,17 +48,25 @@ class CostOfScenarios:
     def together(self, thetas: Array) -> Array:
         """The costs (k,) of thetas (k, p); all policies in all scenarios run in step."""
         costs = np.full((len(thetas), len(self.scenarios)), np.nan)
-        first, others = np.split(np.arange(len(self.scenarios)), [self._screening])
-        costs[:, first] = self._costs(thetas, first)
-        promising = np.flatnonzero(costs[:, first].min(axis=1) <= self._cost.max_cost)
-        costs[np.ix_(promising, others)] = self._costs(thetas[promising], others)
+        every = np.arange(len(self.scenarios))
+        first, others = np.split(every, [self._screening])
+        if self._share_promising > 0.5:  # so many in step that it pays to simulate some in vain
+            costs = self._costs(thetas, every)
+            hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
+            costs[np.ix_(hopeless, others)] = np.nan
+        else:
+            costs[:, first] = self._costs(thetas, first)
+            hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
+            costs[np.ix_(~hopeless, others)] = self._costs(thetas[~hopeless], others)
+        self._share_promising = 1 - np.mean(hopeless)
         return np.array([self._aggregated(row[~np.isnan(row)]) for row in costs])
 
     def _costs(self, thetas: Array, worlds: Indices) -> Array:
         """The cost of each theta of (k, p) in each of the worlds."""
         each = np.tile(worlds, len(thetas))
-        rollouts = self._simulators.rollouts(np.repeat(thetas, len(worlds), axis=0), self._starts[each], each)
-        return np.array([self._cost.of(rollout) for rollout in rollouts]).reshape(len(thetas), len(worlds))
+        repeated = np.repeat(thetas, len(worlds), axis=0)
+        costs = self._simulators.costs(self._cost, repeated, self._starts[each], each)
+        return costs.reshape(len(thetas), len(worlds))
 
     def _aggregated(self, costs: Array) -> float:
         """The mean of the worst of the costs."""
@@ -73,7 +81,7 @@ class Robust(Evaluation):
     Parameters
     ----------
     noise
-        On the input and on the sensors of the simulated rollouts.
+        Variances on the inputs and on the sensors of the simulated rollouts, by name (`Noise`).
     aggregate
         The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
     screening
@@ -84,7 +92,7 @@ class Robust(Evaluation):
         self,
         task: Task,
         rollouts: PositiveInt = 8,
-        noise: Noise = _NOISELESS,
+        noise: Variances = QUIET,
         aggregate: Aggregate = "mean",
         tail: Annotated[float, Field(gt=0, le=1)] = 0.25,
         sample_starts: bool = True,
@@ -94,7 +102,7 @@ class Robust(Evaluation):
     ) -> None:
         self._task = task
         self._rollouts = rollouts
-        self._noise = noise
+        self._noise = Noise(task, noise)
         self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
         self._sample_starts = sample_starts
         self._sample_nominal = sample_nominal
@@ -111,11 +119,10 @@ class Robust(Evaluation):
         start_rng, noise_rng, nominal_rng, bias_rng = rng.spawn(4)
         task = self._task
         start = task.draw_start(start_rng) if self._sample_starts else task.start_mean
-        n, m = len(task.states), len(task.inputs)
-        disturbance = Disturbance(*self._noise.draw(noise_rng, task.horizon, n, m))
+        disturbance = None if self._noise.is_silent else self._noise.draw(noise_rng)
         drawn = replace(
             model,
             nominal=model.nominal.draw(nominal_rng) if self._sample_nominal else model.nominal,
             bias=model.bias.draw(bias_rng) if self._sample_bias else model.bias,
         )
-        return Scenario(drawn.simulator(disturbance), start)
+        return Scenario(simulator(drawn, disturbance), start)

@@ -11,14 +11,13 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from simbias.hardware.pymunk_world import Feet, World
 from simbias.interfaces import Hardware, HardwareError, Policy
 from simbias.records import Array, Rollout
-from simbias.simulation.noise import Noise
+from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.task.bongoboard import Bongoboard
 
 Record = Literal["true_state", "measured"]
 
-BLOW_UP = "the physics engine blew up"
+BLOW_UP = "physics_engine_blew_up"
 _ABSURD = 1e3  # rad, rad/s: no body gets there within a frame but by numerical instability
-_NOISELESS = Noise()
 
 
 @final
@@ -35,7 +34,7 @@ class PymunkBongoboard(Hardware):
         "plate": one plate under both ankles; "separate": the plate cut in two, an ankle above the middle of
         each half; "fixed": the plate joined to the board, as in the Lagrangian model.
     noise
-        On the torque and on what the policy sees.
+        Variances on the torque and on what the policy sees, by name (`Noise`).
     record
         What cost and learning get to see: the true states, or the measured ones, as of a real robot. Failure
         is judged by the true states all the same: someone sees the robot fall.
@@ -52,7 +51,7 @@ class PymunkBongoboard(Hardware):
         task: Bongoboard,
         inertia_error: Annotated[float, Field(gt=-1)] = 0.0,
         feet: Feet = "plate",
-        noise: Noise = _NOISELESS,
+        noise: Variances = QUIET,
         record: Record = "true_state",
         iterations: PositiveInt = 50,
         overlap: PositiveFloat = 1e-4,
@@ -61,7 +60,7 @@ class PymunkBongoboard(Hardware):
         self._task = task
         self._scale = 1.0 + inertia_error
         self._feet = feet
-        self._noise = noise
+        self._noise = Noise(task, noise)
         self._sensed = record == "measured"
         self._iterations = iterations
         self._overlap = overlap
@@ -73,30 +72,30 @@ class PymunkBongoboard(Hardware):
         if not np.isfinite(start).all():
             raise HardwareError(f"the robot cannot start at {start}")
         horizon, n, m = self._task.horizon, 6, 1
-        torque_noise, sensor_noise = self._noise.draw(rng, horizon, n, m)
+        noise = self._noise.draw(rng)
         states, inputs = np.empty((horizon + 1, n)), np.empty((horizon, m))
         measured = np.empty_like(states)
         states[0] = start
-        measured[0] = start + sensor_noise[0]
-        violated = self._task.violated(states[0])
-        if violated is not None:
-            words = self._task.criteria[violated].words
-            return self._record(states[:1], inputs[:0], measured[:1], words)
+        measured[0] = start + noise.sensors[0]
+        failure = self._task.failure(states[0])
+        if failure is not None:
+            return self._record(states[:1], inputs[:0], measured[:1], failure)
         world = self.build(states[0])
-        t, failure = 0, None
+        controller = policy.controller(theta, self._task.time_step)
+        t = 0
         while failure is None and t < horizon:
-            inputs[t] = policy.act(theta, measured[t])
+            inputs[t] = controller(measured[t])
             torque = float(inputs[t, 0])
             if not math.isfinite(torque):
                 raise HardwareError(f"in frame {t} the policy asks for a torque of {torque}")
-            world.step(torque + torque_noise[t, 0], self._task.time_step)
+            world.step(torque + noise.inputs[t, 0], self._task.time_step)
             x = world.state()
             if not all(abs(value) <= _ABSURD for value in x):
                 failure = BLOW_UP  # x is no state; the record ends with the one before
                 break
             t += 1
             states[t] = x
-            measured[t] = states[t] + sensor_noise[t]
+            measured[t] = states[t] + noise.sensors[t]
             failure = self._failure(states[t], world)
         return self._record(states[: t + 1], inputs[:t], measured[: t + 1], failure)
 
@@ -116,9 +115,9 @@ class PymunkBongoboard(Hardware):
         )
 
     def _failure(self, x: Array, world: World) -> str | None:
-        """The criterion of Section IV-C that x (6,) violates, in words; contacts (1, 2) are the engine's."""
+        """Name of the criterion of Section IV-C that x (6,) violates; contacts (1, 2) are the engine's."""
         measures = self._task.measure(x)
         depth, gap = world.contact()
         measures[:2] = depth, gap - self._detachment
         within = measures <= self._limits
-        return None if within.all() else self._task.criteria[int(within.argmin())].words
+        return None if within.all() else self._task.criteria[int(within.argmin())].name

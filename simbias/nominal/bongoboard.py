@@ -12,6 +12,7 @@ from pydantic import NonNegativeFloat
 from simbias.interfaces import Kernel, Nominal
 from simbias.nominal.bongoboard_equations import accelerations, coefficients, energy, step
 from simbias.records import Array
+from simbias.simulation.kernels import elementwise
 from simbias.task.bongoboard import Bongoboard, Robot
 
 
@@ -60,15 +61,13 @@ class LagrangianBongoboard(Nominal):
         return drawn
 
     def step(self, x: Array, u: Array) -> Array:
-        """Semi-implicit Euler: x_next (6,) one time step after x (6,) under the torque u (1,) in N m."""
-        x_next = np.empty(6)
-        step(x, u, self.kernel.parameters, x_next)
-        return x_next
+        """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""
+        return elementwise(step, x, u, parameters=self.kernel.parameters)
 
     def accelerations(self, x: Array, u: Array) -> Array:
-        """Accelerations (3,) of alpha_w, alpha_b, theta in rad/s^2 at x (6,) under u (1,) in N m."""
-        return np.array(accelerations(x, u, self.kernel.parameters))
+        """Accelerations (..., 3) of alpha_w, alpha_b, theta in rad/s^2 at x (..., 6) under u (..., 1)."""
+        return elementwise(accelerations, x, u, parameters=self.kernel.parameters)
 
-    def energy(self, x: Array) -> float:
-        """Kinetic and potential energy in J at x (6,), heights counted from the wheel's centre."""
-        return float(energy(x, self.kernel.parameters))
+    def energy(self, x: Array) -> Array:
+        """Kinetic and potential energy (...) in J at x (..., 6), heights counted from the wheel's centre."""
+        return energy(np.moveaxis(x, -1, 0), self.kernel.parameters)

@@ -3,17 +3,15 @@
 Equations of motion M ddq = f of the bongoboard (Section VI-A) in the global angles of wheel, board and legs:
 alpha_w, phi = alpha_w + alpha_b, psi = phi + theta. `parameters` holds the time step and the coefficients c.
 
-The compiled functions share this module, as Numba's cache on disk notices changes in the file of a function,
-but not in the files of the functions that it calls.
+All functions of the state take numbers, or arrays of them.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, types
 
 from simbias.records import Array
-from simbias.simulation.kernels import STEP, VECTOR, kernel
+from simbias.simulation.trigonometry import sincos
 from simbias.task.bongoboard import Robot
 
 
@@ -56,19 +54,17 @@ def coefficients(robot: Robot, foot_mass: float) -> Array:
     return np.array([c0, c1, c2, c3, c4, c5, c6, c7, c8, c9])
 
 
-def energy(x: Array, parameters: Array) -> float:
+def energy(x, parameters):
     """Energy (J) at x (6,), its potential part counted from the height of the wheel's centre."""
-    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = parameters[1:]
+    _, c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = parameters
     alpha_b = x[1]
     theta = x[2]
     phi = x[0] + alpha_b
     d_alpha_w = x[3]
     d_phi = d_alpha_w + x[4]
     d_psi = d_phi + x[5]
-    sin_phi = np.sin(phi)
-    cos_phi = np.cos(phi)
-    sin_theta = np.sin(theta)
-    cos_theta = np.cos(theta)
+    sin_phi, cos_phi = sincos(phi)
+    sin_theta, cos_theta = sincos(theta)
     cos_psi = cos_phi * cos_theta - sin_phi * sin_theta
     kinetic = (
         alpha_b**2 * c0 * d_phi**2 / 2
@@ -88,19 +84,9 @@ def energy(x: Array, parameters: Array) -> float:
     return kinetic + potential
 
 
-@kernel(types.UniTuple(float64, 3)(VECTOR, VECTOR, VECTOR))
 def accelerations(x, u, parameters):
     """Accelerations of alpha_w, alpha_b, theta (rad/s^2) at x (6,) under u (1,)."""
-    c0 = parameters[1]
-    c1 = parameters[2]
-    c2 = parameters[3]
-    c3 = parameters[4]
-    c4 = parameters[5]
-    c5 = parameters[6]
-    c6 = parameters[7]
-    c7 = parameters[8]
-    c8 = parameters[9]
-    c9 = parameters[10]
+    _, c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = parameters
     torque = u[0]
     alpha_b = x[1]
     theta = x[2]
@@ -108,10 +94,8 @@ def accelerations(x, u, parameters):
     d_alpha_w = x[3]
     d_phi = d_alpha_w + x[4]
     d_psi = d_phi + x[5]
-    sin_phi = np.sin(phi)
-    cos_phi = np.cos(phi)
-    sin_theta = np.sin(theta)
-    cos_theta = np.cos(theta)
+    sin_phi, cos_phi = sincos(phi)
+    sin_theta, cos_theta = sincos(theta)
     sin_psi = sin_phi * cos_theta + cos_phi * sin_theta
     cos_psi = cos_phi * cos_theta - sin_phi * sin_theta
     s0 = alpha_b * c0
@@ -151,11 +135,19 @@ def accelerations(x, u, parameters):
     return dd_alpha_w, dd_phi - dd_alpha_w, dd_psi - dd_phi
 
 
-@kernel(STEP)
-def step(x, u, parameters, x_next):
+def step(x, u, parameters):
     """Semi-implicit Euler: x_next (6,) after x (6,) under u (1,), velocities first, then positions."""
     time_step = parameters[0]
-    dd_q = accelerations(x, u, parameters)
-    for i in range(3):
-        x_next[3 + i] = x[3 + i] + time_step * dd_q[i]
-        x_next[i] = x[i] + time_step * x_next[3 + i]
+    alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
+    dd_alpha_w, dd_alpha_b, dd_theta = accelerations(x, u, parameters)
+    d_alpha_w = d_alpha_w + time_step * dd_alpha_w
+    d_alpha_b = d_alpha_b + time_step * dd_alpha_b
+    d_theta = d_theta + time_step * dd_theta
+    return (
+        alpha_w + time_step * d_alpha_w,
+        alpha_b + time_step * d_alpha_b,
+        theta + time_step * d_theta,
+        d_alpha_w,
+        d_alpha_b,
+        d_theta,
+    )

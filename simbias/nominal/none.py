@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from simbias.interfaces import Kernel, Nominal, Task
 from simbias.records import Array
-from simbias.simulation.kernels import STEP, kernel
 
 
-@kernel(STEP)
-def _stay(x, u, parameters, x_next):
+def _stay(x, u, parameters):
     """x_next = x."""
-    x_next[:] = x
+    return x
 
 
 class NoNominal(Nominal):
@@ -20,5 +18,5 @@ class NoNominal(Nominal):
         self.kernel = Kernel(_stay, task.start_mean[:0])
 
     def step(self, x: Array, u: Array) -> Array:
-        """X_next (n,) = x (n,)."""
+        """X_next (..., n) = x (..., n)."""
         return x.copy()

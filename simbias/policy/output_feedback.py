@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from pydantic import PositiveFloat
 
 from simbias.interfaces import Kernel, Policy, Task
 from simbias.records import Array
-from simbias.simulation.kernels import CONTROL, kernel
 
 
-@kernel(CONTROL)
-def _control(z, limits_and_gains, u):
-    """u = H z (Eq. 9) within the limits (m,), which H (m, q) follows row by row."""
-    m, q = u.size, z.size
-    for i in range(m):
-        limit, torque = limits_and_gains[i], 0.0
-        for j in range(q):
-            torque += limits_and_gains[m + i * q + j] * z[j]
-        u[i] = min(max(torque, -limit), limit)
+def _law(inputs: int, first: int = 0) -> Callable:
+    """The kernel for so many inputs; its parameters are the limits (m,), then H (m, q) row by row."""
+    if first == inputs:
+        return lambda z, limits_and_gains: ()
+    others = _law(inputs, first + 1)
+
+    def control(z, limits_and_gains):
+        """u = H z (Eq. 9), from the first of them on."""
+        limit, u = limits_and_gains[first], 0.0
+        for j in range(len(z)):
+            u += limits_and_gains[inputs + first * len(z) + j] * z[j]
+        return (min(max(u, -limit), limit),) + others(z, limits_and_gains)  # noqa: RUF005 (for Numba)
+
+    return control
 
 
 class OutputFeedback(Policy):
@@ -28,22 +34,26 @@ class OutputFeedback(Policy):
         self._task = task
         self.n_parameters = len(task.inputs) * len(task.outputs)
         self.bounds = (np.full(self.n_parameters, -bound), np.full(self.n_parameters, bound))
+        self._control = _law(len(task.inputs))
         self.kernel = self._compiled
 
     def gains(self, theta: Array) -> Array:
-        """Gain matrix H (m, q) of the parameters h-hat (m q,) (Eq. 10)."""
+        """Gain matrices H (..., m, q) of the parameters h-hat (..., m q) (Eq. 10)."""
         h = np.sign(theta) * np.expm1(np.abs(theta))
-        return h.reshape(len(self._task.inputs), -1)
+        return h.reshape(*h.shape[:-1], len(self._task.inputs), len(self._task.outputs))
 
-    def act(self, theta: Array, x: Array) -> Array:
-        """Input u (m,) at the state x (n,) (Eq. 9)."""
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n) (Eq. 9)."""
         limit = self._task.input_limit
-        return np.clip(self.gains(theta) @ self.outputs(x), -limit, limit)
+        u = (self.gains(theta) @ self.outputs(x)[..., None])[..., 0]
+        return np.clip(u, -limit, limit), memory
 
     def outputs(self, x: Array) -> Array:
-        """Outputs z (q,) at the state x (n,)."""
+        """Outputs z (..., q) at states x (..., n)."""
         return self._task.output(x)
 
-    def _compiled(self, theta: Array) -> Kernel:
-        """The policy with its gains computed once."""
-        return Kernel(_control, np.concatenate([self._task.input_limit, self.gains(theta).ravel()]))
+    def _compiled(self, thetas: Array) -> Kernel:
+        """The policies (k, p) with their gains computed once: parameters (k, m + m q)."""
+        gains = self.gains(thetas).reshape(len(thetas), self.n_parameters)
+        limits = np.broadcast_to(self._task.input_limit, (len(thetas), len(self._task.inputs)))
+        return Kernel(self._control, np.concatenate([limits, gains], axis=1))

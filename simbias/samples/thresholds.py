@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -25,14 +25,22 @@ class Windows:
 _WINDOWS = Windows()
 
 
-class _Sample(NamedTuple):
-    """A transition, or the weighted mean of successive ones."""
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Transitions of a rollout, or weighted means of successive ones, and what rejects each."""
 
-    x: Array  # (n,)
-    u: Array  # (m,)
-    x_next: Array  # (n,)
-    residual: Array  # (n,)
-    failure: str | None  # the criterion by which the robot had failed at its end
+    inputs: Array  # (k, n+m)
+    residuals: Array  # (k, n)
+    verdicts: list[str | None]  # k names of criteria
+
+    def every(self, stride: int) -> _Candidates:
+        """The first of each `stride`."""
+        return _Candidates(self.inputs[::stride], self.residuals[::stride], self.verdicts[::stride])
+
+    def accepted(self) -> Transitions:
+        """Those that nothing rejects."""
+        rows = np.array([verdict is None for verdict in self.verdicts], dtype=bool)
+        return Transitions(self.inputs[rows], self.residuals[rows])
 
 
 class Thresholds(Samples):
@@ -78,60 +86,66 @@ class Thresholds(Samples):
 
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
         """Downsample; judge states and residuals (Eq. 6) by the criteria; count what each rejects first."""
-        samples = [list(self._samples(rollout, nominal)) for rollout in rollouts]
-        sampled = [sample for of_rollout in samples for sample in of_rollout[:: self._stride]]
-        verdicts = [self._rejected_by(sample) for sample in sampled]
-        rejected = {name: verdicts.count(name) for name in (*self._limits, "residual")}
-        kept = [sample for sample, verdict in zip(sampled, verdicts, strict=True) if verdict is None]
+        candidates = [self._candidates(rollout, nominal) for rollout in rollouts]
+        sampled = [candidate.every(self._stride) for candidate in candidates]
+        verdicts = [verdict for candidate in sampled for verdict in candidate.verdicts]
+        transitions = self._union(sampled)
         if self._selection == "information":
-            good = [s for of_rollout in samples for s in of_rollout if self._rejected_by(s) is None]
-            kept = self._spread(good, len(kept))
+            transitions = self._spread(self._union(candidates), len(transitions))
         frames = sum(rollout.frames for rollout in rollouts)
-        return Selection(self._transitions(kept), frames, len(sampled), rejected)
+        rejected = {name: verdicts.count(name) for name in (*self._limits, "residual")}
+        return Selection(transitions, frames, len(verdicts), rejected)
 
-    def _samples(self, rollout: Rollout, nominal: Nominal) -> Iterator[_Sample]:
+    def _candidates(self, rollout: Rollout, nominal: Nominal) -> _Candidates:
         """The samples that begin at each frame."""
         states, inputs = rollout.states, rollout.inputs
         window = self._window.measured if rollout.sensed else self._window.true_state
         if rollout.frames < window:
-            return
-        predicted = np.array([nominal.step(x, u) for x, u in zip(states, inputs, strict=False)])
-        residuals = states[1:] - predicted  # Eq. 6
+            nothing = Transitions.empty(states.shape[1], inputs.shape[1])
+            return _Candidates(nothing.inputs, nothing.residuals, [])
+        residuals = states[1:] - nominal.step(states[:-1], inputs)  # Eq. 6
         weights = line_weights(window)
         columns = (states[:-1], inputs, states[1:], residuals)
-        means = [sliding_window_view(column, window, axis=0) @ weights for column in columns]
-        names = {criterion.words: criterion.name for criterion in self._task.criteria}
-        for first, (x, u, x_next, residual) in enumerate(zip(*means, strict=True)):
-            failed = rollout.failed_at is not None and first + window >= rollout.failed_at
-            yield _Sample(x, u, x_next, residual, names.get(rollout.failure or "") if failed else None)
+        x, u, x_next, residuals = (
+            sliding_window_view(column, window, axis=0) @ weights for column in columns
+        )
+        verdicts = self._verdicts(x, x_next, residuals)
+        if rollout.failed_at is not None:
+            ends = range(window, rollout.frames + 1)
+            verdicts = [
+                rollout.failure if end >= rollout.failed_at else verdict
+                for end, verdict in zip(ends, verdicts, strict=True)
+            ]
+        return _Candidates(np.concatenate([x, u], axis=1), residuals, verdicts)
 
-    def _rejected_by(self, sample: _Sample) -> str | None:
-        """The first of the criteria 1-7 that rejects a sample."""
-        if sample.failure is not None:
-            return sample.failure
-        worst = np.maximum(self._task.measure(sample.x), self._task.measure(sample.x_next))
-        for measure, (name, limit) in zip(worst, self._limits.items(), strict=True):
-            if not measure <= limit:
-                return name
-        return None if np.linalg.norm(sample.residual) <= self._residual else "residual"
+    def _verdicts(self, x: Array, x_next: Array, residuals: Array) -> list[str | None]:
+        """The first of the criteria 1-7 that rejects each sample from x (k, n) to x_next (k, n)."""
+        measures = np.maximum(self._task.measure(x), self._task.measure(x_next))
+        sizes = np.linalg.norm(residuals, axis=1, keepdims=True)
+        names = [*self._limits, "residual"]
+        within = np.hstack([measures, sizes]) <= [*self._limits.values(), self._residual]
+        first = np.where(within.all(axis=1), -1, np.argmin(within, axis=1))
+        return [None if index < 0 else names[index] for index in first]
 
-    def _spread(self, samples: Sequence[_Sample], count: int) -> list[_Sample]:
-        """So many samples, each the farthest from those before it; inputs count in units of their limits."""
+    def _spread(self, transitions: Transitions, count: int) -> Transitions:
+        """So many of them, each the farthest from those before it; inputs count in units of their limits."""
         if not count:
-            return []
-        places = np.array([np.concatenate([s.x, s.u / self._task.input_limit]) for s in samples])
+            return transitions
+        places = transitions.inputs.copy()
+        places[:, len(self._task.states) :] /= self._task.input_limit
         chosen, distance = [0], np.linalg.norm(places - places[0], axis=1)
         while len(chosen) < count:
             chosen.append(int(np.argmax(distance)))
             distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
-        return [samples[index] for index in sorted(chosen)]
+        rows = sorted(chosen)
+        return Transitions(transitions.inputs[rows], transitions.residuals[rows])
 
-    def _transitions(self, samples: Sequence[_Sample]) -> Transitions:
-        """Samples as training data."""
-        n, m = len(self._task.states), len(self._task.inputs)
-        inputs = np.array([np.concatenate([sample.x, sample.u]) for sample in samples])
-        residuals = np.array([sample.residual for sample in samples])
-        return Transitions(inputs.reshape(-1, n + m), residuals.reshape(-1, n))
+    def _union(self, candidates: Sequence[_Candidates]) -> Transitions:
+        """The accepted ones of all rollouts."""
+        union = Transitions.empty(len(self._task.states), len(self._task.inputs))
+        for candidate in candidates:
+            union |= candidate.accepted()
+        return union
 
 
 def line_weights(window: int) -> Array:

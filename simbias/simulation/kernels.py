@@ -1,41 +1,51 @@
-"""Signatures of the compiled functions that components may offer, one for each role.
+"""How a component joins the compiled closed loop: what its author writes, and what the rules are.
 
-A kernel is compiled eagerly for its role's signature and cached on disk beside its source:
+A kernel is an ordinary Python function of a few numbers, and the parameters that it reads:
 
-    @kernel(STEP)
-    def double_integrator(x, u, parameters, x_next): ...
+    def _step(x, u, parameters):
+        position, velocity = x
+        time_step, mass = parameters
+        velocity = velocity + time_step * u[0] / mass
+        return position + time_step * velocity, velocity
 
-Rollouts call kernels through these signatures, as first-class functions. So a rollout is compiled once for
-all components, and no cache can go stale when a component changes.
+    self.kernel = Kernel(_step, np.array([time_step, mass]))
+
+Vectors come and go as tuples, parameters too. There is nothing to decorate: functions that it calls are
+compiled with it, and again when any of them changes (`simbias.simulation.compilation`). The loop runs it for
+LANES rollouts at once, in the lanes of vector registers. That takes code without branches: arithmetic, `abs`,
+`min`, `max`, `np.sqrt`, `np.floor`, and `sincos` of `simbias.simulation.trigonometry`. What else Numba
+understands works too, for one rollout after the other, several times slower. A division by zero gives inf or
+nan, and a rollout whose state is not a number has failed. Such a function also takes arrays in place of
+numbers, as long as it has neither `min`, `max` nor branches: so the plain method can be
+`elementwise(_step, x, u, parameters=...)`.
+
+    Task.measure_kernel      (x, parameters) -> measures
+    Task.output_kernel       (x, parameters) -> z
+    Policy.kernel(thetas)    (z, parameters) -> u                       parameters (k, r) of thetas (k, p)
+                             (z, parameters, t, memory) -> u, memory    memory is zero at the start
+    Nominal.kernel           (x, u, parameters) -> x_next               parameters may differ between worlds
+    FittedBias.kernel        (x, u, parameters) -> correction
+                             (x (n, LANES), u (m, LANES), data, correction (n, LANES)) -> None
+    Cost.kernel              (x_next, u, parameters, totals) -> totals  totals are zero at the start
+
+What the bias does for all lanes at once may need linear algebra; its data is a tuple of arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-from numba import float64, int64, njit, void
+import numpy as np
 
-VECTOR = float64[::1]
-MATRIX = float64[:, ::1]
-CUBE = float64[:, :, ::1]
+from simbias.records import Array
 
-MEASURE = void(VECTOR, VECTOR, VECTOR)  # x (n,), parameters, out: measures (c,)
-OUTPUT = void(VECTOR, VECTOR, VECTOR)  # x (n,), parameters, out: z (q,)
-CONTROL = void(VECTOR, VECTOR, VECTOR)  # z (q,), parameters, out: u (m,)
-STEP = void(VECTOR, VECTOR, VECTOR, VECTOR)  # x (n,), u (m,), parameters, out: x_next (n,)
-COST = float64(MATRIX, MATRIX, int64, VECTOR)  # states (k+1, n), inputs (k, m), frames lost, parameters
+LANES = 16  # rollouts that run in step: as many single-precision numbers fill the widest vector registers
 
 
-def correction_signature(data: Any) -> Any:
-    """Signature of a bias kernel: x (k, n), u (k, m), data, out: correction (k, n).
-
-    It corrects k steps at once, of rollouts that run in step; data is of the learner's own type. A row's
-    result must not depend on the others, or a search would depend on the number of threads.
-    """
-    return void(MATRIX, MATRIX, data, MATRIX)
-
-
-def kernel(signature: Any, **options: Any) -> Callable[[Callable], Any]:
-    """Compile a function for one signature, division by zero giving inf or nan as in NumPy."""
-    return njit(signature, cache=True, error_model="numpy", nogil=True, **options)
+def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array:
+    """A function of numbers, for vectors with any leading axes (..., n): all rows at once."""
+    with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
+        if all(vector.ndim == 1 for vector in vectors):  # as a robot's control loop asks
+            return np.array(function(*map(tuple, vectors), tuple(parameters)))
+        columns = function(*(tuple(np.moveaxis(vector, -1, 0)) for vector in vectors), tuple(parameters))
+        return np.stack(np.broadcast_arrays(*columns), axis=-1)

@@ -3,8 +3,6 @@
 A type for compiled functions: `loaded` and `stored` move a row of an array, `everywhere` fills all lanes with
 a number, and `+`, `-`, `*` act lane by lane. What a lane gives does not depend on the others. Without it, the
 compiler keeps sums in memory, or vectorises them over the samples, and adds up at the end of each.
-
-Numba's cache on disk does not see that this file has changed: touch the files of the kernels that use it.
 """
 
 from __future__ import annotations
@@ -15,16 +13,16 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import extending, float32, int64, njit, types
+from numba import extending, float32, int64, types
 from numba.core import cgutils
 from numba.extending import models, overload, register_model
 
-WIDTH = 16
+from simbias.simulation.kernels import LANES
 
 ROWS = float32[:, ::1]
 LINE = float32[::1]
-_FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
-_INTEGERS = ir.VectorType(ir.IntType(32), WIDTH)
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
 _UNALIGNED = 4  # bytes; NumPy's arrays are aligned to 16 at least, which gains nothing on current processors
 
@@ -33,10 +31,10 @@ class Lanes(types.Type):
     """The type of them."""
 
     def __init__(self) -> None:
-        super().__init__(name=f"Lanes({WIDTH})")
+        super().__init__(name=f"Lanes({LANES})")
 
 
-LANES = Lanes()
+REGISTERS = Lanes()
 
 
 @register_model(Lanes)
@@ -49,18 +47,18 @@ class _LanesModel(models.PrimitiveModel):
 
 def _constant(vector: ir.VectorType, value: float) -> ir.Constant:
     """The same value in every lane."""
-    return ir.Constant(vector, [ir.Constant(vector.element, value)] * WIDTH)
+    return ir.Constant(vector, [ir.Constant(vector.element, value)] * LANES)
 
 
 def _binary(instruction: str) -> Callable:
-    """An operation, lane by lane; a product and a sum may become one instruction."""
+    """An operation, lane by lane."""
 
     @intrinsic
     def operation(context, a, b):
         def generate(context, builder, signature, arguments):
-            return getattr(builder, instruction)(*arguments, flags=("contract", "nsz"))
+            return getattr(builder, instruction)(*arguments)
 
-        return LANES(a, b), generate
+        return REGISTERS(a, b), generate
 
     return operation
 
@@ -80,22 +78,22 @@ for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
 
 
 def _address(context, builder, array_type, array, index):
-    """Of the first element of a row of WIDTH, or of the elements from an index on."""
+    """Of the first element of a row of LANES, or of the elements from an index on."""
     data = context.make_array(array_type)(context, builder, array).data
-    elements = WIDTH if array_type.ndim == 2 else 1
+    elements = LANES if array_type.ndim == 2 else 1
     offset = builder.mul(index, ir.Constant(ir.IntType(64), elements))
     return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
 
 
 @intrinsic
 def loaded(context, array, index):
-    """A row of an array (k, WIDTH), or the WIDTH elements of an array (k,) from an index on."""
+    """A row of an array (k, LANES), or the LANES elements of an array (k,) from an index on."""
 
     def generate(context, builder, signature, arguments):
         address = _address(context, builder, signature.args[0], *arguments)
         return builder.load(address, align=_UNALIGNED)
 
-    return LANES(ROWS if array.ndim == 2 else LINE, int64), generate
+    return REGISTERS(ROWS if array.ndim == 2 else LINE, int64), generate
 
 
 @intrinsic
@@ -107,7 +105,7 @@ def stored(context, array, index, lanes):
         builder.store(arguments[2], address, align=_UNALIGNED)
         return context.get_dummy_value()
 
-    return types.void(ROWS if array.ndim == 2 else LINE, int64, LANES), generate
+    return types.void(ROWS if array.ndim == 2 else LINE, int64, REGISTERS), generate
 
 
 @intrinsic
@@ -118,7 +116,22 @@ def everywhere(context, value):
         one = builder.insert_element(_constant(_FLOATS, ir.Undefined), arguments[0], ir.IntType(32)(0))
         return builder.shuffle_vector(one, _constant(_FLOATS, ir.Undefined), _constant(_INTEGERS, 0))
 
-    return LANES(float32), generate
+    return REGISTERS(float32), generate
+
+
+@intrinsic
+def fused(context, a, b, c):
+    """a b + c, rounded once where the processor can.
+
+    Where it is for the compiler to pair products with sums, it does so in other ways for other processors.
+    """
+
+    def generate(context, builder, signature, arguments):
+        fused = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
+        name = f"llvm.fmuladd.v{LANES}f32"
+        return builder.call(cgutils.get_or_insert_function(builder.module, fused, name), arguments)
+
+    return REGISTERS(a, b, c), generate
 
 
 @intrinsic
@@ -127,10 +140,10 @@ def _rounded(context, lanes):
 
     def generate(context, builder, signature, arguments):
         rint = ir.FunctionType(_FLOATS, [_FLOATS])
-        name = f"llvm.rint.v{WIDTH}f32"
+        name = f"llvm.rint.v{LANES}f32"
         return builder.call(cgutils.get_or_insert_function(builder.module, rint, name), arguments)
 
-    return LANES(lanes), generate
+    return REGISTERS(lanes), generate
 
 
 @intrinsic
@@ -141,7 +154,7 @@ def _power_of_two(context, lanes):
         exponent = builder.add(builder.fptosi(arguments[0], _INTEGERS), _constant(_INTEGERS, 127))
         return builder.bitcast(builder.shl(exponent, _constant(_INTEGERS, 23)), _FLOATS)
 
-    return LANES(lanes), generate
+    return REGISTERS(lanes), generate
 
 
 @intrinsic
@@ -151,22 +164,22 @@ def _at_least(context, lanes, least):
     def generate(context, builder, signature, arguments):
         return builder.select(builder.fcmp_ordered(">", *arguments), *arguments)
 
-    return LANES(lanes, least), generate
+    return REGISTERS(lanes, least), generate
 
 
-_LEAST = np.float32(-87.0)  # exp of less is no normal single-precision number
+# exp of it is below single precision's resolution of 1; its square is normal: others are 100 times slower.
+_LEAST = np.float32(-40.0)
 _LN_2 = np.float32(np.log(2.0))
 _LOG2_E = np.float32(1.0 / np.log(2.0))
 _SERIES = tuple(np.float32(1.0 / factorial) for factorial in (720.0, 120.0, 24.0, 6.0, 2.0, 1.0, 1.0))
 
 
-@njit
 def exp(v):
     """exp of v <= 0, to 1e-6 relative."""
     v = _at_least(v, everywhere(_LEAST))
     n = _rounded(v * everywhere(_LOG2_E))
-    remainder = v - n * everywhere(_LN_2)
+    remainder = fused(n, everywhere(-_LN_2), v)
     series = everywhere(_SERIES[0])
     for coefficient in _SERIES[1:]:
-        series = series * remainder + everywhere(coefficient)
+        series = fused(series, remainder, everywhere(coefficient))
     return series * _power_of_two(n)

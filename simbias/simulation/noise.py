@@ -1,30 +1,73 @@
-"""Torque and sensor noise, on hardware and in simulation (Section VI-A)."""
+"""Noise on inputs and sensors, on hardware and in simulation (Section VI-A)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
-from pydantic import NonNegativeFloat
+from pydantic import AfterValidator, NonNegativeFloat
 
-from simbias.records import Array
+from simbias.interfaces import Quantity, Task
+from simbias.records import Array, Disturbance
+
+SUFFIX = "_variance"
 
 
-@dataclass(frozen=True)
+def _without_zeros(variances: dict[str, float]) -> dict[str, float]:
+    """What is declared to have no noise need not be declared."""
+    return {key: variance for key, variance in variances.items() if variance}
+
+
+# As in a config: `torque_variance: 0.1`, of a quantity or of all of a kind, in the square of its unit.
+Variances = Annotated[dict[str, NonNegativeFloat], AfterValidator(_without_zeros)]
+QUIET: dict[str, float] = {}
+
+
 class Noise:
-    """Zero-mean Gaussian noise, of the variances of Table II."""
+    """Zero-mean Gaussian noise on a task's inputs and on what its policy sees of the states (Table II).
 
-    torque_variance: NonNegativeFloat = 0.0  # sigma_tau^2, (N m)^2, on the joint torques
-    angle_variance: NonNegativeFloat = 0.0  # sigma_p^2, rad^2, on the angles that the policy sees
-    velocity_variance: NonNegativeFloat = 0.0  # sigma_v^2, (rad/s)^2, on the rates that the policy sees
+    Parameters
+    ----------
+    variances
+        `<name>_variance` of a quantity, or `<kind>_variance` of all quantities of a kind that have no own.
 
-    def draw(self, rng: np.random.Generator, frames: int, n: int, m: int) -> tuple[Array, Array]:
-        """Noise on the inputs (frames, m) and on the sensors (frames+1, n), for a whole rollout.
+    Raises
+    ------
+    ValueError
+        If the task has neither a quantity nor a kind of that name.
+    """
 
-        The first half of the n states are angles, the second half their rates. The draws depend neither on
-        the variances nor on when the rollout fails, so noise levels compare on common random numbers.
+    def __init__(self, task: Task, variances: Variances) -> None:
+        known = {name for quantity in (*task.inputs, *task.states) for name in quantity.names}
+        for key in variances:
+            if not (key.endswith(SUFFIX) and key.removesuffix(SUFFIX) in known):
+                raise ValueError(
+                    f"no noise is called {key}; there is {', '.join(n + SUFFIX for n in sorted(known))}"
+                )
+        self._horizon = task.horizon
+        self.input_variance = _variances(task.inputs, variances)  # (m,)
+        self.sensor_variance = _variances(task.states, variances)  # (n,)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether there is none."""
+        return not (self.input_variance.any() or self.sensor_variance.any())
+
+    def draw(self, rng: np.random.Generator) -> Disturbance:
+        """Noise for a whole rollout.
+
+        The draws depend neither on the variances nor on when the rollout fails, so noise levels compare on
+        common random numbers.
         """
-        torque = rng.standard_normal((frames, m))
-        sensors = rng.standard_normal((frames + 1, n))
-        variances = np.repeat([self.angle_variance, self.velocity_variance], n // 2)
-        return np.sqrt(self.torque_variance) * torque, np.sqrt(variances) * sensors
+        inputs = rng.standard_normal((self._horizon, len(self.input_variance)))
+        sensors = rng.standard_normal((self._horizon + 1, len(self.sensor_variance)))
+        return Disturbance(np.sqrt(self.input_variance) * inputs, np.sqrt(self.sensor_variance) * sensors)
+
+
+def _variances(quantities: Sequence[Quantity], variances: Variances) -> Array:
+    """The variance of each quantity: its own, or else its kind's."""
+    own = [
+        [variances[n + SUFFIX] for n in quantity.names if n + SUFFIX in variances] for quantity in quantities
+    ]
+    return np.array([values[0] if values else 0.0 for values in own])

@@ -14,7 +14,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from simbias.interfaces import Criterion, Kernel, Quantity, Task
 from simbias.records import Array
-from simbias.simulation.kernels import MEASURE, OUTPUT, kernel
+from simbias.simulation.kernels import elementwise
+from simbias.simulation.trigonometry import sincos
 
 SixNumbers = Annotated[list[float], Field(min_length=6, max_length=6)]
 
@@ -70,55 +71,55 @@ class Pose(NamedTuple):
     leg_angle: float
 
 
-@kernel(MEASURE)
-def _measure(x, lengths, measures):
+def _measure(x, lengths):
     """Measures of the criteria 1-6 of Section IV-C; the contacts' are geometric."""
-    wheel_radius, board_length, board_thickness = lengths[0], lengths[1], lengths[2]
-    phi = x[0] + x[1]
-    c, s = np.cos(phi), np.sin(phi)
-    centre_height = wheel_radius + (wheel_radius + board_thickness / 2) * c + wheel_radius * x[1] * s
+    wheel_radius, board_length, board_thickness = lengths
+    alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
+    phi = alpha_w + alpha_b
+    s, c = sincos(phi)
+    centre_height = wheel_radius + (wheel_radius + board_thickness / 2) * c + wheel_radius * alpha_b * s
     lowest_corner = centre_height - board_length / 2 * abs(s) - board_thickness / 2 * abs(c)
-    measures[0] = -lowest_corner
-    measures[1] = abs(wheel_radius * x[1]) - board_length / 2
-    measures[2] = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
-    measures[3] = abs(phi + x[2])
-    measures[4] = abs(phi)
-    measures[5] = np.sqrt(x[3] ** 2 + x[4] ** 2 + x[5] ** 2)
+    return (
+        -lowest_corner,
+        abs(wheel_radius * alpha_b) - board_length / 2,
+        np.sqrt(alpha_w * alpha_w + alpha_b * alpha_b + theta * theta),
+        abs(phi + theta),
+        abs(phi),
+        np.sqrt(d_alpha_w * d_alpha_w + d_alpha_b * d_alpha_b + d_theta * d_theta),
+    )
 
 
-@kernel(OUTPUT)
-def _output(x, lengths, z):
+def _output(x, lengths):
     """Outputs z of Fig. 3(b): the pelvis' horizontal position and velocity, the ankle's, the foot's angle."""
-    r, height, leg_length = lengths[0], lengths[1], lengths[2]  # height: from wheel's centre to ankles
-    alpha_w, alpha_b, theta = x[0], x[1], x[2]
-    d_alpha_w, d_alpha_b, d_theta = x[3], x[4], x[5]
+    r, height, leg_length = lengths  # height: from wheel's centre to ankles
+    alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
     phi, d_phi = alpha_w + alpha_b, d_alpha_w + d_alpha_b
-    c, s = np.cos(phi), np.sin(phi)
-    z[0] = -r * alpha_w - height * s + r * alpha_b * c - leg_length * np.sin(phi + theta)
-    z[1] = (
+    s, c = sincos(phi)
+    sin_theta, cos_theta = sincos(theta)
+    sin_leg, cos_leg = s * cos_theta + c * sin_theta, c * cos_theta - s * sin_theta
+    x_p = -r * alpha_w - height * s + r * alpha_b * c - leg_length * sin_leg
+    d_x_p = (
         -r * d_alpha_w
         - height * c * d_phi
         + r * d_alpha_b * c
         - r * alpha_b * s * d_phi
-        - leg_length * np.cos(phi + theta) * (d_phi + d_theta)
+        - leg_length * cos_leg * (d_phi + d_theta)
     )
-    z[2] = theta
-    z[3] = d_theta
-    z[4] = phi
+    return x_p, d_x_p, theta, d_theta, phi
 
 
 class Bongoboard(Task):
     """Balance for `horizon` frames of `time_step` seconds with an ankle torque within `input_limit` N m."""
 
     states = (
-        Quantity("alpha_w", "rad"),
-        Quantity("alpha_b", "rad"),
-        Quantity("theta", "rad"),
-        Quantity("d_alpha_w", "rad/s"),
-        Quantity("d_alpha_b", "rad/s"),
-        Quantity("d_theta", "rad/s"),
+        Quantity("alpha_w", "rad", "angle"),
+        Quantity("alpha_b", "rad", "angle"),
+        Quantity("theta", "rad", "angle"),
+        Quantity("d_alpha_w", "rad/s", "velocity"),
+        Quantity("d_alpha_b", "rad/s", "velocity"),
+        Quantity("d_theta", "rad/s", "velocity"),
     )
-    inputs = (Quantity("torque", "N m"),)
+    inputs = (Quantity("torque", "N m", "torque"),)
     outputs = (
         Quantity("x_p", "m"),
         Quantity("d_x_p", "m/s"),
@@ -126,6 +127,9 @@ class Bongoboard(Task):
         Quantity("d_theta", "rad/s"),
         Quantity("alpha_f", "rad"),
     )
+
+    measure_kernel: Kernel
+    output_kernel: Kernel
 
     def __init__(
         self,
@@ -143,31 +147,31 @@ class Bongoboard(Task):
         self.input_limit = np.array([input_limit])
         self.start_mean = np.array(start.mean, dtype=np.float64)
         self.start_deviation = np.full(6, start.deviation)
+        r, thickness = robot.wheel_radius, robot.board_thickness
+        angles, rates = (
+            dict.fromkeys((state.name for state in self.states if state.kind == kind), limit)
+            for kind, limit in (("angle", limits.distance), ("velocity", limits.speed))
+        )
+        off_the_end = {"alpha_b": 0.5 * robot.board_length / r}
         self.criteria = (
             Criterion("board_touches_ground", "the board touches the ground", 0.0, "m"),
-            Criterion("board_leaves_wheel", "the board leaves the wheel", 0.0, "m"),
-            Criterion("distance", "too far from the static equilibrium", limits.distance, "rad"),
+            Criterion("board_leaves_wheel", "the board leaves the wheel", 0.0, "m", off_the_end),
+            Criterion("distance", "too far from the static equilibrium", limits.distance, "rad", angles),
             Criterion("body_angle", "the body leans too far", limits.body_angle, "rad"),
             Criterion("board_angle", "the board leans too far", limits.board_angle, "rad"),
-            Criterion("speed", "too fast", limits.speed, "rad/s"),
+            Criterion("speed", "too fast", limits.speed, "rad/s", rates),
         )
-        r, thickness = robot.wheel_radius, robot.board_thickness
-        self._measure_lengths = np.array([r, robot.board_length, thickness])
-        self._output_lengths = np.array([r, r + thickness + robot.ankle_height, robot.leg_length])
-        self.measure_kernel = Kernel(_measure, self._measure_lengths)
-        self.output_kernel = Kernel(_output, self._output_lengths)
+        height = r + thickness + robot.ankle_height
+        self.measure_kernel = Kernel(_measure, np.array([r, robot.board_length, thickness]))
+        self.output_kernel = Kernel(_output, np.array([r, height, robot.leg_length]))
 
     def measure(self, x: Array) -> Array:
-        """Measures (6,) of the criteria 1-6 of Section IV-C at the state x (6,)."""
-        measures = np.empty(6)
-        _measure(x, self._measure_lengths, measures)
-        return measures
+        """Measures (..., 6) of the criteria 1-6 of Section IV-C at states x (..., 6)."""
+        return elementwise(_measure, x, parameters=self.measure_kernel.parameters)
 
     def output(self, x: Array) -> Array:
-        """Outputs z (5,) at the state x (6,) (Fig. 3(b))."""
-        z = np.empty(5)
-        _output(x, self._output_lengths, z)
-        return z
+        """Outputs z (..., 5) at states x (..., 6) (Fig. 3(b))."""
+        return elementwise(_output, x, parameters=self.output_kernel.parameters)
 
     def pose(self, angles: Array) -> Pose:
         """Positions and angles of the bodies at (alpha_w, alpha_b, theta), real or complex."""

@@ -29,7 +29,7 @@ def draw(
     axes.set_aspect("equal")
     axes.axis("off")
     artists: dict[str, Artist] = {"floor": axes.axhline(0.0, color=LINE, linewidth=1.0, zorder=0)}
-    for order, (name, place) in enumerate(_places(task, state).items(), start=1):
+    for order, (name, place) in enumerate(_parts(task, state).items(), start=1):
         patch = _disc(task, name, place) if place.ndim == 1 else Polygon(place, joinstyle="round")
         patch.set_facecolor(LINE if name.endswith(("ankle", "hip")) else GREYS.get(name, color))
         patch.set_edgecolor(LINE)
@@ -42,7 +42,7 @@ def draw(
 
 def move(artists: Mapping[str, Artist], task: Bongoboard, state: Array, *, muted: bool = False) -> None:
     """Move what `draw` has drawn to another state (6,); much faster than drawing anew."""
-    for name, place in _places(task, state).items():
+    for name, place in _parts(task, state).items():
         artist = artists[name]
         if isinstance(artist, Polygon):
             artist.set_xy(place)
@@ -51,7 +51,7 @@ def move(artists: Mapping[str, Artist], task: Bongoboard, state: Array, *, muted
         artist.set_alpha(PALE if muted else 1.0)
 
 
-def _places(task: Bongoboard, state: Array) -> dict[str, Array]:
+def _parts(task: Bongoboard, state: Array) -> dict[str, Array]:
     """Corners (k, 2) or, of discs, the centre (2,) of every part at the state (6,), from back to front."""
     robot, pose = task.robot, task.pose(state[:3])
     phi, r = pose.board_angle, robot.wheel_radius
@@ -63,12 +63,12 @@ def _places(task: Bongoboard, state: Array) -> dict[str, Array]:
     joints = {"ankle": pose.ankles, "hip": pose.pelvis}
     return {
         "wheel": pose.wheel,
-        "sector": _placed(sector, pose.wheel, pose.wheel_angle),
-        "board": _placed(_box(robot.board_length, robot.board_thickness), pose.board, phi),
-        "foot": _placed(_box(robot.foot_length, robot.ankle_height), foot, phi),
-        "upper body": _placed(_upper_body(task), pose.pelvis, phi),
-        "left leg": _placed(_box(LEG_WIDTH, robot.leg_length), legs - aside, pose.leg_angle),
-        "right leg": _placed(_box(LEG_WIDTH, robot.leg_length), legs + aside, pose.leg_angle),
+        "sector": _place(sector, pose.wheel, pose.wheel_angle),
+        "board": _place(_box(robot.board_length, robot.board_thickness), pose.board, phi),
+        "foot": _place(_box(robot.foot_length, robot.ankle_height), foot, phi),
+        "upper body": _place(_upper_body(task), pose.pelvis, phi),
+        "left leg": _place(_box(LEG_WIDTH, robot.leg_length), legs - aside, pose.leg_angle),
+        "right leg": _place(_box(LEG_WIDTH, robot.leg_length), legs + aside, pose.leg_angle),
         **{f"left {name}": place - aside for name, place in joints.items()},
         **{f"right {name}": place + aside for name, place in joints.items()},
     }
@@ -88,7 +88,7 @@ def _box(width: float, height: float) -> Array:
     return np.array([(-width, -height), (width, -height), (width, height), (-width, height)]) / 2
 
 
-def _placed(points: Array, centre: Array, angle: float) -> Array:
+def _place(points: Array, centre: Array, angle: float) -> Array:
     """The points (k, 2), turned by the angle (rad) and moved by the centre (2,)."""
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([(c, s), (-s, c)]) + centre

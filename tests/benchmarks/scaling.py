@@ -25,7 +25,7 @@ from simbias.interfaces import FittedBias
 from simbias.pictures import save
 from simbias.pictures.style import HARDWARE, SIMULATION, plain
 from simbias.records import Array, Transitions
-from simbias.simulation.lanes import WIDTH
+from simbias.simulation.kernels import LANES
 from simbias.study import Study
 
 SAMPLES = [50, 100, 200, 400, 571, 1000, 2000, 4000]
@@ -45,7 +45,7 @@ def load(*overrides: str) -> Study:
 
 def stable_policy() -> Array:
     """A policy that balances the nominal model, and often the hardware: the last of the default trial."""
-    return list(load("bias=sparse_gp").run())[-1].optimum.parameters
+    return list(load("bias=sparse_gp").run())[-1].parameters
 
 
 def recorded(theta: Array, count: int) -> Transitions:
@@ -70,10 +70,10 @@ def seconds(function: Callable[[], object]) -> float:
 def over_samples(theta: Array) -> Iterator[dict[str, object]]:
     """Seconds to fit, and microseconds of a closed-loop step of rollouts that run in step."""
     data = recorded(theta, max(SAMPLES))
-    thetas, rounds = np.tile(theta, (WIDTH, 1)), range(ROUNDS)
+    thetas, rounds = np.tile(theta, (LANES, 1)), range(ROUNDS)
     for n in SAMPLES:
         study = load(f"task.horizon={np.clip(1_000_000 // n, 200, 5000)}")
-        starts = np.tile(study.task.start_mean, (WIDTH, 1))
+        starts = np.tile(study.task.start_mean, (LANES, 1))
         some = Transitions(data.inputs[:n], data.residuals[:n])
         learners = {name: load(f"bias={name}").bias for name in LEARNERS}
         fitted: dict[str, FittedBias] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from in_lanes import corrections
 
 import simbias
 from simbias.interfaces import FittedBias
@@ -29,6 +30,7 @@ def scale() -> Array:
     return np.sqrt(np.mean(data().residuals ** 2, axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", OPTIONS)
 def test_draws_have_the_posteriors_mean_and_variance(option: str) -> None:
     """At training inputs, which inducing points cover; tolerances are five standard errors."""
@@ -45,6 +47,7 @@ def test_draws_have_the_posteriors_mean_and_variance(option: str) -> None:
     np.testing.assert_allclose(values.var(axis=0), latent, rtol=slack, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_draws_have_the_posteriors_covariance() -> None:
     """Between inputs that of the exact latent posterior; between outputs none."""
     t = np.linspace(-3, 3, 30)
@@ -64,12 +67,12 @@ def test_draws_have_the_posteriors_covariance() -> None:
     assert np.abs(between_outputs).max() < 5 / np.sqrt(DRAWS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("option", OPTIONS)
 def test_kernel_agrees_with_the_plain_draw(option: str) -> None:
     draw = fitted(option).draw(np.random.default_rng(1))
     inputs = data().inputs[:16]
-    fast = np.empty((16, 6))
-    draw.kernel.function(inputs[:, :6].copy(), inputs[:, 6:].copy(), draw.kernel.parameters, fast)
+    fast = corrections(draw, inputs)
     plain = np.array([draw.correction(x[:6], x[6:]) for x in inputs])
     np.testing.assert_allclose(fast / scale(), plain / scale(), rtol=0, atol=1e-3)
 
@@ -100,7 +103,7 @@ def test_a_rollout_on_a_draw_is_the_compiled_one(option: str) -> None:
     fast = study.simulator(draw).rollout(theta, start).states
     x = start
     for t in range(len(fast) - 1):
-        u = study.policy.act(theta, x)
+        u = study.policy.controller(theta, 0.001)(x)
         x = study.nominal.step(x, u) + draw.predict(np.concatenate([x, u])[None])[0][0]
         np.testing.assert_allclose(fast[t + 1], x, rtol=0, atol=1e-5)
     assert len(fast) > 20

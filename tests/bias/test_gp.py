@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from in_lanes import corrections
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 import simbias
 from simbias.bias.covariance import stable_cholesky
 from simbias.bias.gp import GaussianProcess
-from simbias.bias.gp_kernel import FEW
 from simbias.bias.inducing import Inducing
 from simbias.config.build import build
 from simbias.interfaces import SlowWarning
 from simbias.records import Array, Transitions
-from simbias.simulation.lanes import WIDTH
+from simbias.simulation.kernels import LANES
 from simbias.study import Study
+from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.trial import slowness_in_one_line
-from simbias.worker import run_plan
 
 SCALE = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])  # of plausible states and torques
 
@@ -95,32 +95,29 @@ def test_correction_is_equation_7(study: Study) -> None:
     np.testing.assert_allclose(fitted.correction(x[:6], x[6:]), expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::simbias.interfaces.SlowWarning")
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 4, 5, 97, 571, 1200])
 def test_kernel_agrees_with_plain_correction(study: Study, n: int) -> None:
     """Single precision: 1e-6, of sums of 1200 terms whose sizes add up to 20 (residuals here are random)."""
     fitted = GaussianProcess(study.task, d=0.1).fit(data(n))
-    function, parameters = fitted.kernel
-    for together in (1, 5, 16, 37):
-        inputs = queries(together)
-        fast = np.empty((together, 6))
-        function(inputs[:, :6].copy(), inputs[:, 6:].copy(), parameters, fast)
-        plain = np.array([fitted.correction(x[:6], x[6:]) for x in inputs])
-        np.testing.assert_allclose(fast, plain, rtol=0, atol=1e-6)
+    inputs = queries(LANES)
+    plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
+    np.testing.assert_allclose(corrections(fitted, inputs), plain, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 16, 100])
-@pytest.mark.parametrize("together", [2, FEW, FEW + 1, WIDTH, WIDTH + 3])
-def test_a_correction_does_not_depend_on_those_beside_it(study: Study, n: int, together: int) -> None:
-    """To the last bit, though few are made in another way than many."""
-    kernel = study.bias.fit(data(n)).kernel
-    inputs = queries(together)
-    corrections = np.empty((together, 6))
-    kernel.function(np.ascontiguousarray(inputs[:, :6]), inputs[:, 6:].copy(), kernel.parameters, corrections)
-    for row, correction in zip(inputs, corrections, strict=True):
-        alone = np.empty((1, 6))
-        kernel.function(row[None, :6].copy(), row[None, 6:].copy(), kernel.parameters, alone)
-        np.testing.assert_array_equal(alone[0], correction)
+def test_a_correction_does_not_depend_on_those_beside_it(study: Study, n: int) -> None:
+    """To the last bit, whatever its lane."""
+    fitted, inputs = study.bias.fit(data(n)), queries(LANES)
+    values = corrections(fitted, inputs)
+    np.testing.assert_array_equal(corrections(fitted, inputs[::-1])[::-1], values)
+    alone = corrections(fitted, np.where(np.arange(LANES)[:, None] == 5, inputs, np.nan))
+    np.testing.assert_array_equal(alone[5], values[5])
+    plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
+    for row, correction in zip(inputs, plain, strict=True):
+        np.testing.assert_array_equal(fitted.correction(row[:6], row[6:]), correction)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))
@@ -135,6 +132,7 @@ def test_variance_shrinks_with_data(study: Study, seed: int, n: int) -> None:
     assert (variance > 0).all()
 
 
+@pytest.mark.slow
 def test_where_the_exact_posterior_is_too_slow_it_says_so(study: Study) -> None:
     """Once a fit, with the number of samples and what to use; the default threshold is at N = 1198."""
     with warnings.catch_warnings():
@@ -158,6 +156,7 @@ def test_a_person_reads_it_in_one_line(study: Study, capsys: pytest.CaptureFixtu
     assert len(line) <= 80
 
 
+@pytest.mark.slow
 def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not a line for each of hundreds of trials."""
     monkeypatch.setattr("simbias.bias.gp.PATIENCE", 0.0)
@@ -167,9 +166,11 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
         list(build(trial).run())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        record = run_plan((trial.config, trial.choices))
-    assert record.error is None
-    assert len(record.iterations[0].data) > 0
+        record = run_plan(Plan(trial.config, trial.choices))
+    assert record.outcome.final
+    learning = record.iterations[0].learning
+    assert learning is not None
+    assert len(learning.data) > 0
 
 
 def test_repeated_points_need_jitter_and_get_it() -> None:

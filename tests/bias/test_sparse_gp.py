@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from in_lanes import corrections
 
 import simbias
 from simbias.bias.gp import GaussianProcess
@@ -44,6 +45,7 @@ def test_with_every_point_inducing_it_is_the_exact_posterior(study: Study, n: in
     np.testing.assert_allclose(relative_error, 0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_error_shrinks_with_inducing_points(study: Study) -> None:
     """The reported errors are those that are measured here, and get small long before m = N."""
     data = along_trajectories(600)
@@ -83,6 +85,7 @@ def test_points_of_the_variance_are_among_those_of_the_mean() -> None:
         simbias.load(["bias=sparse_gp", "bias.inducing.variance_tolerance=1e-5"])
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60))
 @settings(max_examples=25, deadline=None)
 def test_variance_lies_between_the_noise_and_the_prior(study: Study, seed: int, m: int) -> None:
@@ -94,11 +97,11 @@ def test_variance_lies_between_the_noise_and_the_prior(study: Study, seed: int, 
     assert (relative <= 1 + np.exp(-4) + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_kernel_agrees_with_plain_correction(study: Study) -> None:
     fitted = sparse_gp(study).fit(along_trajectories(900))
     inputs = queries(16)
-    fast = np.empty((16, 6))
-    fitted.kernel.function(inputs[:, :6].copy(), inputs[:, 6:].copy(), fitted.kernel.parameters, fast)
+    fast = corrections(fitted, inputs)
     plain = np.array([fitted.correction(x[:6], x[6:]) for x in inputs])
     np.testing.assert_allclose(fast, plain, rtol=0, atol=5e-7)
 

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from conftest import OWN_CONF, POINT_MASS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import simbias
 from simbias.evaluation.robust import CostOfScenarios, Robust, Scenario
+from simbias.interfaces import Cost, SlowWarning
 from simbias.records import Array, Rollout
-from simbias.simulation.noise import Noise
 from simbias.study import Study
 
-NOISE = Noise(torque_variance=0.1, angle_variance=1e-6, velocity_variance=1e-3)
+NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
 MAX_COST = 100.0
 
 
@@ -30,15 +31,18 @@ class FakeSimulator:
     """Gives out rollouts whose costs are known, and remembers who asked."""
 
     def __init__(self, costs: Sequence[float]) -> None:
-        self.costs = dict(enumerate(costs))
+        self.known = dict(enumerate(costs))
         self.asked: list[int] = []
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
         self.asked.append(int(theta[0]))
-        return Rollout(np.zeros((1, 1)), np.zeros((0, 1)), cost=self.costs[int(theta[0])])
+        return Rollout(np.zeros((1, 1)), np.zeros((0, 1)), cost=self.known[int(theta[0])])
 
     def rollouts(self, thetas: Array, starts: Array) -> list[Rollout]:
         return [self.rollout(theta, start) for theta, start in zip(thetas, starts, strict=True)]
+
+    def costs(self, cost: Cost, thetas: Array, starts: Array) -> Array:
+        return np.array([cost.of(rollout) for rollout in self.rollouts(thetas, starts)])
 
 
 class RolloutsOwn:
@@ -93,8 +97,7 @@ def test_options_change_only_what_they_name(study: Study) -> None:
         np.testing.assert_array_equal(a.start, b.start)
         np.testing.assert_array_equal(c.start, study.task.start_mean)
         for other in (b, c):
-            np.testing.assert_array_equal(a.simulator.sensor_noise, other.simulator.sensor_noise)
-            np.testing.assert_array_equal(a.simulator.input_noise, other.simulator.input_noise)
+            np.testing.assert_array_equal(a.simulator.noise, other.simulator.noise)
     assert len({scenario.start.tobytes() for scenario in plain}) == 3
 
 
@@ -112,9 +115,17 @@ def test_by_default_the_declared_noise_is_the_hardwares() -> None:
         ["tracking=none", "evaluation=robust", "hardware.noise.torque_variance=0.1", "task.horizon=50"]
     )
     scenarios = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0)).scenarios
-    noise = np.concatenate([scenario.simulator.input_noise for scenario in scenarios])
-    assert np.var(noise) == pytest.approx(0.1, rel=0.3)
-    assert not any(scenario.simulator.sensor_noise.any() for scenario in scenarios)
+    noise = np.concatenate([scenario.simulator.noise for scenario in scenarios])
+    assert np.var(noise[:, :-1, 0]) == pytest.approx(0.1, rel=0.3)
+    assert not noise[..., 1:].any()
+
+
+def test_a_hardware_without_noise_is_evaluated_without_any() -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none", "evaluation=robust_models"], OWN_CONF)
+    with pytest.warns(SlowWarning, match="no kernel of measure of the task"):
+        costs = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0))
+    assert [scenario.simulator.disturbances for scenario in costs.scenarios] == [[None]] * 8
+    assert np.isfinite(costs(np.array([9.0, 4.0, 0.0])))
 
 
 def test_a_drawn_model_has_masses_as_uncertain_as_declared() -> None:

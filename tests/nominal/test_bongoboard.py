@@ -120,6 +120,7 @@ def test_mirrored_robot_moves_mirrored(model, x, u):
     np.testing.assert_array_equal(model.accelerations(-x, -u), -model.accelerations(x, u))
 
 
+@pytest.mark.slow
 @given(x=states, u=torques, factor=st.floats(0.1, 10))
 @settings(deadline=None)
 def test_heavier_robot_with_stronger_torque_moves_alike(x, u, factor):
@@ -202,6 +203,7 @@ def newton_euler(task, foot_mass, x, torque):
     return np.array([wheel, board - wheel, legs - board]), jacobian @ velocity.ravel()
 
 
+@pytest.mark.slow
 @given(task=tasks, foot_mass=foot_masses, x=states, u=torques)
 @settings(deadline=None)
 def test_accelerations_agree_with_newton_and_euler(task, foot_mass, x, u):
@@ -242,5 +244,6 @@ def test_step_converges_with_order_one():
 # The generated module
 
 
+@pytest.mark.slow
 def test_generated_equations_are_up_to_date():
     assert derive_bongoboard.generate() == derive_bongoboard.TARGET.read_text(encoding="utf-8")

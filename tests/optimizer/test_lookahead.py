@@ -41,6 +41,7 @@ def minimize(name: str, objective, limit: int, seed: int) -> Optimum:
     return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), np.random.default_rng(seed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
 @settings(max_examples=6, deadline=None)
 @given(limit=st.integers(1, 300), seed=st.integers(0, 99), shift=st.floats(-1, 1))

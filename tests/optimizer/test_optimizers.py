@@ -116,6 +116,7 @@ def test_direct_finds_known_minimum(name: str, problem: str) -> None:
     assert optimum.cost == pytest.approx(minimum, rel=1e-4, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "problem", "at_least"),
     [
@@ -324,6 +325,7 @@ def test_every_algorithm_named_is_nlopts() -> None:
     assert {name for name in dir(nlopt) if name.startswith("GN_")} == set(get_args(Algorithm))
 
 
+@pytest.mark.slow
 def test_cma_is_silent_and_writes_nothing(tmp_path: Any) -> None:
     (tmp_path / "cma_signals.in").write_text("{'maxiter': 1}")
     code = (
@@ -401,6 +403,7 @@ def two_valleys(x: Array) -> float:
     return 1.0 + distance**2 if distance < 4.0 else float(wide)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "at_least"), [("bipop_cma", 5), ("hybrid", 5)])
 def test_restarts_leave_a_valley_of_failures(name: str, at_least: int) -> None:
     """In so many of 5 seeds, where CMA-ES alone finds the way out in none."""
@@ -464,6 +467,7 @@ class Together:
         return np.sum(thetas**2, axis=1)
 
 
+@pytest.mark.slow
 def test_searches_leave_nothing_behind() -> None:
     """NLopt holds what it calls where the garbage collector does not see it: it must not hold a search."""
     optimizer = Nlopt("GN_DIRECT", 300, 1e-12)
@@ -476,4 +480,4 @@ def test_searches_leave_nothing_behind() -> None:
 def alive() -> int:
     """How many searches are held by something."""
     gc.collect()
-    return sum(isinstance(kept, Evaluations) for kept in gc.get_objects())
+    return sum(type(kept) is Evaluations for kept in gc.get_objects())  # isinstance asks dead proxies too

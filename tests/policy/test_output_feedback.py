@@ -1,13 +1,21 @@
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simbias.interfaces import Quantity
+from simbias.policy.output_feedback import OutputFeedback
 from simbias.study import Study
 
 H_HATS = st.lists(st.floats(-10, 10), min_size=5, max_size=5).map(np.array)
 OUTPUTS_AT_THE_REFERENCE = [-0.07885799, -0.30512553, 0.08, 0.5, 0.05]  # shared definitions of the bongoboard
+
+
+def act(study: Study, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return study.policy.controller(theta, study.task.time_step)(x)
 
 
 def test_gains_are_equation_10(study: Study) -> None:
@@ -25,14 +33,14 @@ def test_outputs_at_the_reference_state(study: Study) -> None:
 def test_torque_is_equation_9_within_the_limit(study: Study, theta: np.ndarray) -> None:
     x = np.array([0.02, -0.01, 0.015, 0.1, -0.1, 0.05])
     wanted = study.policy.gains(theta) @ study.policy.outputs(x)
-    np.testing.assert_allclose(study.policy.act(theta, x), np.clip(wanted, -100, 100), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(act(study, theta, x), np.clip(wanted, -100, 100), rtol=1e-9, atol=1e-9)
 
 
 @given(H_HATS)
 def test_policy_is_odd_in_its_parameters(study: Study, theta: np.ndarray) -> None:
     """Eq. 10 maps -h-hat to -h."""
     x = np.array([0.02, -0.01, 0.015, 0.1, -0.1, 0.05])
-    np.testing.assert_allclose(study.policy.act(-theta, x), -study.policy.act(theta, x), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(act(study, -theta, x), -act(study, theta, x), rtol=1e-9, atol=1e-9)
 
 
 def test_bounds_are_table_1s(study: Study) -> None:
@@ -44,13 +52,26 @@ def test_bounds_are_table_1s(study: Study) -> None:
 
 def test_what_is_not_a_number_stays_visible(study: Study) -> None:
     """A broken policy must not pass as zero torque."""
-    assert np.isnan(study.policy.act(np.full(5, np.nan), study.task.start_mean)).all()
+    assert np.isnan(act(study, np.full(5, np.nan), study.task.start_mean)).all()
 
 
-@given(H_HATS)
-def test_kernel_agrees_with_act(study: Study, theta: np.ndarray) -> None:
-    x = np.array([0.02, -0.01, 0.015, 0.1, -0.1, 0.05])
-    function, parameters = study.policy.kernel(theta)
-    u = np.empty(1)
-    function(study.policy.outputs(x), parameters, u)
-    np.testing.assert_allclose(u, study.policy.act(theta, x), rtol=1e-9, atol=1e-9)
+@given(H_HATS, H_HATS)
+def test_kernel_agrees_with_act(study: Study, first: np.ndarray, second: np.ndarray) -> None:
+    """An ordinary function of numbers; its parameters are made for several policies at once."""
+    x, thetas = np.array([0.02, -0.01, 0.015, 0.1, -0.1, 0.05]), np.array([first, second])
+    function, parameters = study.policy.kernel(thetas)
+    u = [function(tuple(study.policy.outputs(x)), tuple(row)) for row in parameters]
+    together, _ = study.policy.act(thetas, np.array([x, x]), 0.0, np.empty((2, 0)))
+    np.testing.assert_allclose(u, together, rtol=1e-9, atol=1e-9)
+
+
+def test_several_inputs_have_rows_of_gains(point_mass: Study) -> None:
+    """H is (m, q), in the kernel as in `act`."""
+    task = copy(point_mass.task)
+    task.inputs, task.input_limit = (Quantity("a", "N"), Quantity("b", "N")), np.array([0.5, 5.0])
+    policy = OutputFeedback(task)
+    theta, x = np.array([2.0, -1.0, 0.5, 3.0]), np.array([0.1, 0.2])
+    expected = np.clip(policy.gains(theta) @ x, -task.input_limit, task.input_limit)
+    function, parameters = policy.kernel(theta[None])
+    np.testing.assert_allclose(policy.controller(theta, 0.1)(x), expected, rtol=1e-12)
+    np.testing.assert_allclose(function(tuple(x), tuple(parameters[0])), expected, rtol=1e-12)

@@ -72,9 +72,8 @@ def test_residuals_are_equation_6(study: Study) -> None:
 
 def test_the_failing_contact_is_rejected_by_its_own_criterion(study: Study) -> None:
     """The engine saw the contact end: no state shows it, the rollout's failure does."""
-    words = {criterion.name: criterion.words for criterion in study.task.criteria}
     rollout = rollout_through(study, [[0.0] * 6, [0.0] * 6])
-    failed = replace(rollout, failed_at=rollout.frames, failure=words["board_leaves_wheel"])
+    failed = replace(rollout, failed_at=rollout.frames, failure="board_leaves_wheel")
     selection = Thresholds(study.task, stride=1, residual=1.0).select([failed], study.nominal)
     assert selection.rejected["board_leaves_wheel"] == 1
     assert len(selection.transitions) == rollout.frames - 1

@@ -65,8 +65,17 @@ def test_outputs_are_the_pelvis_the_ankle_and_the_foot(study: Study, x: Array) -
     ],
 )
 def test_first_violated_criterion(study: Study, x: list[float], criterion: str | None) -> None:
-    violated = study.task.violated(np.array(x, dtype=np.float64))
-    assert (None if violated is None else study.task.criteria[violated].name) == criterion
+    assert study.task.failure(np.array(x, dtype=np.float64)) == criterion
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_many_states_at_once_are_one_by_one(study: Study, seed: int) -> None:
+    """Whatever the leading axes."""
+    states = np.random.default_rng(seed).normal(size=(2, 3, 6))
+    for function in (study.task.measure, study.task.output, study.task.violated):
+        values = function(states)
+        for index in np.ndindex(2, 3):
+            np.testing.assert_array_equal(values[index], function(states[index]))
 
 
 def test_starts_are_drawn_around_the_mean(study: Study) -> None:

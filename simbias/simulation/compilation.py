@@ -1,0 +1,154 @@
+"""Ordinary Python functions, compiled with all that they call and kept on disk under the hash of all of it.
+
+A cache entry is found by what it was made of: the bytecode of every function involved, the constants that
+these read, and the versions of Python and Numba. So nothing goes stale when any of it changes, wherever it is
+written, and nothing is compiled twice. (Numba's own cache notices changes in the file of a function, but not
+in the functions that it calls.) The folder of the cache may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import CellType, CodeType, FunctionType, ModuleType
+from typing import Any, TypeVar
+
+import llvmlite
+import numba
+import numpy as np
+from numba import njit
+from numba.core.dispatcher import Dispatcher
+
+# A product and a sum may become one instruction. Nothing may assume that numbers are finite: a rollout that
+# blows up ends because its state is not a number.
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
+VERSIONS = (sys.version, numba.__version__, llvmlite.__version__)
+
+_Function = TypeVar("_Function", bound=Callable)
+
+
+def compiled_as(substitute: Callable) -> Callable[[_Function], _Function]:
+    """Let compiled code call `substitute` where a function is called that is written for NumPy's arrays."""
+
+    def mark(function: _Function) -> _Function:
+        function.substitute = substitute  # type: ignore[attr-defined]
+        return function
+
+    return mark
+
+
+class Compilation:
+    """Functions to be compiled together; their hash."""
+
+    def __init__(self) -> None:
+        self._digest = hashlib.sha256()
+        self._known: dict[int, Any] = {}
+        self._note(*VERSIONS, *OPTIONS, *OPTIONS.values())
+
+    def compiled(self, function: Callable, inline: bool = True) -> Any:
+        """A function that compiled code can call, into which it is copied if it is `inline`.
+
+        If it is not, LLVM decides by the kind of processor; so that this changes no number, its products then
+        stay products, where no intrinsic says otherwise.
+        """
+        function = getattr(function, "substitute", function)
+        function = function.py_func if isinstance(function, Dispatcher) else function
+        key = id(function)
+        if key not in self._known:
+            self._known[key] = None
+            options = OPTIONS if inline else OPTIONS | {"fastmath": {"nsz"}}
+            self._known[key] = njit(**options, forceinline=inline)(self._linked(function, inline))
+        return self._known[key]
+
+    @property
+    def digest(self) -> str:
+        """The hash of what there is so far."""
+        return self._digest.hexdigest()[:24]
+
+    def module(self, text: str, **names: Any) -> ModuleType:
+        """A module of this text, in which these names have a meaning; in a file of the cache."""
+        self._note(text, sorted(names))
+        name = f"simbias_{self.digest}"
+        if name not in sys.modules:
+            file = _folder() / f"{name}.py"
+            if not file.exists():
+                _write(file, text)
+            module = ModuleType(name)
+            vars(module).update(names, __file__=str(file))
+            exec(compile(text, file, "exec"), vars(module))
+            sys.modules[name] = module  # where Numba looks for the globals of what it finds in its cache
+        return sys.modules[name]
+
+    def _linked(self, function: Any, inline: bool) -> Any:
+        """A copy of a Python function that calls compiled functions."""
+        code = function.__code__
+        used = set(_names(code)) & set(function.__globals__)
+        linked = {name: self._value(function.__globals__[name], inline) for name in sorted(used)}
+        cells = function.__closure__ or ()
+        closure = tuple(CellType(self._value(cell.cell_contents, inline)) for cell in cells)
+        self._note(function.__name__, *_description(code), function.__defaults__)
+        linked |= {"__builtins__": __builtins__, "__name__": function.__module__}
+        return FunctionType(code, linked, function.__name__, function.__defaults__, closure)
+
+    def _value(self, value: Any, inline: bool) -> Any:
+        """What a name stands for in compiled code."""
+        if isinstance(value, FunctionType | Dispatcher):
+            return self.compiled(value, inline)
+        if isinstance(value, np.ndarray):
+            self._note(value.dtype, value.shape, value.tobytes())
+        elif hasattr(value, "_defn"):  # an intrinsic of Numba's: whatever its file holds
+            self._note(Path(value._defn.__code__.co_filename).read_bytes())
+        elif isinstance(value, ModuleType):
+            self._note(value.__name__, getattr(value, "__version__", None))
+        else:
+            self._note(value)
+        return value
+
+    def _note(self, *values: Any) -> None:
+        """Add values to the hash."""
+        for value in values:
+            ordered = sorted(map(repr, value)) if isinstance(value, set | frozenset) else value
+            self._digest.update(repr(ordered).encode())
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """The global names that code reads, and its attributes' names."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _description(code: CodeType) -> Iterator[Any]:
+    """What code does, wherever it stands."""
+    yield from (code.co_code, code.co_names, code.co_varnames, code.co_freevars)
+    for constant in code.co_consts:
+        yield tuple(_description(constant)) if isinstance(constant, CodeType) else constant
+
+
+def _folder() -> Path:
+    """Where compiled code is kept: where Numba is told to, beside this file, or in the user's cache."""
+    beside = Path(__file__).parent / "__pycache__"
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
+    told: Any = numba.config  # whose attributes no type checker knows
+    for parent in (*filter(None, [told.CACHE_DIR]), beside, users, tempfile.gettempdir()):
+        folder = Path(parent) / "closed_loops"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    raise OSError("there is no folder for compiled code; NUMBA_CACHE_DIR names one")
+
+
+def _write(file: Path, text: str) -> None:
+    """Write a file at once, and as if it had always been there: Numba trusts a file by its time."""
+    with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".py", delete=False) as new:
+        new.write(text)
+    os.utime(new.name, (1e9, 1e9))
+    os.replace(new.name, file)

@@ -1,0 +1,197 @@
+"""Closed-loop rollouts without Python in them (Eq. 7, 9), sixteen in step on each thread."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import get_num_threads
+
+from simbias.interfaces import Cost, Kernel, Model, Task
+from simbias.records import Array, Disturbance, Indices, Rollout
+from simbias.simulation.fused import Composition, compiled_loop
+from simbias.simulation.kernels import LANES
+from simbias.simulation.plain import record
+
+RECORDED = 256  # rollouts recorded at once: their records take memory
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledSimulator:
+    """The closed loop of components that all offer kernels, in one world or in several."""
+
+    task: Task
+    measure: Kernel
+    output: Kernel
+    policy: Callable[[Array], Kernel]
+    memory: int
+    nominal: Kernel  # its parameters (w, .) in each world
+    bias: Kernel
+    noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
+
+    @staticmethod
+    def of(model: Model, disturbance: Disturbance | None) -> CompiledSimulator | None:
+        """The model's closed loop; None if one of its parts has no kernel."""
+        task, policy, nominal, bias = model.task, model.policy, model.nominal.kernel, model.bias.kernel
+        measure, output = task.measure_kernel, task.output_kernel
+        if measure is None or output is None or policy.kernel is None or nominal is None or bias is None:
+            return None
+        rows = 0 if disturbance is None else task.horizon + 1
+        noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))
+        if disturbance is not None:
+            noise[0, :-1, : len(task.inputs)] = disturbance.inputs
+            noise[0, :, len(task.inputs) :] = disturbance.sensors
+        nominal = Kernel(nominal.function, nominal.parameters[None])
+        return CompiledSimulator(
+            task, measure, output, policy.kernel, policy.memory_size, nominal, bias, noise
+        )
+
+    @staticmethod
+    def joined(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
+        """Simulators in step; None if they differ in more than the nominal parameters and the noise."""
+        first = simulators[0]
+        if not all(map(first._runs_in_step_with, simulators)):
+            return None
+        parameters = np.concatenate([simulator.nominal.parameters for simulator in simulators])
+        return replace(
+            first,
+            nominal=Kernel(first.nominal.function, parameters),
+            noise=np.concatenate([simulator.noise for simulator in simulators]),
+        )
+
+    def _runs_in_step_with(self, other: CompiledSimulator) -> bool:
+        """Whether their worlds differ in nothing but the nominal parameters' values and the noise's."""
+        return (
+            self.task is other.task
+            and self.policy == other.policy
+            and self.bias.function is other.bias.function
+            and self.bias.parameters is other.bias.parameters
+            and self.nominal.function is other.nominal.function
+            and self.nominal.parameters.shape[1:] == other.nominal.parameters.shape[1:]
+            and self.noise.shape[1:] == other.noise.shape[1:]
+        )
+
+    def rollout(self, theta: Array, start: Array) -> Rollout:
+        """Run theta (p,) from start (n,) to failure or horizon, in the first world."""
+        return self.rollouts(theta[None], start[None])[0]
+
+    def rollouts(self, thetas: Array, starts: Array, worlds: Indices | None = None) -> list[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its world of (k,), on all threads."""
+        task, rollouts = self.task, []
+        for first in range(0, len(thetas), RECORDED):
+            some = slice(first, first + RECORDED)
+            made = self._run(None, 0, thetas[some], starts[some], None if worlds is None else worlds[some])
+            each = zip(made.states, made.inputs, made.frames.tolist(), made.violated.tolist(), strict=True)
+            rollouts += [record(task.criteria, *one) for one in each]
+        return rollouts
+
+    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None) -> Array:
+        """Costs (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
+        if cost.kernel is None:
+            return np.array([cost.of(rollout) for rollout in self.rollouts(thetas, starts, worlds)])
+        made = self._run(cost.kernel, cost.totals, thetas, starts, worlds)
+        return cost.of_totals(made.totals, np.where(made.violated < 0, 0, self.task.horizon - made.frames))
+
+    def _run(
+        self, total: Kernel | None, totals: int, thetas: Array, starts: Array, worlds: Indices | None
+    ) -> _Made:
+        """Rollouts that a cost's kernel sums up as so many totals or, if there is none, are recorded."""
+        task, k = self.task, len(thetas)
+        n, m = len(task.states), len(task.inputs)
+        policy = self.policy(np.asarray(thetas, dtype=np.float64))
+        recorded = 0 if total else k
+        made = _Made(
+            np.empty((recorded, task.horizon + 1, n)),
+            np.empty((recorded, task.horizon, m)),
+            np.empty((k, totals)),
+            np.empty(k, np.int64),
+            np.empty(k, np.int64),
+        )
+        if not total:
+            made.states[:, 0] = starts
+        loop = compiled_loop(self._composition(policy, total, totals))
+        noise = self.noise.reshape(-1, m + n)
+        weights = total.parameters if total else np.empty(0)
+        each = (
+            np.ascontiguousarray(policy.parameters),
+            np.zeros(k, np.int64) if worlds is None else worlds,
+            np.ascontiguousarray(starts, dtype=np.float64),
+        )
+        threads = max(1, min(get_num_threads(), math.ceil(k / LANES)))
+        cuts = [k * part // threads for part in range(threads + 1)]
+
+        def run(part: int) -> None:
+            rows = slice(cuts[part], cuts[part + 1])
+            own, world, start = (array[rows] for array in each)
+            loop(
+                task.horizon, task.time_step, _limits(task),
+                self.measure.parameters, self.output.parameters, own, self.nominal.parameters,
+                self.bias.parameters, weights, noise,
+                world, start, *(array[rows] for array in made.arrays),
+            )  # fmt: skip
+
+        if threads == 1:
+            run(0)
+        else:
+            list(_pool(threads).map(run, range(threads)))
+        return made
+
+    def _composition(self, policy: Kernel, total: Kernel | None, totals: int) -> Composition:
+        """What is compiled."""
+        task, bias = self.task, self.bias
+        return Composition(
+            measure=self.measure.function,
+            output=self.output.function,
+            control=policy.function,
+            step=self.nominal.function,
+            correct=bias.function,
+            total=total.function if total else None,
+            states=len(task.states),
+            inputs=len(task.inputs),
+            criteria=len(task.criteria),
+            totals=totals,
+            memory=self.memory,
+            measure_parameters=len(self.measure.parameters),
+            output_parameters=len(self.output.parameters),
+            policy_parameters=policy.parameters.shape[1],
+            nominal_parameters=self.nominal.parameters.shape[1],
+            bias_parameters=0 if isinstance(bias.parameters, tuple) else len(bias.parameters),
+            cost_parameters=len(total.parameters) if total else 0,
+            noisy=self.noise.shape[1] > 0,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """What became of k rollouts."""
+
+    states: Array  # (k, T+1, n), or nothing where a cost was summed up
+    inputs: Array  # (k, T, m), likewise
+    totals: Array  # (k, s) of the cost
+    frames: Indices  # (k,)
+    violated: Indices  # (k,) criterion that ended it, -1 at the horizon
+
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """In the order of the loop's arguments."""
+        return self.states, self.inputs, self.totals, self.frames, self.violated
+
+
+def _limits(task: Task) -> Array:
+    """Limits (c,) of the criteria."""
+    return np.array([criterion.limit for criterion in task.criteria])
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that stay: starting them takes as long as a short search's generation."""
+    return ThreadPoolExecutor(threads, "simbias")
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork

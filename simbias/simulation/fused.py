@@ -1,0 +1,177 @@
+"""The closed loop of Eq. 7 and 9 as one compiled function for each composition of kernels.
+
+Its source is written here: loops over the components of a vector are written out, and one loop over the lanes
+of vector registers holds everything, so that LLVM keeps in registers what it computes. Always LANES rollouts
+run in step; one that ends makes room for the next, and a lane without one computes what nobody reads. So
+there is one path through the code, and the numbers of a rollout depend on nothing beside it.
+
+All lanes are in one array: of two arrays, LLVM would have to ask whether they overlap.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from simbias.simulation.compilation import OPTIONS, Compilation
+from simbias.simulation.kernels import LANES
+from simbias.simulation.loop_template import CORRECT_ALL_LANES, GATHER, RECORD, TEMPLATE
+
+
+@dataclass(frozen=True)
+class Composition:
+    """Kernels that close a loop, the sizes of what they take, and what is to become of the rollouts."""
+
+    measure: Callable
+    output: Callable
+    control: Callable
+    step: Callable
+    correct: Callable
+    total: Callable | None  # of a cost; without one, rollouts are recorded
+    states: int  # n
+    inputs: int  # m
+    criteria: int  # c
+    totals: int  # of the cost
+    memory: int  # s
+    measure_parameters: int
+    output_parameters: int
+    policy_parameters: int
+    nominal_parameters: int
+    bias_parameters: int
+    cost_parameters: int
+    noisy: bool
+
+    @property
+    def corrects_all_lanes(self) -> bool:
+        """Whether the bias is a kernel for all lanes."""
+        return len(inspect.signature(self.correct).parameters) == len(("x", "u", "data", "correction"))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the policy depends on time and memory."""
+        return len(inspect.signature(self.control).parameters) == len(("z", "parameters", "t", "memory"))
+
+
+def source(c: Composition) -> str:
+    """The text of a composition's loop."""
+    n, m = c.states, c.inputs
+    sizes = {"n": n, "m": m, "LANES": LANES}
+    settle = _settled(c)
+    corrected = (
+        _puts("x_next", "y", n) if c.corrects_all_lanes else ["d = correct(x_, u_, bias_data)", *settle]
+    )
+    after = CORRECT_ALL_LANES.format(**sizes, settle=_lines(settle, 12)) if c.corrects_all_lanes else ""
+    constants = (
+        [] if c.corrects_all_lanes else [f"bias_data = {_tuple('bias_parameters[{}]', c.bias_parameters)}"]
+    )
+    if c.total:
+        constants.append(f"cost_data = {_tuple('cost_parameters[{}]', c.cost_parameters)}")
+    if c.noisy:
+        seen = _tuple("x_[{0}] + disturbance[{1}, lane]", n, m)
+        force = _tuple("u[{0}] + disturbance[{0}, lane]", m)
+    else:
+        seen, force = "x_", "u"
+    judge = [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
+    return TEMPLATE.format(
+        **sizes,
+        policy=c.policy_parameters,
+        nominal=c.nominal_parameters,
+        totals=c.totals,
+        memory=c.memory,
+        rows=_lines(_rows(c), 4),
+        limits=_tuple("limits[{}]", c.criteria),
+        measure_data=_tuple("measure_parameters[{}]", c.measure_parameters),
+        output_data=_tuple("output_parameters[{}]", c.output_parameters),
+        constants=_lines(constants, 4),
+        gather=GATHER.format(**sizes) if c.noisy else "",
+        x=_tuple("x[{}, lane]", n),
+        judge=_lines(judge, 12),
+        seen=seen,
+        control=_lines(_controlled(c), 12),
+        force=force,
+        nominal_data=_tuple("nominal[{}, lane]", c.nominal_parameters),
+        correct=_lines([*corrected, *_puts("command", "u", m), *_puts("force", "u_", m)], 12),
+        record=after + ("" if c.total else RECORD.format(**sizes)),
+    )
+
+
+def _rows(c: Composition) -> list[str]:
+    """Rows for everything in one array of lanes."""
+    sizes = {
+        "x": c.states,
+        "x_next": c.states,
+        "correction": c.states,
+        "command": c.inputs,
+        "force": c.inputs,
+        "disturbance": c.inputs + c.states,
+        "policy": c.policy_parameters,
+        "nominal": c.nominal_parameters,
+        "totals": c.totals,
+        "memory": c.memory,
+    }
+    ends = np.cumsum(list(sizes.values())).tolist()
+    slices = [
+        f"{name} = lanes[{end - size}:{end}]" for (name, size), end in zip(sizes.items(), ends, strict=True)
+    ]
+    return [f"lanes = zeros(({ends[-1]}, {LANES}))", *slices]
+
+
+def _controlled(c: Composition) -> list[str]:
+    """What the policy commands."""
+    parameters = _tuple("policy[{}, lane]", c.policy_parameters)
+    if not c.remembers:
+        return [f"u = control(z, {parameters})"]
+    memory = _tuple("memory[{}, lane]", c.memory)
+    return [
+        f"u, kept = control(z, {parameters}, frame[lane] * time_step, {memory})",
+        *_puts("memory", "kept", c.memory),
+    ]
+
+
+def _settled(c: Composition) -> list[str]:
+    """The next state, and what the cost sums up, of rollouts that go on."""
+    if c.corrects_all_lanes:
+        x_next, command = "x_next[{0}, lane] + correction[{0}, lane]", _tuple("command[{}, lane]", c.inputs)
+    else:
+        x_next, command = "y[{0}] + d[{0}]", "u"
+    lines = [f"x_new = {_tuple(x_next, c.states)}", *_puts("x", "x_new", c.states)]
+    if c.total:
+        lines.append(f"before = {_tuple('totals[{}, lane]', c.totals)}")
+        lines.append(f"after = total(x_new, {command}, cost_data, before)")
+        lines += [f"totals[{i}, lane] = before[{i}] if stop else after[{i}]" for i in range(c.totals)]
+    return lines
+
+
+def _tuple(element: str, size: int, offset: int = 0) -> str:
+    """A tuple of so many elements, written with their index, and their index after an offset."""
+    return f"({''.join(element.format(i, offset + i) + ', ' for i in range(size))})"
+
+
+def _puts(rows: str, values: str, size: int) -> list[str]:
+    """A tuple is put into a lane."""
+    return [f"{rows}[{i}, lane] = {values}[{i}]" for i in range(size)]
+
+
+def _lines(lines: Iterable[str], indent: int) -> str:
+    """Lines after the first, which the template indents."""
+    return ("\n" + " " * indent).join(lines)
+
+
+@lru_cache(maxsize=64)
+def compiled_loop(c: Composition) -> Any:
+    """The composition's loop, ready to be called."""
+    compilation = Compilation()
+    functions = {"measure": c.measure, "output": c.output, "control": c.control, "step": c.step}
+    functions |= {"total": c.total} if c.total else {}
+    names = {name: compilation.compiled(function) for name, function in functions.items()}
+    names["correct"] = compilation.compiled(c.correct, inline=not c.corrects_all_lanes)
+    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64)
+    if not hasattr(module, "compiled"):
+        module.compiled = njit(**OPTIONS, cache=True)(module.closed_loop)
+    return module.compiled

@@ -1,0 +1,24 @@
+"""The kernel of a bias, called on its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.interfaces import FittedBias
+from simbias.records import Array
+from simbias.simulation.compilation import Compilation
+from simbias.simulation.kernels import LANES
+
+
+def corrections(fitted: FittedBias, inputs: Array, n: int = 6) -> Array:
+    """What it adds (k, n) at raw inputs (k, n+m), up to LANES of them at a time."""
+    assert fitted.kernel is not None
+    correct = Compilation().compiled(fitted.kernel.function, inline=False)
+    values = []
+    for first in range(0, len(inputs), LANES):
+        some = inputs[first : first + LANES]
+        rows = np.ascontiguousarray(np.pad(some, ((0, LANES - len(some)), (0, 0))).T)
+        correction = np.empty((n, LANES))
+        correct(rows[:n], rows[n:], fitted.kernel.parameters, correction)
+        values.append(correction.T[: len(some)])
+    return np.concatenate(values)

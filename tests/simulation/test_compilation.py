@@ -1,0 +1,122 @@
+"""What is compiled is kept, and is never what it was before a change."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from textwrap import dedent
+
+import numpy as np
+import pytest
+
+from simbias.simulation.compilation import Compilation
+
+pytestmark = pytest.mark.slow
+
+OWN = """
+from helper import half
+
+LIMIT = 7.0
+
+def own(x):
+    return min(half(x), LIMIT)
+"""
+HELPER = """
+def half(x):
+    return 0.5 * x
+"""
+RUN = """
+from numba import njit
+from own import own
+from simbias.simulation.compilation import OPTIONS, Compilation
+
+compilation = Compilation()
+function = compilation.compiled(own)
+module = compilation.module("def entry(x):\\n    return function(x)\\n", function=function)
+entry = njit(**OPTIONS, cache=True)(module.entry)
+print(entry(4.0), entry(40.0), sum(entry.stats.cache_misses.values()))
+"""
+
+
+def run(folder: Path) -> str:
+    """What a fresh process computes, and how often it had to compile."""
+    environment = (
+        os.environ
+        | {"PYTHONHASHSEED": "random"}
+        | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path]), "NUMBA_CACHE_DIR": str(folder)}
+    )
+    made = subprocess.run(
+        [sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, check=True
+    )
+    return made.stdout.strip()
+
+
+def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: Path) -> None:
+    """In the function, in one that it calls from another file, and in a constant."""
+
+    def write(own: str = OWN, helper: str = HELPER) -> None:
+        for name, text in (("own", own), ("helper", helper)):
+            (tmp_path / f"{name}.py").write_text(text)
+            os.utime(tmp_path / f"{name}.py", (1e9, 1e9))  # as a restored backup: its time says nothing
+        for cached in (tmp_path / "__pycache__").glob("*"):
+            cached.unlink()  # Python's own, which trusts times
+
+    write()
+    assert run(tmp_path) == "2.0 7.0 1"
+    assert run(tmp_path) == "2.0 7.0 0"
+    write(helper=HELPER.replace("0.5", "0.25"))
+    assert run(tmp_path) == "1.0 7.0 1"
+    write(helper=HELPER.replace("0.5", "0.25"), own=OWN.replace("7.0", "8.0"))
+    assert run(tmp_path) == "1.0 8.0 1"
+    write(own=OWN.replace("min", "max"))
+    assert run(tmp_path) == "7.0 20.0 1"
+    write()
+    assert run(tmp_path) == "2.0 7.0 0"  # what it was is still there
+
+
+def test_closures_and_substitutes_are_part_of_it() -> None:
+    def power(exponent: int):
+        def function(x):
+            return x**exponent
+
+        return function
+
+    squared, cubed = Compilation().compiled(power(2)), Compilation().compiled(power(3))
+    assert (squared(3.0), cubed(3.0)) == (9.0, 27.0)
+
+
+def digest(*functions) -> str:
+    compilation = Compilation()
+    for function in functions:
+        compilation.compiled(function)
+    return compilation.digest
+
+
+def test_the_hash_is_of_what_a_function_does() -> None:
+    def made(text: str, **names: object):
+        scope: dict = dict(names)
+        exec(dedent(text), scope)
+        return scope["f"]
+
+    text = "def f(x):\n    return x * a"
+    assert digest(made(text, a=1.0)) == digest(made("\n\n" + text, a=1.0, b=2.0))
+    assert digest(made(text, a=1.0)) != digest(made(text, a=2.0))
+    assert digest(made(text, a=np.ones(2))) != digest(made(text, a=np.zeros(2)))
+    assert digest(made(text, a=1.0)) != digest(made("def f(x):\n    return x + a", a=1.0))
+
+
+@pytest.mark.parametrize("where", ["beside", "elsewhere"])
+def test_without_a_folder_to_write_to_it_is_kept_elsewhere(where: str, tmp_path: Path, monkeypatch) -> None:
+    """As of a package that an administrator has installed."""
+    from simbias.simulation import compilation
+
+    if where == "elsewhere":
+        monkeypatch.setattr(compilation, "__file__", "/proc/nowhere/compilation.py")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", "")
+        assert compilation._folder() == tmp_path / "simbias" / "closed_loops"
+    else:
+        monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", str(tmp_path))
+        assert compilation._folder() == tmp_path / "closed_loops"
