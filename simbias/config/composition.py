@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from simbias.config.errors import ConfigError
+
 if TYPE_CHECKING:
+    from hydra.core.override_parser.types import Override
     from omegaconf import DictConfig
 
-SCHEMA_VERSION = 1  # of the config; part of every hash
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
 NOT_HASHED = ("tracking", *OF_SWEEPS)  # groups that do not affect a trial's result
-
-
-class ConfigError(ValueError):
-    """A bad override, key or value."""
-
-    def __init__(self, key: str, problem: str) -> None:
-        super().__init__(f"{key}: {problem}" if key else problem)
-        self.key = key
 
 
 @dataclass(frozen=True)
@@ -33,12 +26,12 @@ class Composition:
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
 
-    @property
+    @cached_property
     def hash(self) -> str:
-        """Identity of a trial: 12 hexadecimal digits of everything that affects its result."""
+        """Identity of a trial: a hash of what affects its result (`simbias.config.identity`)."""
         return self._digest(NOT_HASHED)
 
-    @property
+    @cached_property
     def cell(self) -> str:
         """Identity of what repeated trials share: a hash of all but the seed."""
         return self._digest((*NOT_HASHED, "seed"))
@@ -50,10 +43,10 @@ class Composition:
         return Composition(config, {k: v for k, v in self.choices.items() if k not in OF_SWEEPS})
 
     def _digest(self, left_out: Sequence[str]) -> str:
-        """A hash of the config, some keys left out."""
-        relevant = {key: value for key, value in self.config.items() if key not in left_out}
-        text = json.dumps({"schema": SCHEMA_VERSION, **relevant}, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        """A hash of the config, some groups left out."""
+        from simbias.config.identity import digest  # lazily: --help needs no components
+
+        return digest(self.config, left_out)
 
 
 def shipped(folder: str) -> Path:
@@ -148,8 +141,9 @@ class Variations:
             overrides = [*self._overrides, *options]
             if self._config_dir is not None:
                 overrides.append(f"hydra.searchpath=[file://{Path(self._config_dir).resolve()}]")
-            if any(override.lstrip("+").startswith("sweep=") for override in overrides):
-                _register_sweeps(self._config_dir)
+            sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
+            if sweeps:
+                _register_sweeps(self._config_dir, sweeps[-1])
             with hydra.initialize_config_dir(str(shipped("conf")), version_base="1.3"):
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
@@ -160,8 +154,34 @@ class Variations:
         return self._composed[options]
 
 
-def _register_sweeps(config_dir: Path | str | None) -> None:
-    """Make the files of `sweeps` options of Hydra's group `sweep`; those of `config_dir` come first."""
+def overridden(overrides: Sequence[str]) -> list[str]:
+    """The keys and groups that overrides set or delete.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be parsed.
+    """
+    from hydra.errors import HydraException
+
+    try:
+        return [each.key_or_group for each in _parsed(overrides)]
+    except HydraException as error:
+        raise _in_one_line(error) from error
+
+
+def _parsed(overrides: Sequence[str]) -> list[Override]:
+    """The overrides as Hydra parses them."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    return OverridesParser.create().parse_overrides(list(overrides))
+
+
+def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
+    """Make the files of `sweeps` options of Hydra's group `sweep`; those of `config_dir` come first.
+
+    A file that cannot be read is passed over, unless it is the wanted one.
+    """
     from hydra.core.config_store import ConfigStore
     from omegaconf import OmegaConf
     from yaml import YAMLError  # type: ignore[import-untyped]
@@ -172,7 +192,9 @@ def _register_sweeps(config_dir: Path | str | None) -> None:
         for file in sorted(folder.glob("*.yaml")):
             try:
                 node = OmegaConf.load(file)
-            except YAMLError as error:
+            except (YAMLError, OSError, UnicodeError) as error:
+                if file.stem != wanted:
+                    continue
                 raise ConfigError(str(file), " ".join(str(error).split())) from error
             store.store(group="sweep", name=file.stem, node=node, package="_global_")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,8 +13,10 @@ from typing import Annotated, Any, Literal, NotRequired, Required
 from pydantic import Field, PositiveInt
 
 from simbias.config import Composition, ConfigError, Variations
-from simbias.config.build import construct, validated
-from simbias.interfaces import SweepFigure, Task
+from simbias.config.components import construct, validated
+from simbias.config.composition import overridden
+from simbias.interfaces import Task
+from simbias.pictures.sweep.swept import SweepFigure
 
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
@@ -135,7 +137,7 @@ def expand(overrides: Sequence[str], config_dir: Path | str | None = None) -> Sw
     base = variations.composition({})
     values = _specification(base)
     axes = tuple(_axis(name, spec) for name, spec in values["axes"].items())
-    _check_keys(axes, overrides)
+    _check_keys(axes, overrides, base.choices.keys())
     cells = tuple(_cells(axes, _common_seeds(values, axes), variations))
     return Sweep(
         name=base.choices.get("sweep", "sweep"),
@@ -212,7 +214,7 @@ def joined(values: Sequence[Any]) -> str:
     return "/".join(map(label, values))
 
 
-def _check_keys(axes: Sequence[Axis], overrides: Sequence[str]) -> None:
+def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collection[str]) -> None:
     """Refuse keys that two axes set, and overrides of what an axis sets: they would be without effect."""
     owners: dict[str, str] = {"seed": ""}
     for axis in axes:
@@ -222,10 +224,14 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str]) -> None:
                     f"sweep.axes.{axis.name}", f"{key} is set elsewhere: {owners[key] or 'trials'}"
                 )
             owners[key] = axis.name
-    for override in overrides:
-        key = override.partition("=")[0].lstrip("+~")
-        if key != "seed" and key in owners:
-            raise ConfigError(key, f"is an axis of the sweep; its values are in sweep.axes.{owners[key]}")
+    for override in overridden(overrides):
+        for key, axis_name in owners.items():
+            inside = override.startswith(f"{key}.") and key not in groups
+            around = key.startswith(f"{override}.") and override not in groups
+            if key != "seed" and (override == key or inside or around):
+                raise ConfigError(
+                    override, f"is an axis of the sweep; its values are in sweep.axes.{axis_name}"
+                )
 
 
 def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[str]:

@@ -7,9 +7,10 @@ from conftest import OWN_CONF, POINT_MASS
 
 import simbias
 from simbias.config import ConfigError, compose, options
+from simbias.config.components import component_class, constructor_parameters
 
-GROUPS = [(group, option) for group, names in options().items() for option in names]
-OF_TRIALS = [(group, option) for group, option in GROUPS if group != "engine"]
+COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
+OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
 
 
 @pytest.mark.parametrize(
@@ -60,19 +61,24 @@ def test_config_dir_must_exist() -> None:
         compose([], "/no/such/folder")
 
 
-@pytest.mark.parametrize(("group", "option"), OF_TRIALS)
+@pytest.mark.parametrize(("group", "option"), OF_STUDIES)
 def test_every_shipped_option_builds(group: str, option: str) -> None:
     component = getattr(simbias.load(["tracking=none", f"{group}={option}"]), group)
     assert type(component).__module__.startswith(f"simbias.{group}.")
 
 
-@pytest.mark.parametrize(("group", "option"), GROUPS)
+@pytest.mark.parametrize("option", options()["preset"])
+def test_every_preset_builds(option: str) -> None:
+    study = simbias.load(["tracking=none", f"preset={option}"])
+    assert study.choices["preset"] == option
+
+
+@pytest.mark.parametrize(("group", "option"), COMPONENTS)
 def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
     """Every value a person may change stands in the YAML, to be seen."""
-    from simbias.config.build import _fields, _locate
-
     config = compose([f"{group}={option}"]).config[group]
-    assert set(config) - {"_target_"} == set(_fields(_locate(config["_target_"], group))) - {"task"}
+    component = component_class(config, group)
+    assert set(config) - {"_target_"} == set(constructor_parameters(component)) - {"task"}
 
 
 def test_own_components_come_from_a_config_dir() -> None:
@@ -82,6 +88,7 @@ def test_own_components_come_from_a_config_dir() -> None:
     assert searched.hash == study.hash
 
 
+@pytest.mark.slow
 def test_hash_follows_what_affects_the_result() -> None:
     base = compose([]).hash
     assert compose(["tracking=none"]).hash == base

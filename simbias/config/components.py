@@ -1,0 +1,131 @@
+"""A component from its config: every argument is checked against its constructor's annotation."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, NotRequired, Required, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
+
+from simbias.config.errors import ConfigError
+
+TARGET = "_target_"  # the key that names a component's class
+
+
+def construct(config: Any, contract: type, key: str, **provided: Any) -> Any:
+    """Construct what `_target_` names; `provided` are arguments that it gets if it has them.
+
+    Raises
+    ------
+    ConfigError
+        Naming `key` and the argument.
+    """
+    component = component_class(config, key)
+    if not issubclass(component, contract):
+        raise ConfigError(f"{key}.{TARGET}", f"{config[TARGET]} is not a {contract.__name__}")
+    parameters = constructor_parameters(component)
+    for name in provided:
+        if name in config:
+            raise ConfigError(f"{key}.{name}", "is provided, not configured")
+    arguments = constructor_arguments(component, config, key, frozenset(provided))
+    try:
+        return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
+    except Exception as error:
+        raise ConfigError(key, " ".join(str(error).split()) or type(error).__name__) from error
+
+
+def component_class(config: Any, key: str) -> Any:
+    """The class that `_target_` names.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such class.
+    """
+    if not isinstance(config, Mapping) or TARGET not in config:
+        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {config!r}")
+    target = config[TARGET]
+    module_name, _, name = str(target).rpartition(".")
+    try:
+        component = getattr(importlib.import_module(module_name), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{key}.{TARGET}", f"cannot import {target!r} ({error})") from error
+    if not inspect.isclass(component):
+        raise ConfigError(f"{key}.{TARGET}", f"{target} is not a class")
+    return component
+
+
+def constructor_arguments(
+    component: Any, config: Mapping[str, Any], key: str, provided: frozenset[str] = frozenset()
+) -> dict[str, Any]:
+    """The config's values, converted to the types that the constructor asks for.
+
+    Raises
+    ------
+    ConfigError
+        Naming `key` and the argument.
+    """
+    given = {name: value for name, value in config.items() if name != TARGET}
+    return _converted(given, _schema(component, provided), key)
+
+
+@cache
+def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
+    """The constructor's parameters by name."""
+    return inspect.signature(component).parameters
+
+
+@cache
+def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
+    """What checks a constructor's arguments, but for those that are provided."""
+    hints = get_type_hints(component.__init__, include_extras=True)
+    fields = {
+        name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
+        for name, parameter in constructor_parameters(component).items()
+        if name not in provided
+    }
+    return _adapter(fields)
+
+
+def _adapter(fields: dict[str, Any]) -> TypeAdapter:
+    """What checks a mapping with these fields."""
+    schema = TypedDict("schema", fields)  # type: ignore[misc]
+    schema.__pydantic_config__ = ConfigDict(  # type: ignore[attr-defined]
+        extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
+    )
+    return TypeAdapter(schema)
+
+
+def validated(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dict[str, Any]:
+    """The values converted to the fields' types.
+
+    Raises
+    ------
+    ConfigError
+        Naming `key` and the field.
+    """
+    return _converted(values, _adapter(fields), key)
+
+
+def _converted(values: Mapping[str, Any], adapter: TypeAdapter, key: str) -> dict[str, Any]:
+    """The values as the adapter converts them."""
+    try:
+        return dict(adapter.validate_python(values))
+    except ValidationError as error:
+        raise _in_one_line(error, key) from error
+
+
+def _in_one_line(error: ValidationError, key: str) -> ConfigError:
+    """The first of pydantic's errors, as one line that names the key."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in ((key,) if key else ()) + first["loc"])
+    if first["type"] == "extra_forbidden":
+        return ConfigError(where, "no such key")
+    if first["type"] == "missing":
+        return ConfigError(where, "missing")
+    problem = first["msg"].removeprefix("Input ").removeprefix("List ").replace("should", "must", 1)
+    return ConfigError(where, f"{problem}, got {first['input']!r}")

@@ -1,0 +1,90 @@
+"""What a trial is: what of its config deviates from the constructors' defaults and affects its result.
+
+A value that equals its constructor's default is left out. So an option that is added, its default the old
+behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
+raises the component's `version` instead: that gives all trials with this component new identities.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
+
+from simbias.config.components import (
+    TARGET,
+    component_class,
+    constructor_arguments,
+    constructor_parameters,
+)
+
+SCHEME = 2  # of identities: raised when all of them change
+DIGITS = 12  # hexadecimal
+
+
+def digest(config: Mapping[str, Any], left_out: Sequence[str]) -> str:
+    """A hash of what a config says of a trial, some groups left out.
+
+    Raises
+    ------
+    ConfigError
+        If a component cannot be found, or a value has the wrong type or range.
+    """
+    relevant = {key: value for key, value in config.items() if key not in left_out}
+    parts = {
+        key: _component(value, key) if _is_component(value) else value for key, value in relevant.items()
+    }
+    text = json.dumps({"scheme": SCHEME, **parts}, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+
+
+def _is_component(config: Any) -> bool:
+    """Whether a group's config names a component."""
+    return isinstance(config, Mapping) and TARGET in config
+
+
+def _component(config: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The class, its version beyond the first, and the arguments that are not its defaults."""
+    component = component_class(config, key)
+    provided = frozenset({"task"}) if key != "task" else frozenset[str]()
+    arguments = constructor_arguments(component, config, key, provided)
+    defaults = {
+        name: parameter.default
+        for name, parameter in constructor_parameters(component).items()
+        if parameter.default is not parameter.empty
+    }
+    own = component.__module__.partition(".")[0] == __name__.partition(".")[0]  # whose files may move
+    version = getattr(component, "version", 1)
+    return {
+        "class": component.__name__ if own else f"{component.__module__}.{component.__qualname__}",
+        **({"version": version} if version != 1 else {}),
+        **_deviations(arguments, defaults),
+    }
+
+
+def _deviations(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that are not the defaults, as plain containers."""
+    plain = {name: _plain(value) for name, value in values.items()}
+    return {
+        name: value
+        for name, value in plain.items()
+        if name not in defaults or value != _plain(defaults[name])
+    }
+
+
+def _plain(value: Any) -> Any:
+    """A value as plain containers; of a dataclass, what deviates from its defaults."""
+    if is_dataclass(value) and not isinstance(value, type):
+        defaults = {
+            each.name: each.default if each.default_factory is MISSING else each.default_factory()
+            for each in fields(value)
+            if each.default is not MISSING or each.default_factory is not MISSING
+        }
+        return _deviations(vars(value), defaults)
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value
