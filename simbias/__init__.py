@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from simbias.study import Study
+    from simbias.sweep.running import SweepObserver
     from simbias.tracking.trials import RecordedTrial
 
 __version__ = "0.1.0"
@@ -40,3 +43,20 @@ def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
     from simbias.tracking import trials
 
     return trials.load_trial(run_id, uri)
+
+
+def run_sweep(
+    overrides: Sequence[str], config_dir: Path | str | None = None, observer: SweepObserver | None = None
+) -> DataFrame:
+    """Run a sweep, or go on with it; return its trials, a row for each.
+
+    >>> trials = run_sweep(["+sweep=smoke", "engine=sequential"])
+
+    Raises
+    ------
+    simbias.config.ConfigError
+        If anything is bad about the sweep; nothing has run then.
+    """
+    from simbias.sweep import running
+
+    return running.run(overrides, config_dir, observer)

@@ -6,13 +6,15 @@ import argparse
 import os
 import shlex
 import sys
-import time
 from collections.abc import Sequence
 
 from simbias import __version__
+from simbias.commands import python
 from simbias.config import Composition, ConfigError, compose, options, sweeps
 
-SUCCEEDED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
+
+CHECK = "check"  # in place of a first override: put components through the conformance suite
 
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
@@ -31,15 +33,17 @@ examples:
   python -m simbias --config-dir my_conf nominal=my_robot
   python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
   python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
+  python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
 
-exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 130 interrupted
-of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2 and 130 as above
+exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
+             (the same command goes on), 130 interrupted (likewise)
+of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2, 3 and 130 as above
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
-    parsed = _parser().parse_args(arguments)
+    parsed = _parser().parse_intermixed_args(arguments)
     try:
         status = _run_or_show(parsed)
         sys.stdout.flush()
@@ -57,11 +61,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_or_show(parsed: argparse.Namespace) -> int:
     """A trial, a sweep or a config, as told."""
+    if parsed.overrides[:1] == [CHECK]:
+        from simbias.terminal.check import check
+
+        return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir) else FAILED
     composition = compose(parsed.overrides, parsed.config_dir)
     if parsed.cfg:
         print(_as_yaml(composition), end="")
         return SUCCEEDED
-    return _sweep(parsed, composition) if "sweep" in composition.config else _run(composition)
+    return (_sweep if "sweep" in composition.config else _run)(parsed, composition)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -91,50 +99,51 @@ def _as_yaml(composition: Composition) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(dict(composition.config)))
 
 
-def _run(composition: Composition) -> int:
-    """Run one trial in the terminal."""
+def _run(parsed: argparse.Namespace, composition: Composition) -> int:
+    """Run one trial in the terminal, or go on with it."""
     from simbias.config.build import build
-    from simbias.interfaces import HardwareError
+    from simbias.config.services import engine, tracking
     from simbias.terminal.trial import TrialConsole, preparing, slowness_in_one_line
-    from simbias.trial import run_trial
+    from simbias.trial import Outcome, run_trial
 
-    with preparing():
+    engine(composition)  # a single trial needs none, but a bad one is bad input
+    store = tracking(composition)
+    with preparing(), slowness_in_one_line():
         study = build(composition)
         study.warm_up()
-    tracked = study.tracking.open(study)
-    start = time.perf_counter()
-    console = TrialConsole(study)
-    try:
-        with slowness_in_one_line(), console:
-            last = run_trial(study, tracked, console, console.row)
-    except HardwareError as error:
-        print(f"simbias: hardware: {error}", file=sys.stderr)
-        return FAILED
-    console.conclude(last, time.perf_counter() - start, tracked.where)
-    return SUCCEEDED if last.succeeded else FAILED
+    tracked = store.open(study)
+    with slowness_in_one_line(), TrialConsole(study) as console:
+        if (before := tracked.finished()) is not None:
+            console.recall(before.iterations, tracked.where)
+            return SUCCEEDED if before.iterations[-1].succeeded else FAILED
+        record = run_trial(study, tracked, console)
+    if record.outcome.final:
+        console.conclude(record, tracked.where)
+        return SUCCEEDED if record.outcome is Outcome.SUCCEEDED else FAILED
+    kept = f"{record.experiments} hardware experiments are kept" if tracked.where else "nothing is kept"
+    print(f"simbias: {record.reason} ({kept}; go on with:  {_command(parsed)})", file=sys.stderr)
+    return WAITING if record.outcome is Outcome.WAITING else FAILED
 
 
 def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run a sweep in the terminal, or tell what it would run."""
-    from simbias.config.build import engine
+    from simbias.config.services import engine, tracking
     from simbias.sweep.running import prepare, run_sweep
     from simbias.terminal.sweep import SweepConsole, dry_run
-    from simbias.terminal.trial import preparing
+    from simbias.terminal.trial import preparing, slowness_in_one_line
     from simbias.tracking.store import cause
 
-    trials_engine = engine(composition)
-    if trials_engine is None:
-        raise ConfigError("engine", "missing")
-    with preparing():
+    trials_engine, store = engine(composition), tracking(composition)
+    with preparing(), slowness_in_one_line():
         sweep, study = prepare(parsed.overrides, parsed.config_dir)
     if sweep.dry_run:
-        dry_run(sweep, study, study.tracking.finished(sweep), trials_engine)
+        dry_run(sweep, study, store.finished(sweep), trials_engine)
         return SUCCEEDED
     again = _command(parsed)
-    tracked = study.tracking.open_sweep(sweep, again)
-    console = SweepConsole(sweep, tracked.results(), tracked.keeps)
+    tracked = store.open_sweep(sweep, again)
+    console = SweepConsole()
     try:
-        run_sweep(sweep, trials_engine, tracked, console)
+        trials = run_sweep(sweep, trials_engine, tracked, console)
     except KeyboardInterrupt:
         console.stopped("interrupted", again)
         return INTERRUPTED
@@ -143,15 +152,16 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
     except Exception as error:  # of the store or the engine: what a trial raises is in its record
         console.stopped(f"{type(error).__name__}: {cause(error)}", again)
         return FAILED
-    trials = tracked.results()
     console.conclude(trials, tracked.where)
+    if console.waiting:
+        return WAITING
     return FAILED if (trials["outcome"] == "error").any() else SUCCEEDED
 
 
 def _command(parsed: argparse.Namespace) -> str:
     """The command line, to be typed again."""
     config_dir = ["--config-dir", parsed.config_dir] if parsed.config_dir else []
-    return shlex.join(["python", "-m", "simbias", *config_dir, *parsed.overrides])
+    return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *parsed.overrides])}"
 
 
 if __name__ == "__main__":

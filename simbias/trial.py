@@ -1,53 +1,182 @@
-"""One trial: a study is run, and every record kept before the next begins."""
+"""The one way to run a trial: every step kept as it happens, and what came of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 from threadpoolctl import threadpool_limits
 
-from simbias.interfaces import Observer, TrackedTrial
+from simbias.interfaces import Waiting
 from simbias.records import Array, Iteration, Rollout
-from simbias.study import Study
+from simbias.study import Observer, Study
 
 
-class KeepingObserver:
-    """Keeps every hardware experiment before anyone else hears of it."""
+class Outcome(StrEnum):
+    """How a trial ended."""
 
-    def __init__(self, tracked: TrackedTrial, observer: Observer) -> None:
-        self._tracked = tracked
-        self._observer = observer
+    SUCCEEDED = "succeeded"
+    NOT_SUCCEEDED = "not succeeded"
+    WAITING = "waiting"  # for the result of an experiment; the same command goes on
+    INTERRUPTED = "interrupted"  # likewise
+    ERROR = "error"  # likewise, once what raised it is mended
 
-    def searching(self, evaluations: int, best_cost: float) -> None:
-        """Pass a search's progress on."""
-        self._observer.searching(evaluations, best_cost)
+    @property
+    def final(self) -> bool:
+        """Whether the trial came to its end, and would come to it again."""
+        return self in (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED)
 
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """Keep an experiment, then pass it on."""
-        self._tracked.experimented(iteration, experiment, theta, rollout)
-        self._observer.experimented(iteration, experiment, theta, rollout)
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """What a trial did, up to its end or to where it stopped."""
+
+    outcome: Outcome
+    iterations: tuple[Iteration, ...]  # those that ended
+    unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that did not end
+    reason: str = ""  # what raised or waits: an error's type and message, or the sentence of Waiting
+    traceback: str = ""
+    max_experiments: int = 0  # that the method may make
+    max_iterations: int = 0
+    started: float = 0.0  # s since the epoch
+    seconds: float = 0.0  # wall time, without the pictures
+    pictures: Mapping[str, bytes] = field(default_factory=dict)  # files by name
+
+    @property
+    def experiments(self) -> int:
+        """Hardware experiments that were made."""
+        before = self.iterations[-1].total_experiments if self.iterations else 0
+        return before + len(self.unfinished)
+
+    @property
+    def experiments_until_success(self) -> float:
+        """Experiments that the trial counts: without success all that it may make; nan if it did not end."""
+        return self._until_success(self.experiments, self.max_experiments)
+
+    @property
+    def iterations_until_success(self) -> float:
+        """Likewise, iterations."""
+        return self._until_success(len(self.iterations), self.max_iterations)
+
+    def _until_success(self, made: int, most: int) -> float:
+        """A count, censored where the trial did not succeed."""
+        if not self.outcome.final:
+            return float("nan")
+        return float(made if self.outcome is Outcome.SUCCEEDED else max(made, most))
+
+
+class Recorder:
+    """Keeps a trial while it runs. This one keeps nothing."""
+
+    pictures: Sequence[str] = ()  # those that are drawn at the trial's end
+
+    def recalling(self, study: Study) -> Study:
+        """The study, its experiments and searches kept, and those that were made before recalled."""
+        return study
+
+    def iterated(self, iteration: Iteration) -> None:
+        """Keep an iteration."""
+
+    def ended(self, record: TrialRecord) -> None:
+        """Keep how the trial ended, or why it stopped."""
+
+    def illustrated(self, pictures: Mapping[str, bytes]) -> None:
+        """Keep pictures of the trial, files by name."""
 
 
 def run_trial(
-    study: Study, tracked: TrackedTrial, observer: Observer, on_iteration: Callable[[Iteration], None]
-) -> Iteration:
-    """Run a study to its end; return its last iteration. An error ends the record before it is raised.
+    study: Study, recorder: Recorder | None = None, observer: Observer | None = None
+) -> TrialRecord:
+    """Run a trial, or go on with it where it stopped.
 
-    Pictures come last, when everything else is safe.
+    Experiments and searches that the recorder knows are not made again; what follows them is as if nothing
+    had come between. What a component raises is told in the record. Linear algebra runs on one thread, as
+    more would change the last bits of a factorisation.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        When interrupted; what was done is kept.
     """
-    iterations = []
-    try:
-        with threadpool_limits(1, user_api="blas"):  # more would change the last bits of a factorisation
-            for iteration in study.run(KeepingObserver(tracked, observer)):
-                tracked.log(iteration)
-                iterations.append(iteration)
-                on_iteration(iteration)
-    except BaseException as error:
-        tracked.close(error)
-        raise
-    tracked.close()
-    if study.tracking.pictures:
-        from simbias.pictures.trial.gallery import pictures  # lazily: not everyone wants any
+    recorder = recorder or Recorder()
+    run = _Run(study, recorder, observer or Observer())
+    with threadpool_limits(1, user_api="blas"):
+        try:
+            for iteration in recorder.recalling(study).run(run):
+                run.iterated(iteration)
+            succeeded = bool(run.iterations) and run.iterations[-1].succeeded
+            record = run.record(Outcome.SUCCEEDED if succeeded else Outcome.NOT_SUCCEEDED)
+        except Waiting as reason:
+            record = run.record(Outcome.WAITING, _one_line(reason))
+        except (Exception, SystemExit) as error:
+            text = ": ".join(filter(None, [type(error).__name__, _one_line(error)]))
+            record = run.record(Outcome.ERROR, text, traceback.format_exc())
+        except BaseException:
+            recorder.ended(run.record(Outcome.INTERRUPTED))
+            raise
+        recorder.ended(record)
+        if record.outcome.final and recorder.pictures:
+            record = replace(record, pictures=_drawn(study, record, recorder.pictures))
+            recorder.illustrated(record.pictures)
+    return record
 
-        tracked.illustrate(pictures(study, iterations))
-    return iterations[-1]
+
+class _Run(Observer):
+    """A trial that runs: what it has done so far."""
+
+    def __init__(self, study: Study, recorder: Recorder, observer: Observer) -> None:
+        self._method = study.method
+        self._recorder = recorder
+        self._observer = observer
+        self._started, self._clock = time.time(), time.perf_counter()
+        self._unfinished: list[Rollout] = []
+        self.iterations: list[Iteration] = []
+        self.searching = observer.searching  # type: ignore[method-assign]  # called thousands of times
+
+    def experimenting(self, theta: Array, start: Array) -> None:
+        """Pass it on."""
+        self._observer.experimenting(theta, start)
+
+    def experimented(self, rollout: Rollout) -> None:
+        """Note an experiment, and pass it on."""
+        self._unfinished.append(rollout)
+        self._observer.experimented(rollout)
+
+    def iterated(self, iteration: Iteration) -> None:
+        """Keep an iteration, then pass it on."""
+        self._unfinished.clear()
+        self.iterations.append(iteration)
+        self._recorder.iterated(iteration)
+        self._observer.iterated(iteration)
+
+    def record(self, outcome: Outcome, reason: str = "", trace: str = "") -> TrialRecord:
+        """What has been done, and how it ended."""
+        return TrialRecord(
+            outcome=outcome,
+            iterations=tuple(self.iterations),
+            unfinished=tuple(self._unfinished),
+            reason=reason,
+            traceback=trace,
+            max_experiments=self._method.max_experiments,
+            max_iterations=self._method.max_iterations,
+            started=self._started,
+            seconds=time.perf_counter() - self._clock,
+        )
+
+
+def _one_line(error: BaseException) -> str:
+    """An error's message, not too long; some errors cannot even say what they are."""
+    try:
+        return " ".join(str(error).split())[:500].encode(errors="backslashreplace").decode()
+    except Exception:
+        return "(its message cannot be read)"
+
+
+def _drawn(study: Study, record: TrialRecord, names: Sequence[str]) -> Mapping[str, bytes]:
+    """Pictures of a trial, files by name."""
+    from simbias.pictures.trial.gallery import pictures  # lazily: not everyone wants any
+
+    return pictures(study, record.iterations, names)

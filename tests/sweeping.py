@@ -120,7 +120,7 @@ def trial_by_trial(folder: Path) -> dict[str, Any]:
 
 def everything(client: MlflowClient, run: Run) -> dict[str, Any]:
     """Parameters, metrics of every iteration, and files, without times and pictures."""
-    names = sorted(name for name in run.data.metrics if not name.startswith("seconds/"))
+    names = sorted(name for name in run.data.metrics if not name.startswith(("seconds/", "trial/seconds")))
     histories = {
         name: [(m.step, m.value) for m in client.get_metric_history(run.info.run_id, name)] for name in names
     }

@@ -13,6 +13,8 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS, ROOT
 from omegaconf import OmegaConf
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20"]  # 0.2 s are balanced without any torque
 
 

@@ -5,15 +5,51 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from simbias.config import ConfigError
+from pandas import DataFrame
+
+from simbias.config import ConfigError, compose
 from simbias.config.build import build
-from simbias.interfaces import Engine, TrackedSweep, WorkerLostError
-from simbias.pictures.sweep.making import make_figures
+from simbias.config.services import engine, tracking
+from simbias.engine.contract import Engine, WorkerLostError
+from simbias.pictures.sweep.making import FigureObserver, make_figures
 from simbias.study import Study
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.interruption import Interruption, stopping_workers
-from simbias.terminal.sweep import SweepConsole
-from simbias.worker import TrialRecord, lost, run_plan
+from simbias.sweep.worker import Plan, lost, run_plan
+from simbias.tracking.contract import TrackedSweep
+from simbias.trial import TrialRecord
+
+
+class SweepObserver(FigureObserver):
+    """Hears of what happens in a sweep, while it happens."""
+
+    def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
+        """The trials begin, but for those that are finished; `keeps` tells whether any is kept."""
+
+    def ended(self, trial: Trial, record: TrialRecord) -> None:
+        """A trial has ended, and is kept."""
+
+    def all_ended(self) -> None:
+        """No trial runs any more, however that came about."""
+
+
+def run(
+    overrides: Sequence[str], config_dir: Path | str | None = None, observer: SweepObserver | None = None
+) -> DataFrame:
+    """Compose a sweep and run what is missing of it; see `run_sweep`.
+
+    Raises
+    ------
+    ConfigError
+        If anything is bad about the sweep; nothing has run then.
+    """
+    composition = compose(overrides, config_dir)
+    if "sweep" not in composition.config:
+        raise ConfigError("sweep", "missing: +sweep=NAME names one")
+    trials_engine, store = engine(composition), tracking(composition)
+    sweep, _ = prepare(overrides, config_dir)
+    again = f"simbias.run_sweep({list(overrides)!r})"
+    return run_sweep(sweep, trials_engine, store.open_sweep(sweep, again), observer)
 
 
 def prepare(overrides: Sequence[str], config_dir: Path | str | None = None) -> tuple[Sweep, Study]:
@@ -38,8 +74,12 @@ def prepare(overrides: Sequence[str], config_dir: Path | str | None = None) -> t
     return sweep, next(iter(studies.values()))
 
 
-def run_sweep(sweep: Sweep, engine: Engine, tracked: TrackedSweep, console: SweepConsole) -> None:
+def run_sweep(
+    sweep: Sweep, trials_engine: Engine, tracked: TrackedSweep, observer: SweepObserver | None = None
+) -> DataFrame:
     """Run the trials that are not finished, and keep each as it ends; then make the figures.
+
+    Returns the trials, as `simbias.tracking.results` describes them.
 
     Raises
     ------
@@ -48,24 +88,39 @@ def run_sweep(sweep: Sweep, engine: Engine, tracked: TrackedSweep, console: Swee
     FigureError
         If a figure cannot be drawn from what there is.
     """
+    observer = observer or SweepObserver()
     missing = [trial for trial in sweep.trials if trial.hash not in tracked.finished]
     try:
         with Interruption() as interruption:
-            with console:
-                for trial, record in _records(engine, missing):
+            trials = tracked.results()
+            observer.begun(sweep, trials[trials["hash"].isin(tracked.finished)], tracked.keeps)
+            try:
+                for trial, record in _records(trials_engine, tracked, missing):
                     with interruption.deferred():
                         tracked.keep(trial, build(trial.composition), record)
-                        console.ended(trial, record)
-            make_figures(sweep, engine, tracked, console, interruption)
+                        observer.ended(trial, record)
+            finally:
+                observer.all_ended()
+            make_figures(sweep, trials_engine, tracked, observer, interruption)
     except BaseException as error:
         tracked.close(error)
         raise
     tracked.close()
+    return tracked.results()
 
 
-def _records(engine: Engine, trials: Sequence[Trial]) -> Iterator[tuple[Trial, TrialRecord]]:
+def _records(
+    trials_engine: Engine, tracked: TrackedSweep, trials: Sequence[Trial]
+) -> Iterator[tuple[Trial, TrialRecord]]:
     """Trials with their records, as they end."""
-    plans = [(trial.composition.config, trial.composition.choices) for trial in trials]
-    with stopping_workers(engine.run(run_plan, plans)) as results:
+    plans = [_plan(trial, tracked) for trial in trials]
+    with stopping_workers(trials_engine.run(run_plan, plans)) as results:
         for index, result in results:
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
+
+
+def _plan(trial: Trial, tracked: TrackedSweep) -> Plan:
+    """What a worker is told of a trial."""
+    journal, composition = tracked.journal(trial), trial.composition
+    folder = None if journal is None else str(journal.absolute())
+    return Plan(composition.config, composition.choices, folder, tuple(tracked.pictures))

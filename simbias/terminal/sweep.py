@@ -17,12 +17,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from simbias.interfaces import Engine
+from simbias.engine.contract import Engine
 from simbias.study import Study
 from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
+from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arranged, cells, layout, legend, plain
-from simbias.worker import TrialRecord
+from simbias.trial import Outcome, TrialRecord
 
 SHOWN_ERRORS = 5
 
@@ -34,59 +35,58 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
-class SweepConsole:
+class SweepConsole(SweepObserver):
     """A bar and a table that fills on a terminal; else a line for every trial."""
 
-    def __init__(
-        self, sweep: Sweep, before: DataFrame, keeps: bool = True, console: Console | None = None
-    ) -> None:
-        self._sweep = sweep
-        self._keeps = keeps
+    def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(highlight=False)
-        self._total = len(sweep.trials)
+        self._sweep: Sweep
+        self._keeps = True
+        self._total = 0
         self._ran = 0  # by this process
         self._start = time.monotonic()
         self._experiments: dict[tuple[str, ...], list[float]] = defaultdict(list)
-        self._drawn: list[tuple[str, str, Sequence[Path]]] = []
-        self._outcomes: list[str] = list(before["outcome"])
-        names = [axis.name for axis in sweep.axes]
-        for row in before.to_dict("records"):
-            self._experiments[tuple(row[name] for name in names)].append(row["experiments"])
+        self._figures: list[tuple[str, str, Sequence[Path]]] = []
+        self._outcomes: list[str] = []
         self._progress = Progress(
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[state]}")
         )
-        self._bar = self._progress.add_task("", total=self._total, completed=len(before), state="")
-        self._live = Live(get_renderable=self._view, console=self._console, refresh_per_second=2)
+        self._live: Live | None = None
 
-    def __enter__(self) -> SweepConsole:
-        done = len(self._outcomes)
+    def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
+        """Tell what will run."""
+        self._sweep, self._keeps, self._total = sweep, keeps, len(sweep.trials)
+        self._outcomes = list(finished["outcome"])
+        names = [axis.name for axis in sweep.axes]
+        for row in finished.to_dict("records"):
+            self._experiments[tuple(row[name] for name in names)].append(row["experiments"])
+        done = len(finished)
+        self._bar = self._progress.add_task("", total=self._total, completed=done, state="")
         resumed = f", {done} of them finished already" if done else ""
-        counts = f"{len(self._sweep.cells)} cells x {self._sweep.repetitions} trials = {self._total}"
-        self._console.print(f"[bold]{self._sweep.name}[/bold]: {counts}{resumed}", soft_wrap=True)
-        if not self._keeps:
+        counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {self._total}"
+        self._console.print(f"[bold]{sweep.name}[/bold]: {counts}{resumed}", soft_wrap=True)
+        if not keeps:
             self._console.print("No trial is kept (tracking=none): once interrupted, it starts anew.")
         self._start = time.monotonic()
         if self._console.is_terminal:
+            self._live = Live(get_renderable=self._view, console=self._console, refresh_per_second=2)
             self._live.start()
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._console.is_terminal:
+    def all_ended(self) -> None:
+        """Leave the table as it is."""
+        if self._live is not None:
             self._live.stop()
 
     def ended(self, trial: Trial, record: TrialRecord) -> None:
         """Tell of a trial that has ended and is kept."""
         self._ran += 1
-        self._outcomes.append(
-            "error" if record.error else "succeeded" if record.succeeded else "not succeeded"
-        )
-        experiments = record.iterations[-1].total_experiments if record.iterations else 0
-        if record.error is None:
-            self._experiments[trial.cell.labels].append(experiments)
+        self._outcomes.append(record.outcome)
+        if record.outcome.final:
+            self._experiments[trial.cell.labels].append(record.experiments_until_success)
         self._progress.update(self._bar, completed=len(self._outcomes), state=self._state())
-        if record.error or not self._console.is_terminal:
+        if not record.outcome.final or not self._console.is_terminal:
             done = f"[{len(self._outcomes)}/{self._total}]"
-            outcome = record.error or f"{self._outcomes[-1]} after {experiments} experiments"
+            outcome = record.reason or f"{record.outcome} after {record.experiments} experiments"
             line = f"{done} {trial.name}: {outcome}, {record.seconds:.1f} s; {self._state()}"
             self._console.print(line, soft_wrap=True, markup=False)
 
@@ -126,30 +126,37 @@ class SweepConsole:
 
     def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
         """Tell, at the end, of a figure and where its files are."""
-        self._drawn.append((name, caption, files))
+        self._figures.append((name, caption, files))
 
     def conclude(self, trials: DataFrame, where: str | None) -> None:
         """The table, what it means, and how to look at the rest."""
         laid = layout(cells(trials, self._sweep), self._sweep)
         self._console.print(plain(laid), soft_wrap=True, markup=False)
         self._console.print(legend(self._sweep), soft_wrap=True, markup=False)
-        raised = [row for row in trials.to_dict("records") if row["outcome"] == "error"]
+        raised = [row for row in trials.to_dict("records") if row["outcome"] == Outcome.ERROR]
         for row in raised[:SHOWN_ERRORS]:
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)
             line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
             self._console.print(line, style="red", soft_wrap=True, markup=False)
         if raised:
-            self._console.print(f"{len(raised)} trials raised an error; the same command runs them again.")
-        for name, caption, files in self._drawn:
+            self._console.print(f"{len(raised)} trials raised an error; the same command goes on with them.")
+        if self.waiting:
+            self._console.print(f"{self.waiting} trials wait for hardware; the same command goes on.")
+        for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))
                 self._console.print(f"{name}: {caption}\n  {shown}", soft_wrap=True, markup=False)
         if where:
             self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
 
+    @property
+    def waiting(self) -> int:
+        """How many trials wait for the result of an experiment."""
+        return self._outcomes.count(Outcome.WAITING)
+
     def stopped(self, why: str, again: str) -> None:
         """Tell that the sweep ended early, what is done, and how to go on."""
-        done = len(self._outcomes) - self._outcomes.count("error")
+        done = sum(Outcome(outcome).final for outcome in self._outcomes)
         kept = f"{done} of {self._total} trials are done" + ("" if self._keeps else ", but not kept")
         text = f"simbias: {' '.join(why.split())[:500]}; {kept}.\nGo on with:  {again}"
         print(text, file=sys.stderr, flush=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TextIO
 
@@ -14,7 +14,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from simbias.interfaces import SlowWarning
 from simbias.records import Array, Iteration, Rollout
-from simbias.study import Study
+from simbias.study import Observer, Study
+from simbias.trial import Outcome, TrialRecord
 
 COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
 
@@ -24,7 +25,7 @@ def cost_text(cost: float) -> str:
     return f"{cost:.3f}" if cost < 1000 else f"{cost:.2e}".replace("e+0", "e")
 
 
-class TrialConsole:
+class TrialConsole(Observer):
     """A row for every iteration, and a progress bar while a search runs on a terminal."""
 
     def __init__(self, study: Study, console: Console | None = None) -> None:
@@ -41,7 +42,8 @@ class TrialConsole:
             disable=not self._console.is_terminal,
         )
         self._bar = self._progress.add_task("", total=study.optimizer.max_evaluations, best="", visible=False)
-        self._width = 18 * getattr(study.method, "experiments", 2)
+        self._experiments = 0
+        self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
 
     def __enter__(self) -> TrialConsole:
         study = self._study
@@ -68,18 +70,27 @@ class TrialConsole:
             visible=True,
         )
 
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """Tell of a hardware experiment that has ended."""
-        self._progress.update(self._bar, description=f"hardware experiment {experiment + 1} done")
+    def experimenting(self, theta: Array, start: Array) -> None:
+        """Tell that a hardware experiment is under way."""
+        words = f"hardware experiment {self._experiments + 1} under way"
+        self._progress.update(self._bar, description=words, visible=True)
 
-    def row(self, iteration: Iteration) -> None:
+    def experimented(self, rollout: Rollout) -> None:
+        """Tell of a hardware experiment that has ended."""
+        self._experiments += 1
+        self._progress.update(self._bar, description=f"hardware experiment {self._experiments} done")
+
+    def iterated(self, iteration: Iteration) -> None:
         """One line for an iteration."""
         self._progress.update(self._bar, visible=False)
+        search, learning = iteration.search, iteration.learning
+        predicted = cost_text(search.predicted_cost) if search else ""
+        samples = str(len(learning.data)) if learning else ""
         experiments = "  ".join(self._experiment_text(rollout) for rollout in iteration.experiments)
-        notes = "  [yellow]model cleared[/yellow]" if iteration.model_reset else ""
+        notes = "  [yellow]model cleared[/yellow]" if learning and learning.reset else ""
         self._console.print(
-            f"{iteration.index:>3}  {cost_text(iteration.predicted_cost):>9}  {experiments:<{self._width}}"
-            f"  {len(iteration.data):>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
+            f"{iteration.index:>3}  {predicted:>9}  {experiments:<{self._width}}"
+            f"  {samples:>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
             soft_wrap=True,
         )
 
@@ -88,14 +99,33 @@ class TrialConsole:
         seconds = rollout.frames * self._study.task.time_step
         return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s)"
 
-    def conclude(self, last: Iteration, seconds: float, where: str | None) -> None:
+    def conclude(self, record: TrialRecord, where: str | None) -> None:
         """The closing line: what came out, after how many experiments, and how to look at it."""
+        succeeded = record.outcome is Outcome.SUCCEEDED
+        verdict = "[green]Succeeded[/green]" if succeeded else "[red]Did not succeed[/red]"
+        experiments = f"after {_counted(record.experiments, 'hardware experiment')}"
+        effort = f"{_counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
+        words = self._study.task.words
+        names = {each.failure for each in record.iterations[-1].experiments if each.failure}
+        reason = f"; last failure: {', '.join(sorted(map(words, names)))}" if names else ""
+        self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
+        self.look(where)
+
+    def recall(self, iterations: Sequence[Iteration], where: str | None) -> None:
+        """Tell of a trial that came to its end before."""
+        for iteration in iterations:
+            self.iterated(iteration)
+        last = iterations[-1]
         verdict = "[green]Succeeded[/green]" if last.succeeded else "[red]Did not succeed[/red]"
         experiments = f"after {_counted(last.total_experiments, 'hardware experiment')}"
-        effort = f"{_counted(last.index + 1, 'iteration')}, {seconds:.0f} s"
-        failures = sorted({rollout.failure for rollout in last.experiments if rollout.failure})
-        reason = f"; last failure: {', '.join(failures)}" if failures else ""
-        self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
+        self._console.print(
+            f"\n{verdict} {experiments}, in an earlier run of this command; seed=N makes another trial.",
+            soft_wrap=True,
+        )
+        self.look(where)
+
+    def look(self, where: str | None) -> None:
+        """How to look at the trial."""
         if where:
             self._console.print(f"Look at it:  {where}", soft_wrap=True)
 

@@ -11,21 +11,24 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simbias.records import Iteration
+from simbias.records import Iteration, Learning, Search
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from simbias.study import Study
+    from simbias.config import Composition
+    from simbias.trial import TrialRecord
 
 PACKAGE = Path(__file__).resolve().parent.parent
 KEY_LENGTH = 250  # MLflow's limits
 VALUE_LENGTH = 6000
 
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
+SECONDS = "trial/seconds"  # the metric that tells how long a trial took
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 
 
@@ -40,9 +43,9 @@ def shown_config(config: Mapping[str, Any]) -> dict[str, Any]:
     return {**config, "tracking": tracking}
 
 
-def parameters(study: Study) -> dict[str, str]:
+def parameters(composition: Composition) -> dict[str, str]:
     """The chosen options (`bias`) and the resolved config (`bias.d`); what is not text as JSON."""
-    flat = {**study.choices, **dict(_flat(shown_config(study.config)))}
+    flat = {**composition.choices, **dict(_flat(shown_config(composition.config)))}
     return {_name(key): _value(value) for key, value in flat.items()}
 
 
@@ -68,27 +71,52 @@ def _value(value: Any) -> str:
 
 def metrics(iteration: Iteration) -> dict[str, float]:
     """An iteration in numbers, `group/name`; costs as in Eq. 8, seconds of wall time."""
-    selection = iteration.selection
+    experiments = iteration.experiments
     numbers = {
-        "cost/predicted": iteration.predicted_cost,
         "cost/hardware_max": iteration.hardware_cost,
-        **{f"cost/hardware_{i}": r.cost for i, r in enumerate(iteration.experiments) if r.cost is not None},
+        **{f"cost/hardware_{i}": rollout.cost for i, rollout in enumerate(experiments)},
         "experiments/total": iteration.total_experiments,
         "experiments/iterations": iteration.index + 1,
-        "experiments/failed": sum(r.failed_at is not None for r in iteration.experiments),
-        "experiments/frames_min": min((r.frames for r in iteration.experiments), default=0),
+        "experiments/failed": sum(rollout.failed_at is not None for rollout in experiments),
+        "experiments/frames_min": min((rollout.frames for rollout in experiments), default=0),
         "experiments/succeeded": iteration.succeeded,
-        "search/evaluations": iteration.optimum.evaluations,
-        "model/reset": iteration.model_reset,
-        "data/samples": len(iteration.data),
+        **(_search_metrics(iteration.search) if iteration.search else {}),
+        **(_learning_metrics(iteration.learning) if iteration.learning else {}),
+        **{f"seconds/{phase}": seconds for phase, seconds in iteration.seconds.items()},
+    }
+    return {_name(key): float(value) for key, value in numbers.items()}
+
+
+def _search_metrics(search: Search) -> dict[str, float]:
+    """A search in numbers."""
+    return {
+        "cost/predicted": search.predicted_cost,
+        "search/evaluations": search.optimum.evaluations,
+        **{f"bias/{name}": value for name, value in search.diagnostics.items()},
+    }
+
+
+def _learning_metrics(learning: Learning) -> dict[str, float]:
+    """What was learned, in numbers."""
+    selection = learning.selection
+    return {
+        "model/reset": learning.reset,
+        "data/samples": len(learning.data),
         "data/new": len(selection.transitions),
         "data/frames": selection.frames,
         "data/sampled": selection.sampled,
         **{f"data/rejected_{criterion}": count for criterion, count in selection.rejected.items()},
-        **{f"bias/{name}": value for name, value in iteration.diagnostics.items()},
-        **{f"seconds/{phase}": seconds for phase, seconds in iteration.seconds.items()},
     }
-    return {_name(key): float(value) for key, value in numbers.items()}
+
+
+def trial_metrics(record: TrialRecord) -> dict[str, float]:
+    """A trial in numbers: what a sweep's table takes from it."""
+    numbers = {
+        "trial/experiments": record.experiments_until_success,
+        "trial/iterations": record.iterations_until_success,
+        SECONDS: record.seconds,
+    }
+    return {name: value for name, value in numbers.items() if not isnan(value)}
 
 
 def sweep_metrics(trials: DataFrame) -> dict[str, float]:
@@ -101,9 +129,9 @@ def sweep_metrics(trials: DataFrame) -> dict[str, float]:
     return {**{f"trials/{name}": float(count) for name, count in counts.items()}, **means}
 
 
-def tags(study: Study) -> dict[str, str]:
-    """What a trial is and comes from: hash of its config, git commit, versions, user."""
-    return {"hash": study.hash, **origin()}
+def tags(composition: Composition) -> dict[str, str]:
+    """What a trial is and comes from: its identity, git commit, versions, user."""
+    return {"hash": composition.hash, **origin()}
 
 
 def origin() -> dict[str, str]:

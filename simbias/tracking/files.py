@@ -5,42 +5,47 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from simbias.interfaces import Policy, Quantity, Task
-from simbias.records import Array, Iteration, Rollout, Transitions
+from simbias.records import Iteration, Rollout, Transitions
 
 SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
 
 
-def save_rollout(path: Path, theta: Array, rollout: Rollout) -> None:
-    """Write a rollout of the policy theta (p,) as compressed npz; what is None is left out.
+def experiment_name(iteration: int, experiment: int) -> str:
+    """The file of a hardware experiment."""
+    return f"experiments/iteration_{iteration:02d}_experiment_{experiment}.npz"
+
+
+def policy_name(iteration: int) -> str:
+    """The file of an iteration's policy."""
+    return f"policies/iteration_{iteration:02d}.json"
+
+
+def data_name(iteration: int) -> str:
+    """The file of the data set D that an iteration ended with."""
+    return f"data/iteration_{iteration:02d}.npz"
+
+
+def save_rollout(file: Path | IO[bytes], rollout: Rollout) -> None:
+    """Write a rollout as compressed npz; what is None is left out.
 
     Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, cost, failed_at,
     failure.
     """
-    fields = {
-        "parameters": theta,
-        "states": rollout.states,
-        "inputs": rollout.inputs,
-        "measured": rollout.measured,
-        "sensed": rollout.sensed,
-        "cost": rollout.cost,
-        "failed_at": rollout.failed_at,
-        "failure": rollout.failure,
-    }
-    given: dict[str, Any] = {name: value for name, value in fields.items() if value is not None}
-    np.savez_compressed(path, **given)
+    given: dict[str, Any] = {name: value for name, value in vars(rollout).items() if value is not None}
+    np.savez_compressed(file, **given)
 
 
-def load_rollout(path: Path) -> tuple[Array, Rollout]:
-    """The policy theta (p,) and its rollout, as `save_rollout` wrote them."""
+def load_rollout(path: Path) -> Rollout:
+    """The rollout, as `save_rollout` wrote it."""
     with np.load(path) as file:
-        fields = {name: file[name] for name in file.files}
-    scalars = {name: fields.pop(name).item() for name in SCALARS if name in fields}
-    return fields.pop("parameters"), Rollout(**fields, **scalars)
+        arrays = {name: file[name] for name in file.files}
+    scalars = {name: arrays.pop(name).item() for name in SCALARS if name in arrays}
+    return Rollout(**arrays, **scalars)
 
 
 def save_transitions(path: Path, transitions: Transitions, task: Task) -> None:
@@ -75,19 +80,22 @@ def load_transitions(path: Path) -> Transitions:
 
 def policy_text(policy: Policy, iteration: Iteration) -> str:
     """An iteration's policy as JSON: theta (p,), its gains if the policy has such, costs and search."""
-    optimum = iteration.optimum
-    gains = getattr(policy, "gains", None)
-    content = {
+    search, gains = iteration.search, getattr(policy, "gains", None)
+    content: dict[str, Any] = {
         "iteration": iteration.index,
-        "parameters": optimum.parameters.tolist(),
-        **({"gains": np.asarray(gains(optimum.parameters)).tolist()} if callable(gains) else {}),
-        "predicted_cost": iteration.predicted_cost,
+        "parameters": iteration.parameters.tolist(),
+        **({"gains": np.asarray(gains(iteration.parameters)).tolist()} if callable(gains) else {}),
         "hardware_cost": iteration.hardware_cost,
         "succeeded": iteration.succeeded,
-        "search": {
-            "cost": optimum.cost,
-            "evaluations": optimum.evaluations,
-            "stopped_by": optimum.stopped_by,
-        },
     }
+    if search is not None:
+        optimum = search.optimum
+        content |= {
+            "predicted_cost": search.predicted_cost,
+            "search": {
+                "cost": optimum.cost,
+                "evaluations": optimum.evaluations,
+                "stopped_by": optimum.stopped_by,
+            },
+        }
     return json.dumps(content, indent=2) + "\n"

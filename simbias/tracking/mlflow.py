@@ -2,37 +2,47 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import tempfile
-import time
-import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simbias.config import ConfigError
-from simbias.interfaces import TrackedSweep, TrackedTrial, Tracking
-from simbias.records import Array, Iteration, Rollout
+from filelock import FileLock, Timeout
+
+from simbias.commands import python
+from simbias.config.errors import ConfigError
+from simbias.records import Iteration, Rollout
 from simbias.tracking import fields, files, notes, pages
-from simbias.tracking.store import cause, connect, exists, locked
+from simbias.tracking.contract import TrackedSweep, TrackedTrial, Tracking
+from simbias.tracking.journal import Journal, remove
+from simbias.tracking.store import cause, connect, database, exists
+from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run
     from pandas import DataFrame
 
     from simbias.study import Study
     from simbias.sweep.grid import Sweep
+    from simbias.tracking.trials import RecordedTrial
 
 NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 PICTURES = "pictures"  # folder of the artifacts
 BATCH = 100  # parameters that MLflow takes at once
 METRICS = 1000  # metrics that MLflow takes at once
-UI = "MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false mlflow ui --workers 1"  # a fifth of the memory, and sooner up
+SPARING = "MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false"  # a fifth of the memory, and sooner up
+ITERATIONS = "experiments/iterations"  # the metric that tells how many iterations are kept
+FINISHED = "FINISHED"  # a run whose trial came to its end, and is kept in whole
+STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITING: "SCHEDULED"}
 
 
 class Mlflow(Tracking):
-    """A store of MLflow's.
+    """A store of MLflow's, and journals of the trials under way.
 
     Parameters
     ----------
@@ -42,46 +52,68 @@ class Mlflow(Tracking):
         MLflow's experiment, which holds the runs; it is created if need be.
     pictures
         Whether each trial's pictures are drawn and kept; those of a sweep's trials are fewer.
+    journals
+        Folder for the journals of trials that have not come to their end; None is `journals` beside a SQLite
+        store's database, else in the working folder.
     """
 
     def __init__(
-        self, uri: str = "sqlite:///mlflow.db", experiment: str = "simbias", pictures: bool = True
+        self,
+        uri: str = "sqlite:///mlflow.db",
+        experiment: str = "simbias",
+        pictures: bool = True,
+        journals: str | None = None,
     ) -> None:
         self._uri = uri
         self._experiment = experiment
-        self.pictures = pictures
+        self._pictures = pictures
+        self._journals = journals
 
     def open(self, study: Study) -> TrackedTrial:
-        """Begin a run: config, tags and a note of what runs. The first trial in a SQLite store creates it.
+        """Begin a run, or go on with the one that the trial began; what came to its end stays as it is.
 
         Processes that share a new SQLite store must wait for the first: creation by several at once fails.
-
-        Raises
-        ------
-        ConfigError
-            Within seconds, if the store cannot be used.
         """
+        from simbias.pictures.trial.gallery import ALL
+
         client, experiment_id = connect(self._uri, self._experiment)
-        run = client.create_run(experiment_id, run_name=notes.run_name(study), tags=fields.tags(study))
-        run_id = run.info.run_id
-        return MlflowTrial(client, run_id, study, self._where(experiment_id, run_id))
+        before = _earlier(client, experiment_id, study.hash)
+        folder = self._folder() / study.hash
+        if before is not None and before.info.status == FINISHED:
+            remove(folder)  # who ended the trial may have been killed before it did
+            run_id = before.info.run_id
+            return FinishedTrial(self._uri, run_id, self._where(experiment_id, run_id))
+        journal = Journal(folder, ALL if self._pictures else ())
+        try:
+            if before is None:
+                name, tags = notes.run_name(study), fields.tags(study.composition)
+                before = client.create_run(experiment_id, run_name=name, tags=tags)
+            where = self._where(experiment_id, before.info.run_id)
+            return MlflowTrial(client, before, study, where, journal)
+        except BaseException:
+            journal.release()
+            raise
 
     def open_sweep(self, sweep: Sweep, again: str) -> TrackedSweep:
-        """Begin a parent run, or go on with the one that an earlier process began.
-
-        Raises
-        ------
-        ConfigError
-            Within seconds, if the store cannot be used, or another process runs this sweep into it.
-        """
+        """Begin a parent run, or go on with the one that an earlier process began."""
+        from simbias.pictures.trial.gallery import IN_SWEEPS
         from simbias.tracking.mlflow_sweep import MlflowSweep
 
         client, experiment_id = connect(self._uri, self._experiment)
-        lock = locked(self._uri, f"{experiment_id} {sweep.hash}")
+        folder = self._folder()
         try:
-            return MlflowSweep(client, experiment_id, sweep, again, self._where, lock)
+            folder.mkdir(parents=True, exist_ok=True)
+            lock = FileLock(folder / f"sweep_{sweep.hash}.lock")
+            lock.acquire(timeout=0)
+        except Timeout as error:
+            raise ConfigError("sweep", "another process is running this sweep into the same store") from error
+        except OSError as error:
+            raise ConfigError(str(folder), f"cannot be written ({error.strerror})") from error
+        try:
+            pictures = IN_SWEEPS if self._pictures else ()
+            return MlflowSweep(client, experiment_id, sweep, again, self._where, lock, folder, pictures)
         except Exception as error:
-            lock.close()
+            lock.release()
             raise ConfigError("tracking.uri", f"{fields.shown(self._uri)}: {cause(error)}") from error
 
     def finished(self, sweep: Sweep) -> DataFrame:
@@ -95,7 +127,13 @@ class Mlflow(Tracking):
         if parent is None:
             return results.frame([], sweep)
         trials = results.of_sweep(client, experiment_id, parent.info.run_id, sweep)
-        return trials[trials["outcome"] != "error"]
+        return trials[trials["outcome"] != Outcome.ERROR]
+
+    def _folder(self) -> Path:
+        """Where the journals of this experiment's trials are."""
+        file = database(self._uri)
+        root = Path(self._journals) if self._journals else (file.parent if file else Path()) / "journals"
+        return root / re.sub(r"[^\w\-.]", "_", self._experiment)
 
     def _where(self, experiment_id: str, run_id: str) -> str:
         """How to look at a run: a command and an address."""
@@ -103,143 +141,184 @@ class Mlflow(Tracking):
         uri = fields.shown(self._uri)
         if uri.startswith(("http://", "https://")):
             return uri.rstrip("/") + page
-        return f"{UI} --backend-store-uri {shlex.quote(uri)}  # http://127.0.0.1:5000{page}"
+        ui = f"{SPARING} {python()} -m mlflow ui --workers 1"
+        return f"{ui} --backend-store-uri {shlex.quote(uri)}  # http://127.0.0.1:5000{page}"
 
 
-def experiment_name(iteration: int, experiment: int) -> str:
-    """The file of a hardware experiment."""
-    return f"experiments/iteration_{iteration:02d}_experiment_{experiment}.npz"
+def _earlier(client: MlflowClient, experiment_id: str, identity: str) -> Run | None:
+    """The run of a trial that came to its end, in a sweep or on its own; else the one that it began."""
+    runs = client.search_runs([experiment_id], f"tags.hash = '{identity}'", order_by=["created ASC"])
+    ended = [run for run in runs if run.info.status == FINISHED]
+    own = [run for run in runs if fields.PARENT not in run.data.tags]
+    return next(iter([*ended, *own]), None)
 
 
-def policy_name(iteration: int) -> str:
-    """The file of an iteration's policy."""
-    return f"policies/iteration_{iteration:02d}.json"
+class FinishedTrial(TrackedTrial):
+    """A trial that came to its end before."""
 
+    def __init__(self, uri: str, run_id: str, where: str) -> None:
+        self.where = where
+        self.run_id = run_id
+        self._uri = uri
 
-def data_name(iteration: int) -> str:
-    """The file of the data set D that an iteration ended with."""
-    return f"data/iteration_{iteration:02d}.npz"
+    def finished(self) -> RecordedTrial:
+        """The trial, read back."""
+        from simbias.tracking.trials import load_trial
+
+        return load_trial(self.run_id, self._uri)
 
 
 class MlflowTrial(TrackedTrial):
     """A run that is being written."""
 
-    def __init__(self, client: MlflowClient, run_id: str, study: Study, where: str | None) -> None:
+    def __init__(
+        self, client: MlflowClient, run: Run, study: Study, where: str | None, journal: Journal | None = None
+    ) -> None:
         self.where = where
-        self.run_id = run_id
+        self.run_id = run.info.run_id
+        self.pictures = journal.pictures if journal else ()
         self._client = client
         self._study = study
+        self._journal = journal
         self._rows: list[notes.Row] = []
-        self._ended: int | None = None  # ms since the epoch; None: when it is closed
-        self._unfinished = 0  # experiments since the last iteration
+        self._logged = int(run.data.metrics.get(ITERATIONS, 0))
+        self._time = self._last_time(run)  # s since the epoch, up to the last iteration
+        self._seconds = run.data.metrics.get(fields.SECONDS, 0.0)  # that earlier processes took
+        if run.info.status != "RUNNING":  # it was ended early, and goes on
+            client.update_run(self.run_id, status="RUNNING")
+        for tag in {"error", "outcome"} & run.data.tags.keys():
+            client.delete_tag(self.run_id, tag)
         try:
-            self._begin()
-        except BaseException as error:
-            self.close(error)
+            self._begin(run)
+        except Exception:
+            client.set_terminated(self.run_id, "FAILED")
             raise
 
-    def _begin(self) -> None:
-        """Write what is known before the first iteration."""
+    def _last_time(self, run: Run) -> float:
+        """When the last iteration that was kept ended, or the run began: s since the epoch."""
+        if not self._logged:
+            return run.info.start_time / 1000
+        history = self._client.get_metric_history(self.run_id, ITERATIONS)
+        return max(metric.timestamp for metric in history) / 1000
+
+    def _begin(self, run: Run) -> None:
+        """Write what is known before the first iteration, unless an earlier process did."""
         from mlflow.entities import Param
         from omegaconf import OmegaConf
 
-        parameters = [Param(key, value) for key, value in fields.parameters(self._study).items()]
-        for start in range(0, len(parameters), BATCH):
-            self._client.log_batch(self.run_id, params=parameters[start : start + BATCH])
-        config = OmegaConf.to_yaml(OmegaConf.create(fields.shown_config(self._study.config)))
-        self._client.log_text(self.run_id, config, "config.yaml")
+        composition = self._study.composition
+        parameters = fields.parameters(composition)
+        missing = [Param(key, value) for key, value in parameters.items() if key not in run.data.params]
+        if len(missing) == len(parameters):
+            config = OmegaConf.to_yaml(OmegaConf.create(fields.shown_config(composition.config)))
+            self._client.log_text(self.run_id, config, "config.yaml")
+        for start in range(0, len(missing), BATCH):
+            self._client.log_batch(self.run_id, params=missing[start : start + BATCH])
+        if self._journal:  # it begins now, and has not run elsewhere
+            self._note(notes.running(self._rows))
+
+    def recalling(self, study: Study) -> Study:
+        """The study, its experiments and searches kept in the journal."""
+        return self._journal.recalling(study) if self._journal else study
+
+    def iterated(self, iteration: Iteration) -> None:
+        """Keep an iteration, unless an earlier process did."""
+        self._write([iteration])
         self._note(notes.running(self._rows))
 
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """Keep a hardware experiment as experiments/iteration_<i>_experiment_<j>.npz."""
-        name = experiment_name(iteration, experiment)
-        self._keep(name, lambda path: files.save_rollout(path, theta, rollout))
-        self._unfinished += 1
+    def ended(self, record: TrialRecord) -> None:
+        """End the run: FINISHED, with or without success; KILLED if interrupted; FAILED after an error.
 
-    def log(self, iteration: Iteration) -> None:
-        """Keep an iteration: policy, data set, note, then its metrics; who finds these finds all."""
-        self._rows.append(notes.row(iteration))
-        self._unfinished = 0
-        for name, write in self._files(iteration):
-            self._keep(name, write)
-        self._note(notes.running(self._rows))
-        self._log_metrics([(iteration, time.time())])
-
-    def illustrate(self, pictures: Mapping[str, bytes]) -> None:
-        """Keep pictures in pictures/."""
-        with tempfile.TemporaryDirectory() as folder:
-            for name, content in pictures.items():
-                Path(folder, name).write_bytes(content)
-            self._client.log_artifacts(self.run_id, folder, PICTURES)
-
-    def keep(
-        self, iterations: Sequence[Iteration], pictures: Mapping[str, bytes], started: float, ended: float
-    ) -> None:
-        """Keep a trial that ran elsewhere, as the other methods would have, but all at once.
-
-        Times are in s since the epoch.
+        The journal is needed no longer once the run is FINISHED.
         """
-        self._ended = int(1000 * ended)
-        self._rows.extend(map(notes.row, iterations))
-        timed = []
-        with tempfile.TemporaryDirectory() as folder:
-            for iteration in iterations:
-                started += sum(iteration.seconds.values())
-                timed.append((iteration, min(started, ended)))
-                for name, write in (*self._experiment_files(iteration), *self._files(iteration)):
-                    path = Path(folder, name)
-                    path.parent.mkdir(exist_ok=True)
-                    write(path)
-            for name, content in pictures.items():
-                path = Path(folder, PICTURES, name)
-                path.parent.mkdir(exist_ok=True)
-                path.write_bytes(content)
-            if iterations:
-                self._client.log_artifacts(self.run_id, folder)
-        self._log_metrics(timed)
+        if record.reason:
+            self._client.set_tag(self.run_id, "error", record.reason)
+        if record.traceback:
+            self._client.log_text(self.run_id, record.traceback, "error.txt")
+        if record.unfinished:
+            self._keep(self._experiment_files(len(record.iterations), record.unfinished))
+        self._time = record.started + record.seconds
+        whole = replace(record, seconds=self._seconds + record.seconds)
+        numbers = fields.trial_metrics(whole).items()
+        self._log_metrics([(name, value, 0, self._time) for name, value in numbers])
+        self._note(notes.verdict(self._rows, record))
+        self._client.set_tag(self.run_id, "outcome", record.outcome)
+        ended = int(1000 * self._time)
+        self._client.set_terminated(self.run_id, STATUS.get(record.outcome, FINISHED), end_time=ended)
+        if self._journal is None:
+            return
+        if record.outcome.final:
+            self._journal.discard()
+        else:
+            self._journal.ended(record)
+
+    def illustrated(self, pictures: Mapping[str, bytes]) -> None:
+        """Keep pictures in pictures/."""
+        self._keep(
+            (f"{PICTURES}/{name}", partial(_write_bytes, content)) for name, content in pictures.items()
+        )
+
+    def keep(self, record: TrialRecord) -> None:
+        """Keep a trial that ran elsewhere, all at once."""
+        self._write(record.iterations)
+        self.illustrated(record.pictures)
+        self.ended(record)
+
+    def _write(self, iterations: Sequence[Iteration]) -> None:
+        """Keep iterations: their files, then their metrics; who finds these finds all."""
+        self._rows.extend(notes.row(self._study, iteration) for iteration in iterations)
+        fresh = [iteration for iteration in iterations if iteration.index >= self._logged]
+        self._keep(file for iteration in fresh for file in self._files(iteration))
+        metrics: list[tuple[str, float, int, float]] = []
+        for iteration in fresh:
+            self._time += sum(iteration.seconds.values())
+            own = [(*each, iteration.index, self._time) for each in fields.metrics(iteration).items()]
+            if len(metrics) + len(own) > METRICS:  # an iteration's metrics are there all or none
+                self._log_metrics(metrics)
+                metrics = []
+            metrics += own
+        self._log_metrics(metrics)
 
     def _files(self, iteration: Iteration) -> Iterator[tuple[str, Callable[[Path], object]]]:
         """Names of an iteration's files and what writes them."""
+        yield from self._experiment_files(iteration.index, iteration.experiments)
         policy = files.policy_text(self._study.policy, iteration)
-        yield policy_name(iteration.index), lambda path: path.write_text(policy)
-        save = partial(files.save_transitions, transitions=iteration.data, task=self._study.task)
-        yield data_name(iteration.index), save
+        yield files.policy_name(iteration.index), lambda path: path.write_text(policy)
+        if iteration.learning is not None:
+            data = iteration.learning.data
+            save = partial(files.save_transitions, transitions=data, task=self._study.task)
+            yield files.data_name(iteration.index), save
 
-    def _experiment_files(self, iteration: Iteration) -> Iterator[tuple[str, Callable[[Path], object]]]:
+    def _experiment_files(
+        self, index: int, experiments: Sequence[Rollout]
+    ) -> Iterator[tuple[str, Callable[[Path], object]]]:
         """Names of the files of an iteration's experiments and what writes them."""
-        for index, rollout in enumerate(iteration.experiments):
-            write = partial(files.save_rollout, theta=iteration.optimum.parameters, rollout=rollout)
-            yield experiment_name(iteration.index, index), write
+        for number, rollout in enumerate(experiments):
+            yield files.experiment_name(index, number), partial(files.save_rollout, rollout=rollout)
 
-    def _log_metrics(self, timed: Sequence[tuple[Iteration, float]]) -> None:
-        """Log the metrics of iterations that ended at a time (s since the epoch)."""
+    def _log_metrics(self, metrics: Sequence[tuple[str, float, int, float]]) -> None:
+        """Log metrics (name, value, step, s since the epoch), all or none unless they are too many."""
         from mlflow.entities import Metric
 
-        metrics = [
-            Metric(key, value, int(1000 * ended), iteration.index)
-            for iteration, ended in timed
-            for key, value in fields.metrics(iteration).items()
-        ]
-        for start in range(0, len(metrics), METRICS):
-            self._client.log_batch(self.run_id, metrics=metrics[start : start + METRICS])
-
-    def close(self, error: BaseException | None = None) -> None:
-        """End the run: FINISHED, with or without success; KILLED if interrupted; FAILED after an error."""
-        outcome = notes.outcome(self._rows, error)
-        if error is not None and outcome == "error":
-            self._client.log_text(self.run_id, "".join(traceback.format_exception(error)), "error.txt")
-        self._note(notes.verdict(self._rows, error, self._unfinished))
-        self._client.set_tag(self.run_id, "outcome", outcome)
-        status = {"error": "FAILED", "interrupted": "KILLED"}.get(outcome, "FINISHED")
-        self._client.set_terminated(self.run_id, status, end_time=self._ended)
+        entities = [Metric(name, value, int(1000 * time), step) for name, value, step, time in metrics]
+        for start in range(0, len(entities), METRICS):
+            self._client.log_batch(self.run_id, metrics=entities[start : start + METRICS])
 
     def _note(self, verdict: str) -> None:
         """Write the run's description."""
         self._client.set_tag(self.run_id, NOTE, notes.note(self._study, self._rows, verdict))
 
-    def _keep(self, name: str, write: Callable[[Path], object]) -> None:
-        """Keep a file that `write` makes."""
+    def _keep(self, named: Iterable[tuple[str, Callable[[Path], object]]]) -> None:
+        """Keep files, by their names and what writes them."""
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, Path(name).name)
-            write(path)
-            self._client.log_artifact(self.run_id, str(path), str(Path(name).parent))
+            for name, write in named:
+                path = Path(folder, name)
+                path.parent.mkdir(exist_ok=True)
+                write(path)
+            if any(Path(folder).iterdir()):
+                self._client.log_artifacts(self.run_id, folder)
+
+
+def _write_bytes(content: bytes, path: Path) -> None:
+    """Write a file."""
+    path.write_bytes(content)

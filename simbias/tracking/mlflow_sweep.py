@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
+from filelock import FileLock
 from omegaconf import OmegaConf
 from pandas import DataFrame
 
-from simbias.interfaces import TrackedSweep
 from simbias.sweep import tables
-from simbias.tracking import fields, notes, pages, results
-from simbias.tracking.mlflow import NOTE, MlflowTrial
+from simbias.tracking import fields, pages, results
+from simbias.tracking.contract import TrackedSweep
+from simbias.tracking.journal import remove, remove_empty
+from simbias.tracking.mlflow import FINISHED, NOTE, MlflowTrial
+from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run
 
     from simbias.pictures.sweep.batches import Outcomes
     from simbias.study import Study
     from simbias.sweep.grid import Sweep, Trial
     from simbias.tracking.trials import RecordedTrial
-    from simbias.worker import TrialRecord
 
 FIGURES = "figures"  # folder of the parent's artifacts
 EXPERIMENTS = f"{FIGURES}/experiments"  # outcomes of batches
@@ -43,30 +46,34 @@ class MlflowSweep(TrackedSweep):
         sweep: Sweep,
         again: str,
         where: Callable[[str, str], str],
-        lock: IO[str],
+        lock: FileLock,
+        journals: Path,
+        pictures: Sequence[str],
     ) -> None:
         self._client = client
         self._experiment_id = experiment_id
         self._sweep = sweep
         self._again = again
-        self._lock = lock  # as long as this object lives
+        self._lock = lock  # until the record is closed
+        self._journals = journals
+        self.pictures = pictures
         self._noted = 0.0
         self._captions: dict[str, str] = {}  # of figures
         self.run_id = self._begin()
         client.set_experiment_tag(experiment_id, *pages.trials_view(sweep, self.run_id))
         self.where = where(experiment_id, self.run_id)
-        self._discard_unfinished()
+        self._unfinished = self._runs_to_go_on_with()
         done = self.results()
-        self.finished = frozenset(done["hash"])
-        self._rows: list[dict[Any, Any]] = done.to_dict("records")
+        self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
+        self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
         self._note("**Running**")
 
     def _begin(self) -> str:
         """The parent run: that of an earlier process, or a new one."""
-        found = results.find_sweep(self._client, self._experiment_id, self._sweep)
-        if found is not None:
-            self._client.update_run(found.info.run_id, status="RUNNING")
-            return found.info.run_id
+        parent = results.find_sweep(self._client, self._experiment_id, self._sweep)
+        if parent is not None:
+            self._client.update_run(parent.info.run_id, status="RUNNING")
+            return parent.info.run_id
         tags = {**fields.origin(), "hash": self._sweep.hash, "sweep": self._sweep.name}
         name = f"sweep {self._sweep.name}"
         run_id = self._client.create_run(self._experiment_id, run_name=name, tags=tags).info.run_id
@@ -74,33 +81,39 @@ class MlflowSweep(TrackedSweep):
         self._client.log_text(run_id, config, "sweep.yaml")
         return run_id
 
-    def _discard_unfinished(self) -> None:
-        """Delete what a killed process left half written, and trials that raised: they run again."""
-        seen: set[str] = set()
-        for run in list(results.children(self._client, self._experiment_id, self.run_id)):
-            if run.info.status != "FINISHED" or run.data.tags["hash"] in seen:
-                self._client.delete_run(run.info.run_id)
-            else:
-                seen.add(run.data.tags["hash"])
+    def _runs_to_go_on_with(self) -> dict[str, Run]:
+        """The runs of trials that did not come to their end, by hash."""
+        runs = list(results.children(self._client, self._experiment_id, self.run_id))
+        return {run.data.tags["hash"]: run for run in runs if run.info.status != FINISHED}
+
+    def journal(self, trial: Trial) -> Path:
+        """The folder beside the store in which a worker keeps a trial."""
+        return self._journals / trial.hash
 
     def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
-        """Keep all of a trial in a nested run, whose state becomes FINISHED, or FAILED, last."""
-        axes = zip(self._sweep.axes, trial.cell.labels, strict=True)
-        tags = {
-            **fields.tags(study),
-            fields.PARENT: self.run_id,
-            "repetition": str(trial.repetition),
-            **{fields.AXIS + axis.name: label for axis, label in axes},
-            **({"error": record.error[: notes.ERROR_LENGTH]} if record.error else {}),
-        }
-        run = self._client.create_run(
-            self._experiment_id, start_time=int(1000 * record.started), tags=tags, run_name=trial.name
-        )
-        tracked = MlflowTrial(self._client, run.info.run_id, study, self.where)
-        ended = record.started + record.seconds
-        tracked.keep(record.iterations, record.pictures, record.started, ended)
-        tracked.close(record.exception)
-        self._rows.append(results.row_of_record(trial, record, study, self._sweep))
+        """Keep all of a trial in a nested run, whose state becomes FINISHED, or FAILED, last.
+
+        The trial's journal is needed no longer once its run is FINISHED.
+        """
+        run = self._unfinished.get(trial.hash)
+        if run is None:
+            axes = zip(self._sweep.axes, trial.cell.labels, strict=True)
+            tags = {
+                **fields.tags(study.composition),
+                fields.PARENT: self.run_id,
+                "repetition": str(trial.repetition),
+                **{fields.AXIS + axis.name: label for axis, label in axes},
+            }
+            started = int(1000 * record.started)
+            run = self._client.create_run(
+                self._experiment_id, start_time=started, tags=tags, run_name=trial.name
+            )
+        MlflowTrial(self._client, run, study, self.where).keep(record)
+        if record.outcome.final:
+            remove(self.journal(trial))
+        if record.outcome in results.TOLD:
+            numbers = fields.trial_metrics(record)
+            self._rows[trial.hash] = results.row(trial, self._sweep, record.outcome, numbers, record.reason)
         if time.monotonic() - self._noted > NOTE_SECONDS:
             self._note("**Running**")
 
@@ -142,7 +155,7 @@ class MlflowSweep(TrackedSweep):
         """End the parent run: FINISHED, KILLED if interrupted, FAILED after an error, here or in a trial."""
         try:
             trials = self.results()
-            self._rows = trials.to_dict("records")
+            self._rows = {row["hash"]: row for row in trials.to_dict("records")}
             self._client.log_text(self.run_id, results.rows(trials), "trials.csv")
             self._write(tables.cells(trials, self._sweep))
             for name, value in fields.sweep_metrics(trials).items():
@@ -154,7 +167,13 @@ class MlflowSweep(TrackedSweep):
             if error is None:
                 raise  # else what ended the sweep, as a full disk, may well end this too
         finally:
-            self._lock.close()
+            self._unlock()
+
+    def _unlock(self) -> None:
+        """Let another process go on with the sweep; leave no empty folder."""
+        Path(self._lock.lock_file).unlink(missing_ok=True)
+        self._lock.release()
+        remove_empty(self._journals)
 
     def _write(self, table: DataFrame) -> None:
         """The table, as markdown, CSV and MLflow's own kind."""
@@ -170,7 +189,7 @@ class MlflowSweep(TrackedSweep):
 
     def _note(self, verdict: str) -> None:
         """Write the parent's description: how far it is, the table, how to go on."""
-        trials = results.frame(self._rows, self._sweep)
+        trials = results.frame(list(self._rows.values()), self._sweep)
         laid = tables.layout(tables.cells(trials, self._sweep), self._sweep)
         link = pages.trials_page(self._experiment_id, self._sweep)
         done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."
@@ -188,5 +207,5 @@ def _ending(error: BaseException | None, raised: bool) -> tuple[str, str]:
     """State and first words of a parent run that ends."""
     if error is None:
         return ("FAILED", "**Ended**, some trials with an error") if raised else ("FINISHED", "**Done**")
-    interrupted = isinstance(error, notes.INTERRUPTIONS)
+    interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
     return ("KILLED", "**Interrupted**") if interrupted else ("FAILED", "**Ended early** by an error")

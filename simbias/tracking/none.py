@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simbias.config import ConfigError
-from simbias.interfaces import TrackedSweep, TrackedTrial, Tracking
-from simbias.records import Array, Iteration, Rollout
+from simbias.config.errors import ConfigError
+from simbias.study import Study
+from simbias.tracking.contract import TrackedSweep, TrackedTrial, Tracking
+from simbias.trial import TrialRecord
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from simbias.pictures.sweep.batches import Outcomes
-    from simbias.study import Study
     from simbias.sweep.grid import Sweep, Trial
     from simbias.tracking.trials import RecordedTrial
-    from simbias.worker import TrialRecord
 
 
 class NoTracking(Tracking):
@@ -25,7 +24,7 @@ class NoTracking(Tracking):
 
     def open(self, study: Study) -> TrackedTrial:
         """Begin a trial of which nothing is kept."""
-        return UntrackedTrial()
+        return TrackedTrial()
 
     def open_sweep(self, sweep: Sweep, again: str) -> TrackedSweep:
         """Begin a sweep of which nothing is kept but what its table needs, and that only until it ends.
@@ -47,24 +46,6 @@ class NoTracking(Tracking):
         return frame([], sweep)
 
 
-class UntrackedTrial(TrackedTrial):
-    """A trial of which nothing is kept."""
-
-    where = None
-
-    def experimented(self, iteration: int, experiment: int, theta: Array, rollout: Rollout) -> None:
-        """Let a hardware experiment go."""
-
-    def log(self, iteration: Iteration) -> None:
-        """Let an iteration go."""
-
-    def illustrate(self, pictures: Mapping[str, bytes]) -> None:
-        """Let pictures go."""
-
-    def close(self, error: BaseException | None = None) -> None:
-        """Nothing is open."""
-
-
 class UntrackedSweep(TrackedSweep):
     """A sweep whose trials are forgotten, but for a row of each."""
 
@@ -76,11 +57,17 @@ class UntrackedSweep(TrackedSweep):
         self._sweep = sweep
         self._rows: list[dict[str, Any]] = []
 
+    def journal(self, trial: Trial) -> None:
+        """No folder."""
+
     def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
         """Keep a row of a trial."""
-        from simbias.tracking.results import row_of_record
+        from simbias.tracking import results
+        from simbias.tracking.fields import trial_metrics
 
-        self._rows.append(row_of_record(trial, record, study, self._sweep))
+        if record.outcome in results.TOLD:
+            numbers = trial_metrics(record)
+            self._rows.append(results.row(trial, self._sweep, record.outcome, numbers, record.reason))
 
     def results(self) -> DataFrame:
         """The trials so far, in the sweep's order."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from simbias.records import Iteration
+from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
     from simbias.study import Study
 
 SHOWN_ROWS = 40  # MLflow keeps 8000 characters of a note
-ERROR_LENGTH = 500
-INTERRUPTIONS = (KeyboardInterrupt, SystemExit, GeneratorExit)
+REASON_LENGTH = 500
 ARTIFACTS = (
     "Artifacts: `config.yaml`, `policies/`, `experiments/` (hardware, as npz), "
     "`data/` (what was learned from, after each iteration), `pictures/` (with `tracking.pictures`)."
@@ -25,7 +26,7 @@ class Row:
     """What the note says of an iteration."""
 
     index: int
-    predicted_cost: float
+    predicted_cost: float | None
     hardware_cost: float
     samples: int
     seconds: float
@@ -34,28 +35,35 @@ class Row:
     total_experiments: int
 
 
-def row(iteration: Iteration) -> Row:
+def row(study: Study, iteration: Iteration) -> Row:
     """The iteration, as the note's table shows it."""
     return Row(
         index=iteration.index,
-        predicted_cost=iteration.predicted_cost,
+        predicted_cost=iteration.search.predicted_cost if iteration.search else None,
         hardware_cost=iteration.hardware_cost,
-        samples=len(iteration.data),
+        samples=len(iteration.learning.data) if iteration.learning else 0,
         seconds=sum(iteration.seconds.values()),
-        event="; ".join(_events(iteration)),
+        event="; ".join(_events(study, iteration)),
         succeeded=iteration.succeeded,
         total_experiments=iteration.total_experiments,
     )
 
 
-def _events(iteration: Iteration) -> list[str]:
+def _events(study: Study, iteration: Iteration) -> list[str]:
     """What happened in an iteration, in words."""
-    failures = [r.failure or "failed" for r in iteration.experiments if r.failed_at is not None]
+    failures = [
+        rollout.failure or "failed" for rollout in iteration.experiments if rollout.failed_at is not None
+    ]
     events = ["**succeeded**"] if iteration.succeeded else []
     if failures:
-        causes = ", ".join(dict.fromkeys(failures)).replace("|", "/")
-        events.append(f"{len(failures)} of {len(iteration.experiments)} experiments failed: {causes}")
-    return [*events, "model cleared"] if iteration.model_reset else events
+        causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
+        events.append(f"{len(failures)} of {len(iteration.experiments)} experiments failed: {_plain(causes)}")
+    return [*events, "model cleared"] if iteration.learning and iteration.learning.reset else events
+
+
+def _plain(text: str) -> str:
+    """Text without what markdown or HTML would take for markup, on one line."""
+    return re.sub(r"[|`<>*\[\]]", " ", " ".join(text.split()))
 
 
 def run_name(study: Study) -> str:
@@ -77,8 +85,8 @@ def _table(rows: Sequence[Row]) -> str:
     """A markdown table of iterations."""
     head = "| iteration | predicted cost | hardware cost | samples | seconds | what happened |\n"
     return f"{head}|--:|--:|--:|--:|--:|:--|\n" + "\n".join(
-        f"| {r.index} | {r.predicted_cost:.4g} | {r.hardware_cost:.4g} | {r.samples} | {r.seconds:.1f} "
-        f"| {r.event} |"
+        f"| {r.index} | {'' if r.predicted_cost is None else f'{r.predicted_cost:.4g}'} "
+        f"| {r.hardware_cost:.4g} | {r.samples} | {r.seconds:.1f} | {r.event} |"
         for r in rows
     )
 
@@ -88,24 +96,18 @@ def running(rows: Sequence[Row]) -> str:
     return f"**Running**, after {_count(rows, 0)}."
 
 
-def outcome(rows: Sequence[Row], error: BaseException | None) -> str:
-    """How a trial ended, in one word or two: a tag to filter by."""
-    if error is not None:
-        return "interrupted" if isinstance(error, INTERRUPTIONS) else "error"
-    return "succeeded" if rows and rows[-1].succeeded else "not succeeded"
-
-
-def verdict(rows: Sequence[Row], error: BaseException | None, unfinished: int) -> str:
-    """How a trial ended; `unfinished` hardware experiments belong to an iteration that did not end."""
-    count = _count(rows, unfinished)
-    ending = outcome(rows, error)
-    if ending == "succeeded":
+def verdict(rows: Sequence[Row], record: TrialRecord) -> str:
+    """How a trial ended."""
+    count, reason = _count(rows, len(record.unfinished)), _plain(record.reason[:REASON_LENGTH])
+    if record.outcome is Outcome.SUCCEEDED:
         return f"**Succeeded** on hardware in iteration {rows[-1].index}, after {count}."
-    if ending == "not succeeded":
+    if record.outcome is Outcome.NOT_SUCCEEDED:
         return f"**Did not succeed**: no policy reached the goal on hardware, after {count}."
-    if ending == "interrupted":
+    if record.outcome is Outcome.WAITING:
+        return f"**Waiting**, after {count}: {reason}"
+    if record.outcome is Outcome.INTERRUPTED:
         return f"**Interrupted**, after {count}."
-    return f"**Ended with an error**, after {count}: {_error_text(error)} (`error.txt`)"
+    return f"**Ended with an error**, after {count}: `{reason}` (`error.txt`)"
 
 
 def _count(rows: Sequence[Row], unfinished: int) -> str:
@@ -118,9 +120,3 @@ def _count(rows: Sequence[Row], unfinished: int) -> str:
 def _plural(count: int, thing: str) -> str:
     """A count of things."""
     return f"{count} {thing}{'' if count == 1 else 's'}"
-
-
-def _error_text(error: BaseException | None) -> str:
-    """An error as one line of code."""
-    message = " ".join(str(error).split()).replace("`", "'")[:ERROR_LENGTH]
-    return f"`{type(error).__name__}: {message}`" if message else f"`{type(error).__name__}`"

@@ -9,23 +9,25 @@ until success; without it all that the method may make, 2 x N_out = 20 by Table 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from simbias.config.composition import ConfigError, shipped
-from simbias.tracking.fields import AXIS, PARENT
+from simbias.tracking.fields import PARENT
+from simbias.trial import Outcome
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-    from simbias.study import Study
     from simbias.sweep.grid import Sweep, Trial
-    from simbias.worker import TrialRecord
 
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
+ENDED = ("FINISHED", "FAILED")  # states of runs that tables tell of,
+TOLD = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # and their outcomes
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", "raised", "run_id")
 
 
@@ -54,15 +56,17 @@ def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | 
 
 
 def of_sweep(client: MlflowClient, experiment_id: str, parent: str, sweep: Sweep) -> pd.DataFrame:
-    """The trials that are finished or raised, in the sweep's order; no trial twice, none that it has not."""
+    """The trials that came to an end or raised, in the sweep's order; none twice, none that it has not."""
+    planned = {trial.hash: trial for trial in sweep.trials}
     rows: dict[str, dict[str, Any]] = {}
-    planned = [trial.hash for trial in sweep.trials]
-    wanted = set(planned)
     for run in children(client, experiment_id, parent):
-        if run.info.status in ("FINISHED", "FAILED") and run.data.tags.get("hash") in wanted:
-            row = _row_of_run(run)
-            if row["hash"] not in rows or rows[row["hash"]]["outcome"] == "error":
-                rows[row["hash"]] = row
+        tags = run.data.tags
+        trial, outcome = planned.get(tags.get("hash", "")), tags.get("outcome")
+        if trial is None or run.info.status not in ENDED or outcome not in TOLD:
+            continue
+        if trial.hash not in rows or rows[trial.hash]["outcome"] == Outcome.ERROR:
+            raised, run_id = tags.get("error", ""), run.info.run_id
+            rows[trial.hash] = row(trial, sweep, str(outcome), run.data.metrics, raised, run_id)
     return frame([rows[identity] for identity in planned if identity in rows], sweep)
 
 
@@ -98,47 +102,19 @@ def frame(rows: Sequence[Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
     return pd.DataFrame(list(rows), columns=[*(axis.name for axis in sweep.axes), *COLUMNS])
 
 
-def _row_of_run(run: Run) -> dict[str, Any]:
-    """A trial, as its run has it."""
-    tags, metrics, params = run.data.tags, run.data.metrics, run.data.params
-    most = int(params["method.max_iterations"])
-    each = int(params.get("method.experiments", 1))
-    outcome = tags["outcome"]
-    return {
-        **{key.removeprefix(AXIS): value for key, value in tags.items() if key.startswith(AXIS)},
-        "hash": tags["hash"],
-        "repetition": int(tags["repetition"]),
-        "seed": int(params["seed"]),
-        "outcome": outcome,
-        "experiments": _until_success(outcome, metrics.get("experiments/total", 0), most * each),
-        "iterations": _until_success(outcome, metrics.get("experiments/iterations", 0), most),
-        "seconds": (run.info.end_time - run.info.start_time) / 1000,
-        "raised": tags.get("error", ""),
-        "run_id": run.info.run_id,
-    }
-
-
-def row_of_record(trial: Trial, record: TrialRecord, study: Study, sweep: Sweep) -> dict[str, Any]:
-    """A trial, as its record has it."""
-    outcome = "error" if record.error else "succeeded" if record.succeeded else "not succeeded"
-    most, each = study.method.max_iterations, getattr(study.method, "experiments", 1)
-    total = record.iterations[-1].total_experiments if record.iterations else 0
+def row(
+    trial: Trial, sweep: Sweep, outcome: str, numbers: Mapping[str, float], raised: str = "", run_id: str = ""
+) -> dict[str, Any]:
+    """A trial's row, from the numbers that `simbias.tracking.fields.trial_metrics` tells of its record."""
     return {
         **dict(zip((axis.name for axis in sweep.axes), trial.cell.labels, strict=True)),
         "hash": trial.hash,
         "repetition": trial.repetition,
         "seed": trial.seed,
         "outcome": outcome,
-        "experiments": _until_success(outcome, total, most * each),
-        "iterations": _until_success(outcome, len(record.iterations), most),
-        "seconds": record.seconds,
-        "raised": record.error or "",
-        "run_id": "",
+        "experiments": numbers.get("trial/experiments", nan),
+        "iterations": numbers.get("trial/iterations", nan),
+        "seconds": numbers.get("trial/seconds", nan),
+        "raised": raised,
+        "run_id": run_id,
     }
-
-
-def _until_success(outcome: str, made: float, most: int) -> float:
-    """How many experiments or iterations a trial counts: one that never succeeds counts all it may make."""
-    if outcome == "error":
-        return float("nan")
-    return float(made if outcome == "succeeded" else max(made, most))

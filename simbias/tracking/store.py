@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import getpass
-import hashlib
 import logging
 import os
 import re
 import sqlite3
-import tempfile
 import textwrap
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from simbias.config import ConfigError
 from simbias.tracking.fields import shown
@@ -27,6 +24,7 @@ QUIET = {
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
 }
+PART = ".part"  # suffix of a SQLite store that is being made
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
 
 
@@ -126,50 +124,60 @@ def _probe_database(uri: str) -> str | None:
     path = Path(str(url.database)).resolve()
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder {path.parent}")
+    if not path.exists() or not path.stat().st_size:
+        _create(path)
     with closing(sqlite3.connect(path)) as database:
         database.execute("BEGIN IMMEDIATE")
         database.execute("CREATE TABLE probe (value)")  # fails where it cannot be written; never committed
     return (path.parent / "mlartifacts").as_uri()
 
 
+def _create(path: Path) -> None:
+    """Make a SQLite store elsewhere and put it in its place when it is whole.
+
+    MLflow takes seconds for its tables, and can never use a database again that it was killed in meanwhile.
+    """
+    for part in path.parent.glob(f".{path.name}.*{PART}"):
+        if not _alive(int(part.name.split(".")[-2])):
+            part.unlink()
+    part = path.with_name(f".{path.name}.{os.getpid()}{PART}")
+    _client(f"sqlite:///{part}").search_experiments(max_results=1)
+    part.replace(path)
+
+
+def _alive(pid: int) -> bool:
+    """Whether there is a process of this number."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # somebody else's
+        return True
+    return True
+
+
 def exists(uri: str) -> bool:
     """Whether there is a store; no look at it is taken unless it is a SQLite database."""
-    import sqlalchemy
-
-    if not uri.startswith("sqlite"):
-        return True
-    try:
-        return Path(str(sqlalchemy.make_url(uri).database)).exists()
-    except sqlalchemy.exc.ArgumentError as error:
-        raise ConfigError("tracking.uri", cause(error)) from error
+    file = database(uri)
+    return file is None or file.exists()
 
 
-def locked(uri: str, name: str) -> IO[str]:
-    """An open file that no other process of this user on this machine holds open for this name in a store.
-
-    The lock ends with the process, however that ends. Without file locks, as on Windows, nothing is locked.
+def database(uri: str) -> Path | None:
+    """The file of a SQLite store; None of other stores.
 
     Raises
     ------
     ConfigError
-        If another process holds it.
+        If the address is none.
     """
     import sqlalchemy
 
-    place = str(Path(str(sqlalchemy.make_url(uri).database)).resolve()) if uri.startswith("sqlite") else uri
-    digest = hashlib.sha256(f"{place} {name}".encode()).hexdigest()[:16]
-    user = os.getuid() if hasattr(os, "getuid") else getpass.getuser()
-    file = Path(tempfile.gettempdir(), f"simbias-{user}-{digest}.lock").open("a")  # noqa: SIM115
+    if not uri.startswith("sqlite"):
+        return None
     try:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ImportError:
-        pass
-    except OSError as error:
-        file.close()
-        raise ConfigError("sweep", "another process is running this sweep into the same store") from error
-    return file
+        return Path(str(sqlalchemy.make_url(uri).database)).resolve()
+    except sqlalchemy.exc.ArgumentError as error:
+        raise ConfigError("tracking.uri", cause(error)) from error
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import json
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +15,15 @@ from threadpoolctl import threadpool_limits
 
 from simbias.config import Composition, ConfigError
 from simbias.config.build import build
-from simbias.records import Iteration, Optimum
+from simbias.records import Iteration, Learning, Optimum, Rollout, Search
 from simbias.study import Study
-from simbias.tracking.files import load_rollout, load_transitions
-from simbias.tracking.mlflow import data_name, experiment_name, policy_name
+from simbias.tracking.files import (
+    data_name,
+    experiment_name,
+    load_rollout,
+    load_transitions,
+    policy_name,
+)
 from simbias.tracking.store import cause, find_run
 
 if TYPE_CHECKING:
@@ -27,7 +32,8 @@ if TYPE_CHECKING:
 
 NO_TRACKING = {"_target_": "simbias.tracking.none.NoTracking"}
 FOLDERS = ("policies", "experiments", "data")
-PER_ITERATION = ("model/", "experiments/total", "bias/", "seconds/")  # metrics that are in no file
+RESET = "model/reset"  # of iterations that learned
+PER_ITERATION = (RESET, "experiments/total", "bias/", "seconds/")  # metrics that are in no file
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +87,9 @@ def _composition(path: Path, run: Run) -> Composition:
 
     loaded: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
     config = {**loaded, "tracking": NO_TRACKING}
-    chosen = {group: run.data.params[group] for group in config if isinstance(config[group], Mapping)}
-    return Composition(config, {**chosen, "tracking": "none"})
+    values = {key for key, value in config.items() if not isinstance(value, Mapping)}
+    choices = {name: text for name, text in run.data.params.items() if "." not in name and name not in values}
+    return Composition(config, {**choices, "tracking": "none"})
 
 
 def _metrics(client: MlflowClient, run: Run) -> dict[int, dict[str, float]]:
@@ -103,26 +110,35 @@ def _iterations(
     for index in sorted(metrics):
         before, total = total, int(metrics[index]["experiments/total"])
         names = [experiment_name(index, experiment) for experiment in range(total - before)]
-        experiments = tuple(load_rollout(folder / name)[1] for name in names)
+        experiments = tuple(_rollout(study, folder / name) for name in names)
         policy = json.loads((folder / policy_name(index)).read_text())
-        optimum = Optimum(np.array(policy["parameters"]), **policy["search"])
-        fitted_bias = study.bias.fit(data)
-        data = load_transitions(folder / data_name(index))
+        search, learning = None, None
+        if "search" in policy:
+            optimum = Optimum(np.array(policy["parameters"]), **policy["search"])
+            diagnostics = _of_group("bias", metrics[index])
+            search = Search(optimum, policy["predicted_cost"], study.bias.fit(data), diagnostics)
+        if RESET in metrics[index]:
+            data = load_transitions(folder / data_name(index))
+            selection = study.samples.select(experiments, study.nominal)
+            learning = Learning(selection, data, bool(metrics[index][RESET]))
         yield Iteration(
             index=index,
-            optimum=optimum,
-            predicted_cost=policy["predicted_cost"],
-            model_reset=bool(metrics[index]["model/reset"]),
+            parameters=np.array(policy["parameters"]),
             experiments=experiments,
             hardware_cost=policy["hardware_cost"],
             succeeded=policy["succeeded"],
             total_experiments=total,
-            selection=study.samples.select(experiments, study.nominal),
-            data=data,
-            fitted_bias=fitted_bias,
-            diagnostics=_of_group("bias", metrics[index]),
+            search=search,
+            learning=learning,
             seconds=_of_group("seconds", metrics[index]),
         )
+
+
+def _rollout(study: Study, path: Path) -> Rollout:
+    """A hardware experiment; stores of version 0.1.0 have its failure in words."""
+    rollout = load_rollout(path)
+    names = {criterion.words: criterion.name for criterion in study.task.criteria}
+    return replace(rollout, failure=names.get(rollout.failure or "", rollout.failure))
 
 
 def _of_group(group: str, metrics: Mapping[str, float]) -> dict[str, float]:

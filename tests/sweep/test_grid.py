@@ -36,6 +36,7 @@ def identities(sweep: Sweep) -> dict[tuple[tuple[str, ...], int], tuple[int, str
     return {(trial.cell.labels, trial.repetition): (trial.seed, trial.hash) for trial in sweep.trials}
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(axis_values, axis_values, st.integers(1, 4), st.randoms())
 def test_what_is_added_or_reordered_changes_no_other_trial(
@@ -51,6 +52,7 @@ def test_what_is_added_or_reordered_changes_no_other_trial(
     assert before.items() <= after.items()
 
 
+@pytest.mark.slow
 def test_trials_are_what_composing_their_overrides_gives(tmp_path: Path) -> None:
     for trial in grid(tmp_path, [0.0, 1.0e-6], [0.0, 0.2]).trials:
         torque, error = trial.cell.labels
@@ -77,6 +79,7 @@ def test_merged_settings_equal_composed_overrides(chosen: dict[str, object]) -> 
     assert Variations().composition(chosen) == compose(overrides)
 
 
+@pytest.mark.slow
 def test_group_options_are_an_axis() -> None:
     sweep = expand(["+sweep=components", "sweep.trials=1"])
     found = {trial.cell.labels: trial for trial in sweep.trials}
@@ -102,6 +105,7 @@ def test_table_2() -> None:
     assert [trial.cell for trial in sweep.trials[:24]] == list(sweep.cells)  # first of each cell first
 
 
+@pytest.mark.slow
 def test_overrides_work_on_top() -> None:
     sweep = expand(["+sweep=table2", "sweep.trials=2", "bias=none", "task.horizon=300"])
     assert len(sweep.trials) == 48
@@ -112,6 +116,7 @@ def test_overrides_work_on_top() -> None:
     assert len(fewer.cells) == 12
 
 
+@pytest.mark.slow
 def test_identity_knows_neither_jobs_nor_store_nor_number_of_trials() -> None:
     one = expand(["+sweep=smoke"])
     other = expand(["+sweep=smoke", "sweep.trials=3", "engine=sequential", "tracking=none"])
@@ -127,6 +132,7 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
     assert compose([*single, "method.max_iterations=2"]).hash == trial.hash
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -168,6 +174,7 @@ def test_shipped_sweeps_are_the_files() -> None:
     assert {"table2", "smoke", "components"} <= set(sweeps())
 
 
+@pytest.mark.slow
 def test_common_seeds_pair_the_points_of_an_axis() -> None:
     """A repetition has one seed along the axis; the point that the base has keeps the seeds it had."""
     alone = {trial.hash for trial in expand(["+sweep=learners", "sweep.common_seeds=[]"]).trials}

@@ -14,9 +14,12 @@ from simbias.sweep import tables
 from simbias.sweep.grid import expand
 from simbias.tracking import results
 
-PUBLISHED = sorted(path.parent for path in (ROOT / "sweeps" / "results").glob("*/trials.csv"))
+RESULTS = ROOT / "sweeps" / "results"
+README = RESULTS / "README.md"
+PUBLISHED = sorted(path.parent for path in RESULTS.glob("*/trials.csv"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
 def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> None:
     sweep = expand([f"+sweep={folder.name}"])
@@ -27,6 +30,7 @@ def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> No
     assert tables.markdown(table).splitlines()[2:] == body
 
 
+@pytest.mark.slow
 def test_published_trials_are_typed_as_those_of_a_store() -> None:
     trials = results.published(expand(["+sweep=learners"]))
     axes = ["hardware.noise.torque_variance", "hardware.inertia_error", "bias"]
@@ -49,12 +53,13 @@ def test_what_is_not_published_or_lacks_a_column_is_named(
         results.published(sweep)
 
 
+@pytest.mark.slow
 def test_readmes_table_is_that_of_both_published_sweeps() -> None:
-    assert side_by_side() in (ROOT / "README.md").read_text()
+    assert side_by_side() in README.read_text()
 
 
 def test_the_optimizers_table_is_that_of_its_searches() -> None:
-    folder = ROOT / "sweeps" / "results" / "optimizers"
+    folder = RESULTS / "optimizers"
     searches = pd.read_csv(folder / "searches.csv")
     assert set(searches.groupby(["optimizer", "budget"]).size()) == {50}
     assert set(searches["optimizer"]) == set(optimizers.OPTIMIZERS)
@@ -62,13 +67,14 @@ def test_the_optimizers_table_is_that_of_its_searches() -> None:
 
 
 def test_readme_shows_the_published_table_of_the_ablation() -> None:
-    table = ROOT / "sweeps" / "results" / "ablation" / "table.md"
-    assert table.read_text() in (ROOT / "README.md").read_text()
+    table = RESULTS / "ablation" / "table.md"
+    assert table.read_text() in README.read_text()
 
 
+@pytest.mark.slow
 def test_readme_shows_what_the_policies_for_separate_feet_are_worth() -> None:
     sweep = expand(["+sweep=feet"])
-    policies = pd.read_csv(ROOT / "sweeps" / "results" / "feet" / "policies.csv")
+    policies = pd.read_csv(RESULTS / "feet" / "policies.csv")
     trials = results.published(sweep)
     assert list(policies["repetition"]) == list(trials["repetition"])
-    assert last_policies.table(sweep, trials, policies) in (ROOT / "README.md").read_text()
+    assert last_policies.table(sweep, trials, policies) in README.read_text()

@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from mlflow.entities import Metric, Param
+from records import assert_equal, timeless
 from sweeping import QUICK, runs
 
 import simbias
-from simbias.__main__ import main
 from simbias.config import ConfigError
-from simbias.records import Iteration
-from simbias.study import Study, Unobserved
-from simbias.sweep.grid import expand
+from simbias.engine.sequential import Sequential
+from simbias.records import Array, Iteration, Learning, Rollout
+from simbias.study import Observer, Study
+from simbias.sweep.running import prepare, run_sweep
+from simbias.sweep.worker import Plan, run_plan
+from simbias.tracking.mlflow import Mlflow
 from simbias.tracking.store import connect
 from simbias.tracking.trials import load_trial
-from simbias.trial import run_trial
-from simbias.worker import run_plan
+from simbias.trial import Outcome, TrialRecord, run_trial
+
+pytestmark = pytest.mark.slow
 
 SHORT = [
     "task.horizon=1000",
     "optimizer.max_evaluations=30",
     "method.max_iterations=3",
     "cost.max_cost=1e-3",  # never reached
-    "tracking.pictures=false",
 ]
 SENSED = ["hardware.noise.angle_variance=1e-6", "hardware.record=measured"]
 FEW = ["optimizer.max_evaluations=40", "method.max_iterations=3"]
@@ -42,27 +46,24 @@ def uri(tmp_path_factory: pytest.TempPathFactory) -> str:
     return address
 
 
-def keep(study: Study) -> tuple[str, list[Iteration]]:
-    """Run a trial into the store; its run and its records in memory."""
-    tracked, iterations = study.tracking.open(study), []
-    run_trial(study, tracked, Unobserved(), iterations.append)
-    return tracked.run_id, iterations  # type: ignore[attr-defined]
+def keep(study: Study, uri: str) -> tuple[str, TrialRecord]:
+    """Run a trial into the store; its run and its record in memory."""
+    tracked = Mlflow(uri, pictures=False).open(study)
+    record = run_trial(study, tracked)
+    return tracked.run_id, record  # type: ignore[attr-defined]
 
 
-def assert_equal(read: Any, ran: Any, where: str = "") -> None:
-    """Two records are the same, to the last bit."""
-    if isinstance(ran, np.ndarray):
-        np.testing.assert_array_equal(read, ran, err_msg=where)
-    elif is_dataclass(ran):
-        assert type(read) is type(ran)
-        for field in fields(ran):
-            if field.name != "fitted_bias":
-                assert_equal(getattr(read, field.name), getattr(ran, field.name), f"{where}.{field.name}")
-    elif isinstance(ran, tuple):
-        for index, (a, b) in enumerate(zip(read, ran, strict=True)):
-            assert_equal(a, b, f"{where}[{index}]")
-    else:
-        assert read == ran, where
+def predictions(iteration: Iteration, inputs: Array) -> tuple[Array, Array]:
+    """Those of the fitted bias that the iteration's search was made on."""
+    assert iteration.search is not None
+    assert iteration.search.fitted_bias is not None
+    return iteration.search.fitted_bias.predict(inputs)
+
+
+def learned(iteration: Iteration) -> Learning:
+    """What the iteration learned."""
+    assert iteration.learning is not None
+    return iteration.learning
 
 
 def assert_same_predictions(study: Study, read: Sequence[Iteration], ran: Sequence[Iteration]) -> None:
@@ -70,7 +71,7 @@ def assert_same_predictions(study: Study, read: Sequence[Iteration], ran: Sequen
     width = len(study.task.states) + len(study.task.inputs)
     inputs = np.random.default_rng(0).normal(0.0, 0.5, (20, width))
     for a, b in zip(read, ran, strict=True):
-        got, expected = (iteration.fitted_bias.predict(inputs) for iteration in (a, b))
+        got, expected = (predictions(iteration, inputs) for iteration in (a, b))
         np.testing.assert_array_equal(got[0], expected[0])
         np.testing.assert_array_equal(got[1], expected[1])
 
@@ -86,45 +87,129 @@ def assert_same_predictions(study: Study, read: Sequence[Iteration], ran: Sequen
 def test_a_trial_is_read_back_as_it_ran(overrides: list[str], uri: str) -> None:
     config_dir = OWN_CONF if "--config-dir" in overrides else None
     words = [word for word in overrides if word != "--config-dir"]
-    study = simbias.load([*words, f"tracking.uri={uri}"], config_dir)
-    run_id, ran = keep(study)
-    assert len(ran[-2].data) > 0  # from which a bias was learned
+    study = simbias.load(words, config_dir)
+    run_id, record = keep(study, uri)
+    ran = record.iterations
+    assert len(learned(ran[-2]).data) > 0  # from which a bias was learned
     trial = load_trial(run_id, uri)
-    assert_equal(trial.iterations, tuple(ran))
+    assert_equal(trial.iterations, ran)
     assert_same_predictions(study, trial.iterations, ran)
     assert (trial.run_id, trial.study.hash, trial.study.title) == (run_id, study.hash, study.title)
     assert trial.study.choices == {**study.choices, "tracking": "none"}
 
 
+def test_a_trial_that_went_on_is_read_back_as_one_that_was_not_disturbed(uri: str) -> None:
+    study = simbias.load([*SHORT, "seed=2"])
+
+    class Stopping(Observer):
+        def __init__(self, after: int) -> None:
+            self.left = after
+
+        def experimented(self, rollout: Rollout) -> None:
+            self.left -= 1
+            if not self.left:
+                raise KeyboardInterrupt
+
+    for after in (1, 3, 6):
+        tracked = Mlflow(uri, pictures=False).open(study)
+        with pytest.raises(KeyboardInterrupt):
+            run_trial(study, tracked, Stopping(after))
+        run_id = tracked.run_id  # type: ignore[attr-defined]
+        read = load_trial(run_id, uri)
+        assert len(read.iterations) == (after - 1) // 2
+    again, record = keep(study, uri)
+    assert again == run_id
+    undisturbed = run_trial(study)
+    assert_equal(timeless(record), timeless(undisturbed))
+    trial = load_trial(run_id, uri)
+    assert_equal(
+        timeless(replace(record, iterations=trial.iterations)), timeless(undisturbed), "as it is read back"
+    )
+    assert_same_predictions(study, trial.iterations, undisturbed.iterations)
+    finished = Mlflow(uri).open(study).finished()
+    assert finished is not None
+    assert_equal(finished.iterations, trial.iterations)
+
+
 def test_trials_of_a_sweep_are_read_back(tmp_path: Path) -> None:
     uri = f"sqlite:///{tmp_path}/mlflow.db"
-    words = ["+sweep=smoke", *QUICK, "sweep.trials=1", "engine=sequential"]
-    assert main([*words, f"tracking.uri={uri}"]) == 0
+    words = ["+sweep=smoke", *QUICK, "sweep.trials=1"]
+    sweep, _ = prepare(words)
+    run_sweep(sweep, Sequential(), Mlflow(uri, pictures=False).open_sweep(sweep, "the command"))
     (parent,), trials = runs(tmp_path)
-    planned = {trial.hash: trial for trial in expand(words).trials}
+    planned = {trial.hash: trial for trial in sweep.trials}
     assert len(trials) == len(planned) == 2
     for run in trials:
         composition = planned[run.data.tags["hash"]].composition
-        trial, record = load_trial(run.info.run_id, uri), run_plan((composition.config, composition.choices))
+        trial = load_trial(run.info.run_id, uri)
+        record = run_plan(Plan(composition.config, composition.choices))
         assert [i.seconds.keys() for i in trial.iterations] == [i.seconds.keys() for i in record.iterations]
-        for read, ran in zip(trial.iterations, record.iterations, strict=True):
-            for name in ("optimum", "experiments", "selection", "data", "total_experiments", "succeeded"):
-                assert_equal(getattr(read, name), getattr(ran, name), name)
+        assert_equal(timeless(replace(record, iterations=trial.iterations)), timeless(record))
     with pytest.raises(ConfigError, match=f"{parent.info.run_id}: is a sweep"):
         load_trial(parent.info.run_id, uri)
 
 
 def test_an_iteration_that_did_not_end_is_not_read(uri: str) -> None:
-    study = simbias.load([*SHORT, "seed=1", f"tracking.uri={uri}"])
-    tracked = study.tracking.open(study)
+    study = simbias.load([*SHORT, "seed=1"])
+    tracked = Mlflow(uri, pictures=False).open(study)
     first = next(study.run())
-    for index, rollout in enumerate(first.experiments):
-        tracked.experimented(0, index, first.optimum.parameters, rollout)
     run_id = tracked.run_id  # type: ignore[attr-defined]
     assert load_trial(run_id, uri).iterations == ()
-    tracked.log(first)
-    tracked.experimented(1, 0, first.optimum.parameters, first.experiments[0])
+    tracked.iterated(first)
     assert_equal(load_trial(run_id, uri).iterations, (first,))
+    tracked.ended(TrialRecord(Outcome.INTERRUPTED, (first,), unfinished=first.experiments[:1]))
+    assert_equal(load_trial(run_id, uri).iterations, (first,))
+
+
+OLD_STORE = Path(__file__).parent / "store_0.1.0"
+
+
+@pytest.fixture
+def old_run(uri: str) -> str:
+    """A run as version 0.1.0 wrote it: failures in words, no metrics of the trial, another identity."""
+    client, experiment_id = connect(uri, "of version 0.1.0")
+    content = json.loads((OLD_STORE / "run.json").read_text())
+    run_id = client.create_run(experiment_id, tags=content["tags"]).info.run_id
+    client.log_batch(
+        run_id,
+        metrics=[Metric(name, value, 0, step) for name, value, step in content["metrics"]],
+        params=[Param(name, value) for name, value in content["params"].items()],
+    )
+    client.log_artifacts(run_id, str(OLD_STORE / "artifacts"))
+    client.set_terminated(run_id, content["status"])
+    return str(run_id)
+
+
+def test_a_trial_of_version_0_1_0_is_read(old_run: str, uri: str) -> None:
+    expected = json.loads((OLD_STORE / "expected.json").read_text())  # what that version read
+    trial = simbias.load_trial(old_run, uri)
+    first, last = trial.iterations
+    assert last.search is not None
+    assert [len(learned(each).data) for each in (first, last)] == expected["data"]
+    words = {criterion.words: criterion.name for criterion in trial.study.task.criteria}
+    for iteration, failures in zip(trial.iterations, expected["failures"], strict=True):
+        assert [each.failure for each in iteration.experiments] == [words[each] for each in failures]
+        for rollout in iteration.experiments:
+            assert rollout.failed_at == rollout.frames
+            assert rollout.cost == trial.study.cost.of(rollout)
+            np.testing.assert_array_equal(rollout.parameters, iteration.parameters)
+    assert learned(last).selection.rejected == expected["rejected"]
+    assert sorted(last.seconds) == expected["seconds"]
+    mean, variance = predictions(last, learned(last).data.inputs)
+    np.testing.assert_allclose(mean, expected["mean"], rtol=1e-9)
+    np.testing.assert_allclose(variance, expected["variance"], rtol=1e-9)
+    assert (last.index, last.total_experiments, last.succeeded) == (1, 4, False)
+    assert trial.study.simulate(last.parameters).cost == pytest.approx(last.search.predicted_cost)
+
+
+def test_a_trial_of_version_0_1_0_is_another_than_todays(old_run: str, uri: str) -> None:
+    """Its identity was made otherwise: nothing of it is gone on with by mistake."""
+    trial = simbias.load_trial(old_run, uri)
+    client, _ = connect(uri, "of version 0.1.0")
+    assert client.get_run(old_run).data.tags["hash"] != trial.study.hash
+    tracked = Mlflow(uri, "of version 0.1.0", pictures=False).open(trial.study)
+    assert tracked.finished() is None
+    assert tracked.run_id != old_run  # type: ignore[attr-defined]
 
 
 def test_what_is_no_trial_is_one_line(uri: str, tmp_path: Path) -> None:
@@ -145,10 +230,19 @@ def test_what_is_no_trial_is_one_line(uri: str, tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(uri: str) -> None:
-    study = simbias.load([*SHORT, "method.max_iterations=1", f"tracking.uri={uri}"])
-    run_id, _ = keep(study)
+    study = simbias.load([*SHORT, "method.max_iterations=1"])
+    run_id, _ = keep(study, uri)
     client, _ = connect(uri, "simbias")
     folder = Path(client.get_run(run_id).info.artifact_uri.removeprefix("file://"))
-    (folder / "data" / "iteration_00.npz").unlink()
-    with pytest.raises(ConfigError, match=f"{run_id}: .*iteration_00.npz"):
-        load_trial(run_id, uri)
+    names = (
+        "data/iteration_00.npz",
+        "policies/iteration_00.json",
+        "experiments/iteration_00_experiment_1.npz",
+    )
+    for name in names:
+        content = (folder / name).read_bytes()
+        (folder / name).unlink()
+        with pytest.raises(ConfigError, match=f"{run_id}: .*{Path(name).name}"):
+            load_trial(run_id, uri)
+        (folder / name).write_bytes(content)
+    assert len(load_trial(run_id, uri).iterations) == 1

@@ -1,0 +1,18 @@
+"""Commands that a person can paste."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+
+def python() -> str:
+    """The Python that runs, as it is typed in the working folder."""
+    executable = Path(sys.executable)
+    if shutil.which("python") == str(executable):
+        return "python"
+    inside = executable.is_relative_to(Path.cwd())
+    return shlex.quote(os.path.relpath(executable) if inside else str(executable))

@@ -1,0 +1,38 @@
+"""`python -m simbias check`: components are put through the conformance suite."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from simbias.config import compose
+from simbias.config.build import build
+from simbias.config.composition import overridden
+from simbias.testing.conformance import CHECKS, verdicts
+
+
+def check(overrides: Sequence[str], config_dir: str | None) -> bool:
+    """Check the groups that the overrides name, or all but the hardware; tell how each check went.
+
+    Raises
+    ------
+    ConfigError
+        If an override is bad, or a component refuses its arguments.
+    """
+    console = Console(highlight=False)
+    study = build(compose(overrides, config_dir))
+    covered = {each.group for each in CHECKS}
+    groups = covered & set(overridden(overrides)) or covered - {"hardware"}
+    problems = 0
+    for verdict in verdicts(study, groups):
+        problems += bool(verdict.problem)
+        mark = "[red]fails[/red]" if verdict.problem else "[green]holds[/green]"
+        console.print(f"{mark}  {verdict.check}", soft_wrap=True)
+        if verdict.problem:
+            console.print(f"       {verdict.problem}", soft_wrap=True, markup=False)
+    chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
+    console.print(
+        f"{chosen}: {f'{problems} checks fail' if problems else 'all checks hold'}.", soft_wrap=True
+    )
+    return not problems

@@ -1,0 +1,202 @@
+"""The journal of a trial: its experiments and searches, on disk before they are used.
+
+A folder holds one file for each, numbered in the order in which they ended: `0000_search.json`,
+`0001_experiment.npz`, ... A trial that is started again recalls them in this order, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from simbias.checks import checked
+from simbias.config.errors import ConfigError
+from simbias.interfaces import Hardware, Optimizer, Policy, Task
+from simbias.records import Array, Optimum, Rollout
+from simbias.search import Evaluations
+from simbias.study import Study
+from simbias.tracking.files import load_rollout, save_rollout
+from simbias.trial import Recorder, TrialRecord
+
+SEARCH, EXPERIMENT = "search.json", "experiment.npz"
+LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
+
+
+class Journal(Recorder):
+    """Keeps experiments and searches in a folder, as long as no other process keeps the same trial.
+
+    Parameters
+    ----------
+    folder
+        Of this trial alone; it is made if need be.
+    pictures
+        Names of the pictures to draw at the trial's end.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be written, or another process runs this trial.
+    """
+
+    def __init__(self, folder: Path, pictures: Sequence[str] = ()) -> None:
+        self.folder = folder
+        self.pictures = pictures
+        self._next = 0
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = FileLock(folder / "lock")
+            self._lock.acquire(timeout=LOCK_SECONDS)
+            for file in folder.glob("*.part"):  # of a process that was killed while it wrote
+                file.unlink()
+        except Timeout as error:
+            raise ConfigError(str(folder), "another process is running this trial") from error
+        except OSError as error:
+            raise ConfigError(str(folder), f"cannot be written ({error.strerror})") from error
+
+    def recalling(self, study: Study) -> Study:
+        """The study, its hardware and its optimizer kept here."""
+        self._next = 0
+        hardware = KeptHardware(study.hardware, study.task, self)
+        optimizer = KeptOptimizer(study.optimizer, self)
+        return replace(study, hardware=hardware, optimizer=optimizer)
+
+    def ended(self, record: TrialRecord) -> None:
+        """Let another process go on with the trial."""
+        self.release()
+
+    def release(self) -> None:
+        """Let another process have the folder."""
+        self._lock.release()
+
+    def discard(self) -> None:
+        """Remove the folder, once everything in it is kept elsewhere."""
+        self.release()
+        remove(self.folder)
+
+    def recall(self, kind: str) -> Path | None:
+        """The next entry, if there is one.
+
+        Raises
+        ------
+        ConfigError
+            If it is of another kind: then the trial is no longer the one that was begun.
+        """
+        entries = sorted(self.folder.glob(f"{self._next:04d}_*"))
+        if not entries:
+            return None
+        path = entries[0]
+        if path.name != self._name(kind):
+            raise self.changed(path)
+        self._next += 1
+        return path
+
+    def keep(self, kind: str, write: Callable[[IO[bytes]], object]) -> None:
+        """Keep an entry: whole, and on disk when this returns."""
+        write_whole(self.folder / self._name(kind), write)
+        self._next += 1
+
+    def changed(self, path: Path) -> ConfigError:
+        """What to say of an entry that does not fit the trial."""
+        return ConfigError(
+            str(path),
+            "does not fit the trial: its code has changed since. Move the folder away to begin it anew",
+        )
+
+    def _name(self, kind: str) -> str:
+        """The file of the next entry."""
+        return f"{self._next:04d}_{kind}"
+
+
+class KeptHardware(Hardware):
+    """A hardware each of whose experiments is on disk before anyone sees it, and made but once."""
+
+    def __init__(self, hardware: Hardware, task: Task, journal: Journal) -> None:
+        self._hardware = hardware
+        self._task = task
+        self._journal = journal
+        self.sets_start = hardware.sets_start
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment, or the one that was made in its place before.
+
+        What breaks the contract is refused, not kept: it would be recalled for ever.
+        """
+        path = self._journal.recall(EXPERIMENT)
+        if path is not None:
+            rollout = load_rollout(path)
+            if not np.array_equal(rollout.parameters, theta):
+                raise self._journal.changed(path)
+            return rollout
+        made = checked(self._hardware.run(policy, theta, start, rng), self._hardware, self._task)
+        rollout = replace(made, parameters=theta)
+        self._journal.keep(EXPERIMENT, lambda file: save_rollout(file, rollout))
+        return rollout
+
+
+class KeptOptimizer(Optimizer):
+    """An optimizer whose optima are kept, and searched but once."""
+
+    def __init__(self, optimizer: Optimizer, journal: Journal) -> None:
+        self._optimizer = optimizer
+        self._journal = journal
+        self.max_evaluations = optimizer.max_evaluations
+        self.relative_tolerance = optimizer.relative_tolerance
+
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """Search as the optimizer does."""
+        return self._optimizer.search(evaluations, rng)
+
+    def minimize(
+        self,
+        objective: Callable[[Array], float],
+        lower: Array,
+        upper: Array,
+        rng: np.random.Generator,
+        satisfactory: float = np.inf,
+        candidates: Sequence[Array] = (),
+    ) -> Optimum:
+        """The optimum, or the one that was found in its place before."""
+        path = self._journal.recall(SEARCH)
+        if path is not None:
+            fields = json.loads(path.read_text())
+            return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
+        optimum = self._optimizer.minimize(objective, lower, upper, rng, satisfactory, candidates)
+        fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
+        self._journal.keep(SEARCH, lambda file: file.write(json.dumps(fields).encode()))
+        return optimum
+
+
+def remove(folder: Path) -> None:
+    """Remove a journal, and the folders above it that it leaves empty."""
+    shutil.rmtree(folder, ignore_errors=True)
+    remove_empty(folder.parent)
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove the folder of an experiment's journals and the one above it, if nothing is in them."""
+    with suppress(OSError):  # others are under way
+        folder.rmdir()
+        folder.parent.rmdir()
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
+    part = path.with_name(f"{path.name}.part")
+    with part.open("wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+    if os.name == "posix":  # elsewhere a folder cannot be opened
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
