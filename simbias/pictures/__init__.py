@@ -2,11 +2,12 @@
 
 No function touches pyplot, so none needs a display or leaves an open figure: save a figure with `save`, or
 let a notebook show what a function returns. Those of a trial take its study and its iterations, as
-`study.run()` yields them or `simbias.load_trial` reads them back. How a task looks is told by the drawing
-beside it: the functions `draw` and `move` of the module `<the task's module>_drawing`.
+`study.run()` yields them or `simbias.load_trial` reads them back; a picture that a trial cannot have, because
+its method does not search or learn, raises `NoPictureError`. How a task looks is told by the module beside
+it (`simbias.pictures.drawing`).
 """
 
-from simbias.pictures.drawing import Drawing, drawing_of
+from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of
 from simbias.pictures.style import save
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.costs import costs
@@ -19,6 +20,7 @@ from simbias.pictures.trial.snapshots import snapshots
 
 __all__ = [
     "Drawing",
+    "NoPictureError",
     "costs",
     "drawing_of",
     "forecast",

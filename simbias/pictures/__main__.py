@@ -10,11 +10,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from simbias import load
+from simbias import load, load_trial
 from simbias.config import ConfigError
-from simbias.interfaces import HardwareError
-from simbias.pictures import overview, save
+from simbias.interfaces import HardwareError, Waiting
+from simbias.pictures.drawing import NoPictureError
+from simbias.pictures.style import save
 from simbias.pictures.trial.gallery import save_all
+from simbias.pictures.trial.overview import overview
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -32,8 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         print(f"simbias: {error}", file=sys.stderr)
         return BAD_INPUT
-    except HardwareError as error:
+    except (HardwareError, Waiting) as error:
         print(f"simbias: hardware: {error}", file=sys.stderr)
+        return FAILED
+    except NoPictureError as error:
+        print(f"simbias: no picture: {error}", file=sys.stderr)
         return FAILED
 
 
@@ -58,13 +63,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _read(run_id: str, folder: Path, uri: str) -> int:
     """Save all pictures of a stored trial."""
-    from simbias.tracking.trials import load_trial
-
     trial = load_trial(run_id, uri)
     if not trial.iterations:
         raise ConfigError(run_id, "no iteration has ended, so there is nothing to draw")
-    saved = save_all(trial.study, trial.iterations, folder)
-    print(f"{folder}: {', '.join(saved)} of {trial.study.title}, seed {trial.study.seed}")
+    files = save_all(trial.study, trial.iterations, folder)
+    print(f"{folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return DONE
 
 
@@ -72,7 +75,7 @@ def _run(parser: argparse.ArgumentParser, out: Path, overrides: Sequence[str], c
     """Run a trial that no store keeps, and save its overview."""
     if not out.parent.is_dir():
         parser.error(f"{out}: OUT.png has to be in a folder that exists")
-    study = load([*overrides, "tracking=none"], config_dir)
+    study = load(overrides, config_dir)
     iterations = list(study.run())
     save(overview(study, iterations), out)
     print(f"{out}: {study.title}, seed {study.seed}")

@@ -1,4 +1,19 @@
-"""How a task looks at a state."""
+"""How a task looks at a state, as told by the module that stands beside it.
+
+For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
+
+    def draw(axes, task, state, *, color="0.4", muted=False):
+        arm = Polygon(corners(task, state), facecolor=color, alpha=0.4 if muted else 1.0)
+        return {"arm": axes.add_patch(arm)}
+
+    def move(artists, task, state, *, muted=False):
+        artists["arm"].set_xy(corners(task, state))
+        artists["arm"].set_alpha(0.4 if muted else 1.0)
+
+`draw` is all that snapshots need; animations need `move` too. All lengths are in one unit, so that all
+pictures of a trial have one scale. A task without such a module has all other pictures; its overview lacks
+the snapshots.
+"""
 
 from __future__ import annotations
 
@@ -37,23 +52,23 @@ class Movement(Protocol):
 
 def drawing_of(task: Task) -> Drawing | None:
     """The function `draw` of the module `<the task's module>_drawing`, if there is such a module."""
-    return cast(Drawing | None, _beside(task, "draw"))
+    return cast(Drawing | None, _function(task, "draw"))
 
 
 def movement_of(task: Task) -> Movement | None:
     """The function `move` of that module, if there is one."""
-    return cast(Movement | None, _beside(task, "move"))
+    return cast(Movement | None, _function(task, "move"))
 
 
-def _beside(task: Task, name: str) -> Any:
-    """A function of the module beside a task's."""
+def _function(task: Task, name: str) -> Any:
+    """A function of the module that draws a task; None where there is none."""
     module = f"{type(task).__module__}_drawing"
     if importlib.util.find_spec(module) is None:
         return None
     return getattr(importlib.import_module(module), name, None)
 
 
-def same_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
+def share_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
     """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings."""
     if all_axes:
         corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes if axes.has_data()])

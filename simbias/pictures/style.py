@@ -33,7 +33,7 @@ def label(quantity: Quantity | Criterion) -> str:
 
 
 def symbol(name: str) -> str:
-    """A name as it is read: `d_alpha_w` as a Greek letter with an index and a dot, `board_angle` in words."""
+    """A name as it is read: `d_theta_1` as a Greek letter with an index and a dot, `board_angle` in words."""
     base, _, index = name.removeprefix("d_").partition("_")
     if base not in GREEK:
         return name.replace("_", " ")
@@ -73,11 +73,11 @@ def logarithmic(axes: Axes, *names: str) -> None:
         axis: Axis = getattr(axes, f"{name}axis")
         axes.set(**{f"{name}scale": "log"})
         axis.set_major_locator(LogLocator(numticks=8))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"10{raised(round(math.log10(value)))}"))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"10{superscript(round(math.log10(value)))}"))
         axis.set_minor_locator(NullLocator())
 
 
-def raised(exponent: int) -> str:
+def superscript(exponent: int) -> str:
     """An exponent in characters that are quicker to set than mathematics."""
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
@@ -93,17 +93,17 @@ def save(figure: Figure, path: Path | str) -> None:
         with rc_context({"svg.hashsalt": "simbias"}):
             figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
     else:
-        rendered(figure, PUBLISHED_DOTS_PER_INCH).save(path, "PNG", optimize=True)
+        render(figure, PUBLISHED_DOTS_PER_INCH).save(path, "PNG", optimize=True)
 
 
 def png(figure: Figure) -> bytes:
     """A figure as a PNG file for a screen, made quickly."""
     file = BytesIO()
-    rendered(figure, DOTS_PER_INCH).save(file, "PNG")
+    render(figure, DOTS_PER_INCH).save(file, "PNG")
     return file.getvalue()
 
 
-def rendered(figure: Figure, dots_per_inch: int) -> Image.Image:
+def render(figure: Figure, dots_per_inch: int) -> Image.Image:
     """A figure in pixels, of 256 colours: in line art none is missed, and files are a third as large."""
     figure.set_dpi(dots_per_inch)
     canvas = FigureCanvasAgg(figure)

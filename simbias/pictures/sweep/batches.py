@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from simbias.config import Composition
 from simbias.config.build import build
-from simbias.interfaces import HardwareError
+from simbias.interfaces import HardwareError, Waiting
 from simbias.records import Array
+
+COLUMNS = ("costs", "frames", "failures", "successes")  # of the outcomes that are kept
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,13 @@ class Outcomes:
 
     costs: tuple[float, ...]  # (k,) Z of Eq. 8
     frames: tuple[int, ...]  # (k,) for which the robot was controlled
-    failures: tuple[str, ...]  # (k,) criteria of Section IV-C that failed, in words; empty where none did
+    failures: tuple[str, ...]  # (k,) names of the criteria that failed; empty where none did
+    successes: tuple[bool, ...]  # (k,) whether it passed, by the study's cost
     error: str = ""  # why there are none
 
     def as_json(self) -> str:
         """Text of which `from_json` makes the same again."""
-        return json.dumps(asdict(self))
+        return json.dumps({name: getattr(self, name) for name in COLUMNS})
 
     @staticmethod
     def from_json(text: str) -> Outcomes:
@@ -59,10 +62,13 @@ class Outcomes:
         Raises
         ------
         ValueError
-            If the text is cut off.
+            If the text is cut off, or not of this version.
         """
-        fields = json.loads(text)
-        return Outcomes(tuple(fields["costs"]), tuple(fields["frames"]), tuple(fields["failures"]))
+        values = json.loads(text)
+        if not isinstance(values, dict) or values.keys() != set(COLUMNS):
+            raise ValueError(f"not the outcomes of a batch: {text[:50]}")
+        costs, frames, failures, successes = (tuple(values[name]) for name in COLUMNS)
+        return Outcomes(costs, frames, failures, successes)
 
 
 def run_batch(batch: Batch) -> Outcomes:
@@ -71,13 +77,14 @@ def run_batch(batch: Batch) -> Outcomes:
     parameters, starts = np.array(batch.parameters), np.array(batch.starts)
     try:
         rollouts = [
-            study.hardware.run(study.policy, parameters, start, rng)
+            study.experiment(parameters, rng, start)
             for start, rng in zip(starts, np.random.default_rng(batch.seed).spawn(len(starts)), strict=True)
         ]
-    except HardwareError as error:
-        return Outcomes((), (), (), f"hardware: {error}")
+    except (HardwareError, Waiting) as error:
+        return Outcomes((), (), (), (), f"hardware: {error}")
     return Outcomes(
-        costs=tuple(float(study.cost.of(rollout)) for rollout in rollouts),
+        costs=tuple(float(rollout.cost) for rollout in rollouts),
         frames=tuple(rollout.frames for rollout in rollouts),
         failures=tuple(rollout.failure or "" for rollout in rollouts),
+        successes=tuple(map(study.cost.passes, rollouts)),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,14 +14,16 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from pydantic import PositiveInt
 
-from simbias.interfaces import SweepFigure, Task
+from simbias.interfaces import Task
 from simbias.pictures.style import HARDWARE, SMALL, label, plain, symbol
 from simbias.pictures.sweep.batches import Outcomes
 from simbias.pictures.sweep.picture import Picture
-from simbias.pictures.sweep.swept import FigureError, SweptTrials
-from simbias.pictures.trial.compared import corrections
+from simbias.pictures.sweep.swept import FigureError, SweepFigure, SweptTrials
+from simbias.pictures.trial.comparison import search_bias
 from simbias.records import Array, Selection, Transitions
-from simbias.tracking.trials import RecordedTrial
+
+if TYPE_CHECKING:
+    from simbias.tracking.trials import RecordedTrial
 
 DATA, PREDICTION, TRUTH = "#56B4E9", HARDWARE, "0.1"  # as the paper's cyan, red and blue
 LONG = 0.15  # of an arrow that is longer than 95% of them, as a part of the widest axis
@@ -29,13 +31,13 @@ HELD_OUT = 5  # apart from all other random numbers of a trial
 ThreeStates = tuple[str, str, str]
 
 
-class Held(NamedTuple):
+class Validation(NamedTuple):
     """Residuals of experiments that were not learned from, and what was learned says of them."""
 
     data: Transitions  # that was learned from
     selection: Selection  # of the held-out experiments
     mean: Array  # (N, n) of the bias, Eq. 4
-    corrected: Array  # (N, n) the last term of Eq. 7
+    weighted: Array  # (N, n) with its weight, the last term of Eq. 7
 
 
 class Field(NamedTuple):
@@ -73,60 +75,62 @@ class BiasField(SweepFigure):
             if state not in names:
                 raise ValueError(f"the task has no state {state}; it has {', '.join(names)}")
         self._task = task
-        self._chosen = [names.index(state) for state in states]
+        self._axes = [names.index(state) for state in states]
         self._experiments = experiments
         self._arrows = arrows
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are the held-out errors of every state."""
-        _, trial = next(trials.recorded())
-        held = self._held_out(trial)
-        if not len(held.selection.transitions):
-            raise FigureError("no held-out sample is within the limits of Section IV-C")
-        errors = self._errors(held)
+        _, trial = next(trials.in_full())
+        validation = self._validate(trial)
+        if not len(validation.selection.transitions):
+            raise FigureError("no held-out sample is one to learn from (Section IV-C)")
+        errors = self._errors(validation)
         experiments = self._experiments * len(trial.iterations)
-        return Picture(self._figure(held, errors), errors, self._caption(held, errors, experiments))
+        return Picture(
+            self._figure(validation, errors), errors, self._caption(validation, errors, experiments)
+        )
 
-    def _held_out(self, trial: RecordedTrial) -> Held:
+    def _validate(self, trial: RecordedTrial) -> Validation:
         """Experiments that the trial did not make, and what its bias predicts of them."""
-        study, bias = trial.study, trial.iterations[-1].fitted_bias
-        assert bias is not None  # read back, not from a worker
+        study, bias = trial.study, search_bias(trial.iterations[-1])
+        if bias is None:
+            raise FigureError("the trial's last policy was not searched in a simulation with a bias")
         rng = np.random.default_rng([study.seed, HELD_OUT])
         rollouts = [
-            study.experiment(iteration.optimum.parameters, experiment_rng)
+            study.experiment(iteration.parameters, experiment_rng)
             for iteration in trial.iterations
             for experiment_rng in rng.spawn(self._experiments)
         ]
         selection = study.samples.select(rollouts, study.nominal)
         inputs, n = selection.transitions.inputs, len(study.task.states)
-        corrected = corrections(
-            bias, np.ascontiguousarray(inputs[:, :n]), np.ascontiguousarray(inputs[:, n:])
-        )
-        data = trial.iterations[-2].data if len(trial.iterations) > 1 else study.no_data
-        return Held(data, selection, bias.predict(inputs)[0], corrected)
+        weighted = bias.correction(inputs[:, :n], inputs[:, n:])
+        lessons = [iteration.learning for iteration in trial.iterations[:-1] if iteration.learning]
+        data = lessons[-1].data if lessons else study.no_data
+        return Validation(data, selection, bias.predict(inputs)[0], weighted)
 
-    def _errors(self, held: Held) -> pd.DataFrame:
+    def _errors(self, validation: Validation) -> pd.DataFrame:
         """Root mean squares over the held-out samples: of every state's residual, and of what is left."""
-        truth = held.selection.transitions.residuals
+        truth = validation.selection.transitions.residuals
         table = pd.DataFrame(
             {
                 "state": [quantity.name for quantity in self._task.states],
                 "unit": [quantity.unit for quantity in self._task.states],
                 "samples": len(truth),
                 "residual": _rms(truth),
-                "error_of_mean": _rms(truth - held.mean),
-                "error_of_eq7": _rms(truth - held.corrected),
+                "error_of_mean": _rms(truth - validation.mean),
+                "error_of_eq7": _rms(truth - validation.weighted),
             }
         )
         for name in ("mean", "eq7"):
             table[f"relative_{name}"] = table[f"error_of_{name}"] / table["residual"]
         return table
 
-    def _figure(self, held: Held, errors: pd.DataFrame) -> Figure:
+    def _figure(self, validation: Validation, errors: pd.DataFrame) -> Figure:
         """The field in its three projections, and the errors."""
         figure = Figure(figsize=(10.0, 8.2), layout=ConstrainedLayoutEngine(h_pad=0.12))
         grid = figure.subplots(2, 2).ravel()
-        fields = self._fields(held)
+        fields = self._fields(validation)
         width = max(np.ptp(np.concatenate([field.places for field in fields]), axis=0))
         speeds = np.linalg.norm(np.concatenate([field.velocities for field in fields]), axis=1)
         seconds = LONG * width / np.percentile(speeds, 95)  # that an arrow covers
@@ -137,22 +141,22 @@ class BiasField(SweepFigure):
         figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
         return figure
 
-    def _fields(self, held: Held) -> list[Field]:
+    def _fields(self, validation: Validation) -> list[Field]:
         """What is drawn as arrows, from back to front."""
-        truth = held.selection.transitions
-        shown = _far_apart(truth.inputs[:, self._chosen], self._arrows)
-        at, u, v = truth.inputs[shown], truth.residuals[shown], held.mean[shown]
-        learned = f"training data, {len(held.data)} samples"
+        truth = validation.selection.transitions
+        few = _far_apart(truth.inputs[:, self._axes], self._arrows)
+        at, u, v = truth.inputs[few], truth.residuals[few], validation.mean[few]
+        training = f"training data, {len(validation.data)} samples"
         return [
-            self._field(held.data.inputs, held.data.residuals, DATA, 0.6, learned),
+            self._field(validation.data.inputs, validation.data.residuals, DATA, 0.6, training),
             self._field(at, u, TRUTH, 2.2, "truth at held-out samples"),
             self._field(at, v, PREDICTION, 1.0, "prediction there (mean, Eq. 4)"),
         ]
 
     def _field(self, inputs: Array, residuals: Array, color: str, width: float, words: str) -> Field:
         """Residuals (k, n) at inputs (k, n+m) as arrows."""
-        velocities = residuals[:, self._chosen] / self._task.time_step
-        return Field(inputs[:, self._chosen], velocities, color, width, words)
+        velocities = residuals[:, self._axes] / self._task.time_step
+        return Field(inputs[:, self._axes], velocities, color, width, words)
 
     def _draw_projection(self, axes: Axes, fields: Sequence[Field], pair: list[int], seconds: float) -> None:
         """Two of the three dimensions."""
@@ -171,7 +175,7 @@ class BiasField(SweepFigure):
         axes.update_datalim(np.concatenate(ends))
         axes.autoscale_view()
         velocity = 10.0 ** np.floor(np.log10(0.2 * np.ptp(axes.get_xlim()) / seconds))
-        words = f"{velocity:g} {self._task.states[self._chosen[0]].unit}/s"
+        words = f"{velocity:g} {self._task.states[self._axes[0]].unit}/s"
         axes.quiverkey(
             arrows,
             0.8,
@@ -182,19 +186,19 @@ class BiasField(SweepFigure):
             color=TRUTH,
             fontproperties={"size": SMALL},
         )
-        horizontal, vertical = (self._task.states[self._chosen[index]] for index in pair)
+        horizontal, vertical = (self._task.states[self._axes[index]] for index in pair)
         axes.set(xlabel=label(horizontal), ylabel=label(vertical))
         plain(axes)
 
-    def _caption(self, held: Held, errors: pd.DataFrame, experiments: int) -> str:
+    def _caption(self, validation: Validation, errors: pd.DataFrame, experiments: int) -> str:
         """What is seen."""
-        selection, rows = held.selection, errors.to_dict("records")
+        selection, rows = validation.selection, errors.to_dict("records")
         left = ", ".join(
             f"{row['state']} {row['relative_mean']:.0%} ({row['relative_eq7']:.0%})" for row in rows
         )
         count, sampled = len(selection.transitions), selection.sampled
         return (
-            f"The bias learned from {len(held.data)} samples, as velocities, against {experiments} "
+            f"The bias learned from {len(validation.data)} samples, as velocities, against {experiments} "
             f"experiments from other starts ({count} samples; {sampled - count} more rejected as in "
             "learning). Root mean square of what the mean leaves of the residual, over that of the residual "
             f"itself (in brackets: with the weight of Eq. 7): {left}."
@@ -208,12 +212,12 @@ def _rms(values: Array) -> Array:
 
 def _far_apart(points: Array, count: int) -> Array:
     """Indices of up to `count` of the points (N, 3), each the farthest from those before it."""
-    chosen = [0]
+    indices = [0]
     distance = np.linalg.norm(points - points[0], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
+    while len(indices) < min(count, len(points)):
+        indices.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[indices[-1]], axis=1))
+    return np.array(indices)
 
 
 def _draw_errors(axes: Axes, errors: pd.DataFrame) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 import pandas as pd
@@ -11,14 +13,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from simbias.interfaces import SweepFigure
-from simbias.pictures.style import HARDWARE, SIMULATION, SMALL, plain, shade_beyond
+from simbias.pictures.series import draw_legend
+from simbias.pictures.style import HARDWARE, SIMULATION, plain, shade_beyond
 from simbias.pictures.sweep.batches import Outcomes
 from simbias.pictures.sweep.picture import Picture
-from simbias.pictures.sweep.swept import SweptTrials
+from simbias.pictures.sweep.swept import SweepFigure, SweptTrials
+from simbias.records import Iteration
 
 WIDTH, HEIGHT = 3.6, 3.3  # of a panel, in
-SPREAD = 0.3  # of an iteration, over which trials are moved aside so that none hides another
+MOST_IN_A_ROW, LINE = 4, 40  # panels; characters of a panel's title
+SPREAD = 0.3  # of an iteration, over which trials are spread so that none hides another
 
 
 class Costs(SweepFigure):
@@ -27,7 +31,7 @@ class Costs(SweepFigure):
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each iteration of each trial."""
         rows = []
-        for row, trial in trials.recorded():
+        for row, trial in trials.in_full():
             max_cost = trial.study.cost.max_cost
             rows += [
                 {
@@ -36,7 +40,7 @@ class Costs(SweepFigure):
                     "seed": row["seed"],
                     "iteration": iteration.index,
                     "experiments": iteration.total_experiments,
-                    "predicted_cost": iteration.predicted_cost,
+                    "predicted_cost": _prediction(iteration),
                     "hardware_cost": iteration.hardware_cost,
                     "succeeded": iteration.succeeded,
                 }
@@ -47,51 +51,65 @@ class Costs(SweepFigure):
         return Picture(_figure(panels, max_cost), numbers, _caption(panels, max_cost))
 
 
+def _prediction(iteration: Iteration) -> float:
+    """The cost that a search predicted; nan without one."""
+    return math.nan if iteration.search is None else iteration.search.predicted_cost
+
+
 def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
-    """Panels side by side, on the same scales."""
-    figure = Figure(figsize=(0.4 + WIDTH * len(panels), HEIGHT + 0.4), layout="constrained")
-    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (title, own) in zip(row, panels.items(), strict=True):
+    """Panels in rows, on the same scales."""
+    columns = min(len(panels), MOST_IN_A_ROW)
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(0.4 + WIDTH * columns, HEIGHT * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (title, own) in zip(grid.flat, panels.items(), strict=False):
         trials = [trial for _, trial in own.groupby("repetition")]
         for aside, trial in zip(np.linspace(-SPREAD / 2, SPREAD / 2, len(trials)), trials, strict=True):
             _line(axes, trial, float(aside) if len(trials) > 1 else 0.0)
-        axes.set_title(title, fontsize="medium")
-        axes.set_xlabel("iteration")
+        axes.set_title(fill(title, LINE), fontsize="medium")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         plain(axes)
-    row[0].set_yscale("log")
-    row[0].set_ylabel("cost Z on hardware (dimensionless)")
-    for axes in row:
+    grid[0, 0].set_yscale("log")
+    for axes in grid.flat[: len(panels)]:
         shade_beyond(axes, max_cost, r"limit $Z_{\max}$")
-    handles = [
-        Line2D([], [], color=SIMULATION, marker="o", label="trial that succeeds"),
-        Line2D([], [], color=HARDWARE, marker="X", linestyle="--", label="trial that never does"),
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=SMALL)
+    for axes in grid.flat[len(panels) :]:
+        axes.axis("off")
+    for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
+        axes.set_xlabel("iteration")
+        axes.tick_params(labelbottom=True)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("cost Z on hardware (dimensionless)")
+    entries = {
+        "trial that succeeds": Line2D([], [], color=SIMULATION, marker="o"),
+        "trial that never does": Line2D([], [], color=HARDWARE, marker="X", linestyle="--"),
+    }
+    draw_legend(figure, list(entries.values()), list(entries))
     return figure
 
 
 def _line(axes: Axes, trial: pd.DataFrame, aside: float) -> None:
     """The iterations of a trial; a mark where it ends."""
-    succeeded = bool(trial["succeeded"].iloc[-1])
+    success = bool(trial["succeeded"].iloc[-1])
     x, y = trial["iteration"] + aside, trial["hardware_cost"]
-    color, line, marker = (SIMULATION, "-", "o") if succeeded else (HARDWARE, "--", "X")
+    color, line, marker = (SIMULATION, "-", "o") if success else (HARDWARE, "--", "X")
     axes.plot(x, y, line, color=color, linewidth=1.0, alpha=0.8, marker=".", markersize=4)
     axes.plot(x.iloc[-1:], y.iloc[-1:], marker, color=color, markersize=6, zorder=3)
 
 
 def _caption(panels: dict[str, pd.DataFrame], max_cost: float) -> str:
     """What is seen."""
-    told = []
+    sentences = []
     for title, own in panels.items():
         trials = [trial for _, trial in own.groupby("repetition")]
-        ended = [len(trial) for trial in trials if trial["succeeded"].iloc[-1]]
+        lengths = [len(trial) for trial in trials if trial["succeeded"].iloc[-1]]
         when = (
-            f", after {min(ended)} to {max(ended)} iterations (median {np.median(ended):g})" if ended else ""
+            f", after {min(lengths)} to {max(lengths)} iterations (median {np.median(lengths):g})"
+            if lengths
+            else ""
         )
         where = f"{title}: " if title else ""
-        told.append(f"{where}{len(ended)} of {len(trials)} trials end below the limit{when}")
+        sentences.append(f"{where}{len(lengths)} of {len(trials)} trials end below the limit{when}")
     return (
         f"The greatest cost of an iteration's experiments on hardware, for each trial; above the limit "
-        f"{max_cost:g} a policy has failed. {'; '.join(told)}."
+        f"{max_cost:g} a policy has failed. {'; '.join(sentences)}."
     )

@@ -1,26 +1,29 @@
-"""Table II as a figure: experiments along an axis, with their intervals, beside the paper's."""
+"""Table II as a figure: experiments along an axis, with their intervals, and the paper's."""
 
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from simbias.interfaces import SweepFigure
+from simbias.pictures.series import draw_legend, look
 from simbias.pictures.style import plain
 from simbias.pictures.sweep.batches import Outcomes
 from simbias.pictures.sweep.picture import Picture
-from simbias.pictures.sweep.swept import FigureError, SweptTrials
-from simbias.sweep.grid import Axis, Sweep
+from simbias.pictures.sweep.swept import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.tables import CONFIDENCE, cells
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
-MARKERS = "osD^vP"
-INCHES_OF_ENTRY = 2.2  # of the legend, at most
+if TYPE_CHECKING:
+    from simbias.sweep.grid import Axis, Sweep
+
+NUMBER = r"[-+]?\.?\d[-+.e\d]*"
+HEIGHT = 3.9  # in, without the legend
 PAPER_ASIDE = 0.12  # of the distance between two points of the axis
 
 
@@ -43,13 +46,13 @@ class Experiments(SweepFigure):
 
 def _caption(table: pd.DataFrame) -> str:
     """What is seen."""
-    ran, succeeded = table["trials"].sum(), table["succeeded"].sum()
+    trials, successes = table["trials"].sum(), table["succeeded"].sum()
     papers = "; hollow: the paper's means" if table["paper"].notna().any() else ""
-    fewer = (table["mean"] < table["paper"]).sum(), table["paper"].notna().sum()
-    against = f" In {fewer[0]} of {fewer[1]} cells the mean is below the paper's." if fewer[1] else ""
+    fewer, paper = (table["mean"] < table["paper"]).sum(), table["paper"].notna().sum()
+    against = f" In {fewer} of {paper} cells the mean is below the paper's." if paper else ""
     return (
         f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals"
-        f"{papers}. {succeeded} of {ran} trials succeeded (above cells: of their own, if not all); "
+        f"{papers}. {successes} of {trials} trials succeeded (above cells: of their own, if not all); "
         "one that did not counts all that it may make."
         f"{against}"
     )
@@ -61,7 +64,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
     figure = Figure(
-        figsize=(max(5.0, 2.0 + 0.3 * len(along.labels) * (1 + len(curves))), 4.2), layout="constrained"
+        figsize=(max(5.0, 2.0 + 0.3 * len(along.labels) * (1 + len(curves))), HEIGHT), layout="constrained"
     )
     axes = figure.add_subplot()
     for index, labels in enumerate(curves):
@@ -69,25 +72,24 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         for axis, label in zip(others, labels, strict=True):
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
-        _curve(axes, own, offset, index, ", ".join(map(_named, others, labels)))
+        _curve(axes, own, offset, index, ", ".join(map(_series, others, labels)))
     _label(axes, along)
     axes.set_ylim(bottom=0)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
     axes.set_ylabel("hardware experiments until success")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
-        figure.legend(
-            *_ours_first(*axes.get_legend_handles_labels()),
-            loc="outside upper center",
-            ncols=int(figure.get_figwidth() // INCHES_OF_ENTRY),
-            frameon=False,
-        )
+        draw_legend(figure, *_ours_first(*axes.get_legend_handles_labels()))
     return figure
 
 
-def _named(axis: Axis, label: str) -> str:
+def _series(axis: Axis, label: str) -> str:
     """A label that says what it is: a bare number gets the name of its key."""
-    bare = label.replace(".", "").replace("-", "").replace("e", "").isdigit()
-    return f"{axis.keys[0].split('.')[-1]} {label}" if bare else label
+    return f"{_words(axis.keys[0])} {label}" if re.fullmatch(NUMBER, label) else label
+
+
+def _words(key: str) -> str:
+    """A key without its group, as it is read."""
+    return key.split(".")[-1].replace("_", " ")
 
 
 def _ours_first(handles: list, labels: list[str]) -> tuple[list, list[str]]:
@@ -97,10 +99,10 @@ def _ours_first(handles: list, labels: list[str]) -> tuple[list, list[str]]:
 
 
 def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) -> None:
-    """The cells of one curve, moved aside so that intervals do not hide each other."""
+    """The cells of one curve, moved sideways so that no interval hides another."""
     x = np.arange(len(own)) + offset
     mean, low, high = (own[column].to_numpy(dtype=float) for column in ("mean", "low", "high"))
-    colour, marker = COLOURS[index % len(COLOURS)], MARKERS[index % len(MARKERS)]
+    colour, marker = look(index)
     spread = np.nan_to_num(np.clip([mean - low, high - mean], 0, None))
     axes.errorbar(x, mean, spread, fmt=marker, color=colour, capsize=3, markersize=5, label=name or "ours")
     paper = own["paper"].to_numpy(dtype=float)
@@ -116,7 +118,7 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) 
 def _label(axes: Axes, along: Axis) -> None:
     """Ticks: the points of the axis, a line for each of its keys."""
     axes.set_xticks(range(len(along.labels)), [label.replace("/", "\n") for label in along.labels])
-    keys = [key.split(".")[-1] for key in along.keys]
+    keys = [_words(key) for key in along.keys]
     axes.set_xlabel(keys[0] if len(keys) == 1 else "from above: " + ", ".join(keys))
     axes.grid(axis="y", color="0.9")
     axes.set_axisbelow(True)

@@ -4,19 +4,41 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from simbias.interfaces import Engine, TrackedSweep, WorkerLostError
+from simbias.engine.contract import Engine, WorkerLostError
+from simbias.interfaces import HardwareError, Waiting
+from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.sweep.batches import Batch, Outcomes, run_batch
 from simbias.pictures.sweep.swept import FigureError, SweptTrials
-from simbias.sweep.grid import Sweep
 from simbias.sweep.interruption import Interruption, stopping_workers
-from simbias.terminal.sweep import SweepConsole
+
+if TYPE_CHECKING:
+    from simbias.sweep.grid import Sweep
+    from simbias.tracking.contract import TrackedSweep
+
+
+class FigureObserver:
+    """Hears of what happens while the figures of a sweep are made; one that only hears of it says nothing."""
+
+    @contextmanager
+    def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
+        """Work of so many steps goes on, some of them done before; what this gives is called after each."""
+        yield lambda: None
+
+    def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        """A figure is drawn and kept; the files are those in the user's folder, if there is one."""
 
 
 def make_figures(
-    sweep: Sweep, engine: Engine, tracked: TrackedSweep, console: SweepConsole, interruption: Interruption
+    sweep: Sweep,
+    engine: Engine,
+    tracked: TrackedSweep,
+    observer: FigureObserver,
+    interruption: Interruption,
 ) -> None:
     """Make every figure that the sweep declares.
 
@@ -28,13 +50,26 @@ def make_figures(
         On SIGINT or SIGTERM; what has ended is kept.
     """
     for name, figure in sweep.figures.items():
-        trials = SweptTrials(sweep, tracked.results(), tracked.load)
-        batches = figure.experiments(trials)
-        picture = figure.draw(trials, _outcomes(name, batches, engine, tracked, console, interruption))
+        with _errors_of(name):
+            trials = SweptTrials(sweep, tracked.results(), tracked.load)
+            batches = figure.experiments(trials)
+            outcomes = _outcomes(name, batches, engine, tracked, observer, interruption)
+            picture = figure.draw(trials, outcomes)
         with tempfile.TemporaryDirectory() as folder, interruption.deferred():
             files = picture.write(Path(folder), name)
             tracked.publish(name, picture.caption, files)
-            console.drawn(name, picture.caption, _copied(files, sweep.figures_to))
+            observer.drawn(name, picture.caption, _copy(files, sweep.figures_to))
+
+
+@contextmanager
+def _errors_of(name: str) -> Iterator[None]:
+    """Errors that say which figure they belong to; some figures try the hardware once more."""
+    try:
+        yield
+    except (HardwareError, Waiting) as error:
+        raise FigureError(f"{name}: hardware: {error}") from error
+    except (FigureError, NoPictureError) as error:
+        raise FigureError(f"{name}: {error}") from error
 
 
 def _outcomes(
@@ -42,29 +77,30 @@ def _outcomes(
     batches: Sequence[Batch],
     engine: Engine,
     tracked: TrackedSweep,
-    console: SweepConsole,
+    observer: FigureObserver,
     interruption: Interruption,
 ) -> list[Outcomes]:
     """The outcomes of all batches; those that are kept are not run again."""
-    planned = {batch.hash: batch for batch in batches}
-    found = tracked.outcomes(list(planned))
-    missing = [identity for identity in planned if identity not in found]
+    batch_of = {batch.hash: batch for batch in batches}
+    outcomes = tracked.outcomes(list(batch_of))
+    missing = [identity for identity in batch_of if identity not in outcomes]
     if missing:
+        tasks = [batch_of[identity] for identity in missing]
         with (
-            console.working(f"{name}: batches of experiments", len(planned), len(found)) as advance,
-            stopping_workers(engine.run(run_batch, [planned[identity] for identity in missing])) as results,
+            observer.working(f"{name}: batches of experiments", len(batch_of), len(outcomes)) as advance,
+            stopping_workers(engine.run(run_batch, tasks)) as results,
         ):
             for index, result in results:
                 if isinstance(result, WorkerLostError) or result.error:
-                    raise FigureError(f"{name}: {getattr(result, 'error', result)}")
+                    raise FigureError(str(getattr(result, "error", result)))
                 with interruption.deferred():
-                    found[missing[index]] = result
+                    outcomes[missing[index]] = result
                     tracked.keep_outcomes(missing[index], result)
                     advance()
-    return [found[batch.hash] for batch in batches]
+    return [outcomes[batch.hash] for batch in batches]
 
 
-def _copied(files: Sequence[Path], folder: str | None) -> list[Path]:
+def _copy(files: Sequence[Path], folder: str | None) -> list[Path]:
     """The files in a folder of the user's, if there is one."""
     if folder is None:
         return []

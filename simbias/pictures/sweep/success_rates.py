@@ -14,13 +14,12 @@ from pydantic import FiniteFloat, PositiveInt
 from scipy.stats import binomtest
 
 from simbias.config.build import build
-from simbias.interfaces import SweepFigure, Task
+from simbias.interfaces import Task
 from simbias.pictures.style import HARDWARE, SIMULATION, SMALL, label, plain
 from simbias.pictures.sweep.batches import Batch, Outcomes
 from simbias.pictures.sweep.picture import Picture
-from simbias.pictures.sweep.swept import SweptTrials
+from simbias.pictures.sweep.swept import FigureError, LabelledCell, SweepFigure, SweptTrials
 from simbias.records import Array
-from simbias.sweep.grid import Cell
 
 CONFIDENCE = 0.95
 COLOURS = "cividis"  # even to the colour-blind, and in grey
@@ -58,7 +57,7 @@ class SuccessRates(SweepFigure):
     def __init__(
         self,
         task: Task,
-        cells: Sequence[Cell],
+        cells: Sequence[LabelledCell],
         x: Range,
         y: Range,
         experiments: PositiveInt,
@@ -68,22 +67,30 @@ class SuccessRates(SweepFigure):
         for state in (x.state, y.state):
             if state not in names:
                 raise ValueError(f"the task has no state {state}; it has {', '.join(names)}")
-        found = {" ".join(cell.labels): cell for cell in cells}
-        if hardware not in found:
-            raise ValueError(f"the sweep has no cell {hardware}; it has {', '.join(found)}")
+        compositions = {" ".join(cell.labels): cell.composition for cell in cells}
+        if hardware not in compositions:
+            raise ValueError(f"the sweep has no cell {hardware}; it has {', '.join(compositions)}")
         self._task = task
         self._x, self._y = x, y
         self._experiments = experiments
-        self._hardware = found[hardware].composition
+        self._hardware = compositions[hardware]
 
     def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
         """A batch is a policy, tried once from every start.
 
         The i-th trials of all cells meet the same noise.
+
+        Raises
+        ------
+        FigureError
+            If the hardware cannot be set to a start.
         """
+        if not build(self._hardware).hardware.sets_start:
+            hardware = self._hardware.choices["hardware"]
+            raise FigureError(f"hardware {hardware} begins where it stands: it cannot start on a grid")
         return [
-            Batch.of(self._hardware, trial.iterations[-1].optimum.parameters, self._starts(), seed)
-            for row, trial in trials.recorded()
+            Batch.of(self._hardware, trial.iterations[-1].parameters, self._starts(), seed)
+            for row, trial in trials.in_full()
             for seed in range(
                 row["repetition"] * self._experiments, (row["repetition"] + 1) * self._experiments
             )
@@ -91,11 +98,10 @@ class SuccessRates(SweepFigure):
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each policy and start."""
-        max_cost = build(self._hardware).cost.max_cost
-        costs = np.array([batch.costs for batch in outcomes]).reshape(
+        successes = np.array([batch.successes for batch in outcomes]).reshape(
             -1, self._experiments, self._y.points, self._x.points
         )
-        succeeded = np.count_nonzero(costs < max_cost, axis=1)  # (policies, y, x)
+        counts = np.count_nonzero(successes, axis=1)  # (policies, y, x)
         y, x = self._grid()
         numbers = pd.concat(
             pd.DataFrame(
@@ -109,7 +115,7 @@ class SuccessRates(SweepFigure):
                     "succeeded": own.ravel(),
                 }
             )
-            for row, own in zip(trials.rows, succeeded, strict=True)
+            for row, own in zip(trials.rows, counts, strict=True)
         )
         return Picture(self._figure(numbers), numbers, self._caption(numbers))
 
@@ -155,21 +161,21 @@ class SuccessRates(SweepFigure):
 
     def _caption(self, numbers: pd.DataFrame) -> str:
         """What is seen."""
-        told = []
+        sentences = []
         for cell, own in numbers.groupby("cell", sort=False):
             rates = _of_policies(own)
-            learned = (rates["learning"] == "succeeded").sum()
-            told.append(
+            successes = (rates["learning"] == "succeeded").sum()
+            sentences.append(
                 f"{cell}: {own['succeeded'].sum() / own['experiments'].sum():.1%} of all experiments succeed "
                 f"({rates['rate'].min():.1%} to {rates['rate'].max():.1%} with each of the {len(rates)} "
-                f"policies, {learned} of which had succeeded when learning ended)"
+                f"policies, {successes} of which had succeeded when learning ended)"
             )
         n = int(numbers.groupby(["cell", self._x.state, self._y.state])["experiments"].sum().max())
         half = max(np.ptp(_interval(k, n)) / 2 for k in range(n + 1))
         return (
             f"Success rate on the same hardware of the policies with which learning ended, "
             f"over starts at {self._x.points} x {self._y.points} values of {self._x.state} and "
-            f"{self._y.state}. {'; '.join(told)}. There are {n} experiments from each start: a "
+            f"{self._y.state}. {'; '.join(sentences)}. There are {n} experiments from each start: a "
             f"{CONFIDENCE:.0%} Wilson interval reaches at most {half:.2f} to either side of its middle. "
             "Right: each policy over the whole grid, with its interval."
         )
@@ -199,22 +205,20 @@ def _draw_policies(axes: Axes, cells: Sequence[pd.DataFrame]) -> None:
         x = index + np.linspace(-0.3, 0.3, len(policies))
         spread = [policies["rate"] - policies["low"], policies["high"] - policies["rate"]]
         axes.errorbar(x, policies["rate"], spread, fmt="none", ecolor="0.5", capsize=2, zorder=1)
-        learned = (policies["learning"] == "succeeded").to_numpy()
-        for chosen, color, marker, words in (
-            (learned, SIMULATION, "o", "learning succeeded"),
-            (~learned, HARDWARE, "X", "it did not"),
+        success = (policies["learning"] == "succeeded").to_numpy()
+        for mask, color, marker, words in (
+            (success, SIMULATION, "o", "learning succeeded"),
+            (~success, HARDWARE, "X", "it did not"),
         ):
-            if chosen.any():
-                rates = policies["rate"][chosen]
-                axes.plot(x[chosen], rates, marker, color=color, label=words, clip_on=False)
+            if mask.any():
+                axes.plot(x[mask], policies["rate"][mask], marker, color=color, label=words, clip_on=False)
     names = [fill(own["cell"].iloc[0], 14) for own in cells]
     axes.set_xticks(range(len(cells)), names, fontsize=SMALL)
     axes.set_xlim(-0.6, len(cells) - 0.4)
-    axes.margins(y=0.3)  # room for the legend
-    axes.set_ylim(bottom=0.0)
-    axes.set_ylabel("success rate")
+    highest = max(_of_policies(own)["high"].max() for own in cells)
+    axes.set_ylim(0.0, 1.3 * highest)  # room for the legend
     handles, entries = axes.get_legend_handles_labels()
     unique = dict(zip(entries, handles, strict=True))
     axes.legend(unique.values(), unique.keys(), frameon=False, fontsize=SMALL, loc="upper right")
-    axes.set_title("each policy, over all starts", fontsize="medium")
+    axes.set_title("success rate of each policy,\nover all starts", fontsize="medium")
     plain(axes)

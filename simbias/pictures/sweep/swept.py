@@ -1,19 +1,36 @@
-"""The trials of a sweep, for its figures."""
+"""The trials of a sweep, for its figures, and the contract of these."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pandas import DataFrame
 
+from simbias.config import Composition
+
 if TYPE_CHECKING:
+    from simbias.pictures.sweep.batches import Batch, Outcomes
+    from simbias.pictures.sweep.picture import Picture
     from simbias.sweep.grid import Sweep
     from simbias.tracking.trials import RecordedTrial
 
 
 Row = Mapping[Any, Any]  # of a table of trials
+
+
+class LabelledCell(Protocol):
+    """A cell of a sweep's grid, as far as a figure needs it."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One for each axis."""
+
+    @property
+    def composition(self) -> Composition:
+        """The config of its trials, but for their seed."""
 
 
 class FigureError(RuntimeError):
@@ -42,7 +59,7 @@ class SweptTrials:
             raise FigureError("no trial of the sweep ran to an end")
         return rows
 
-    def recorded(self) -> Iterator[tuple[Row, RecordedTrial]]:
+    def in_full(self) -> Iterator[tuple[Row, RecordedTrial]]:
         """The same trials in full, read back one by one, with their rows."""
         for row in self.rows:
             yield row, self.load(row["run_id"])
@@ -50,3 +67,23 @@ class SweptTrials:
     def cell(self, row: Row) -> str:
         """The cell of a trial, by its labels."""
         return " ".join(row[axis.name] for axis in self.sweep.axes)
+
+
+class SweepFigure(ABC):
+    """A figure of a sweep, drawn once all trials have ended."""
+
+    reads_trials = True  # in full, from the store; else only their table
+
+    def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
+        """Hardware experiments that it needs besides those of the trials; none, if not said otherwise."""
+        return ()
+
+    @abstractmethod
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture, from the trials and the outcomes of the experiments.
+
+        Raises
+        ------
+        FigureError
+            If it cannot be drawn from what there is.
+        """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,15 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydantic import PositiveInt
 
-from simbias.interfaces import SweepFigure, Task
-from simbias.pictures.drawing import drawing_of, same_view
+from simbias.interfaces import Task
+from simbias.pictures.drawing import drawing_of, movement_of, share_view
 from simbias.pictures.style import HARDWARE, NOMINAL, SMALL, seconds
 from simbias.pictures.sweep.batches import Outcomes
 from simbias.pictures.sweep.picture import Picture
-from simbias.pictures.sweep.swept import SweptTrials
+from simbias.pictures.sweep.swept import SweepFigure, SweptTrials
 from simbias.pictures.trial.animation import animate
-from simbias.pictures.trial.compared import first_and_last, hardware_words, policy_words
-from simbias.pictures.trial.snapshots import strip
+from simbias.pictures.trial.comparison import failure_words, first_and_last, hardware_words, policy_words
+from simbias.pictures.trial.snapshots import draw_strip, ending_words
 from simbias.records import Iteration, Rollout
 from simbias.study import Study
 
@@ -41,8 +40,9 @@ class Run(NamedTuple):
 class TwoSimulators(SweepFigure):
     """The first and the last policy of the sweep's first trial, on the nominal model and on the hardware.
 
-    The first is optimised for the nominal model alone, the last is what was learned (Fig. 4); they are one
-    if the first succeeded. All start at the task's mean.
+    In the paper, the first is optimised for the nominal model alone, and each policy fails on the simulator
+    that it was not optimised for (Fig. 4). The two are one if the first succeeded. All start at the task's
+    mean or, if the hardware cannot be set to it, where the hardware began.
 
     Parameters
     ----------
@@ -59,16 +59,17 @@ class TwoSimulators(SweepFigure):
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each policy and simulator."""
-        _, trial = next(trials.recorded())
+        _, trial = next(trials.in_full())
         policies = first_and_last(trial.iterations)
         study, task = trial.study, trial.study.task
         runs = [run for iteration in policies for run in _runs(study, iteration)]
         headline = " | ".join(dict.fromkeys(run.policy for run in runs))
+        film = partial(animate, task, [run[1:] for run in runs], headline)
         return Picture(
             self._figure(task, runs),
             _numbers(study, runs),
             _caption(study, runs),
-            animate=partial(animate, task, [run[1:] for run in runs], headline),
+            animate=None if movement_of(task) is None else film,
         )
 
     def _figure(self, task: Task, runs: Sequence[Run]) -> Figure:
@@ -85,23 +86,25 @@ class TwoSimulators(SweepFigure):
         before = ""
         for index, run in enumerate(runs):
             row = [figure.add_subplot(grid[2 * index + 1, column]) for column in range(self._columns)]
-            failing = strip(row, task, run.rollout, times, self._draw, run.color)
+            failing = draw_strip(row, task, run.rollout, times, self._draw, run.color)
             _write(row[0], run.simulator, (-0.04, 0.5), rotation=90, ha="right", va="center", color=run.color)
             if failing is not None:
-                _write(failing, _failure(task, run), (0.5, -0.01), ha="center", va="top", color=run.color)
+                _write(
+                    failing,
+                    ending_words(task, run.rollout),
+                    (0.5, -0.01),
+                    ha="center",
+                    va="top",
+                    color=run.color,
+                )
             if run.policy != before:
                 for axes, time in zip(row, times, strict=True):
                     _write(axes, f"{time:g} s", (0.5, 1.0), ha="center", va="bottom")
                 _write(row[0], run.policy, (0.0, 1.14), fontweight="bold", fontsize="large")
             before = run.policy
             drawings += row
-        same_view(drawings)
+        share_view(drawings)
         return figure
-
-
-def _failure(task: Task, run: Run) -> str:
-    """When and by which criterion a run failed."""
-    return f"{seconds(task, run.rollout.frames):.2f} s: {run.rollout.failure}"
 
 
 def _write(axes: Axes, words: str, place: tuple[float, float], **style: Any) -> None:
@@ -111,13 +114,14 @@ def _write(axes: Axes, words: str, place: tuple[float, float], **style: Any) -> 
 
 def _runs(study: Study, iteration: Iteration) -> list[Run]:
     """A policy on the nominal model and on the hardware, from the same start."""
-    theta, start = iteration.optimum.parameters, study.task.start_mean
-    rng = np.random.default_rng([study.seed, NOISE])
-    hardware = study.hardware.run(study.policy, theta, start, rng)
+    rng, start = np.random.default_rng([study.seed, NOISE]), study.task.start_mean
+    hardware = study.experiment(iteration.parameters, rng, start)
+    begin = start if study.hardware.sets_start else hardware.states[0]
+    nominal = study.simulate(iteration.parameters, start=begin)
     policy = policy_words(iteration)
     return [
-        Run(policy, f"nominal: {study.choices['nominal']}", NOMINAL, study.simulate(theta, start=start)),
-        Run(policy, hardware_words(study), HARDWARE, replace(hardware, cost=study.cost.of(hardware))),
+        Run(policy, f"nominal: {study.choices['nominal']}", NOMINAL, nominal),
+        Run(policy, hardware_words(study), HARDWARE, hardware),
     ]
 
 
@@ -128,7 +132,7 @@ def _numbers(study: Study, runs: Sequence[Run]) -> pd.DataFrame:
             "policy": run.policy,
             "simulator": run.simulator,
             "seconds": seconds(study.task, run.rollout.frames),
-            "failure": run.rollout.failure or "",
+            "failure": failure_words(study, run.rollout),
             "cost": run.rollout.cost,
         }
         for run in runs
@@ -137,12 +141,9 @@ def _numbers(study: Study, runs: Sequence[Run]) -> pd.DataFrame:
 
 def _caption(study: Study, runs: Sequence[Run]) -> str:
     """What is seen."""
-    told = []
+    sentences = []
     for run in runs:
-        time = f"{seconds(study.task, run.rollout.frames):.2f} s"
-        ending = f"fails at {time} ({run.rollout.failure})" if run.rollout.failure else f"lasts all {time}"
-        told.append(f"{run.policy}, {run.simulator}: {ending}")
-    return (
-        f"Each policy on both simulators, from the same start. {'; '.join(told)}. "
-        "In the paper, each policy fails on the simulator that it was not optimised for."
-    )
+        time, failure = f"{seconds(study.task, run.rollout.frames):.2f} s", failure_words(study, run.rollout)
+        ending = f"fails at {time} ({failure})" if failure else f"lasts all {time}"
+        sentences.append(f"{run.policy}, {run.simulator}: {ending}")
+    return f"Each policy on both simulators, from the same start. {'; '.join(sentences)}."

@@ -17,14 +17,16 @@ from matplotlib.text import Text
 from PIL import Image
 
 from simbias.interfaces import Task
-from simbias.pictures.drawing import Movement, NoPictureError, drawing_of, movement_of, same_view
+from simbias.pictures.drawing import Movement, NoPictureError, drawing_of, movement_of, share_view
 from simbias.pictures.style import HARDWARE, NOMINAL, SIMULATION, SMALL, seconds
-from simbias.pictures.trial.compared import (
-    experiments_before,
+from simbias.pictures.trial.comparison import (
     hardware_words,
+    on_hardware,
     outcome_words,
     policy_words,
-    worst,
+    search_bias,
+    search_samples,
+    worst_experiment,
 )
 from simbias.records import Iteration, Rollout
 from simbias.study import Study
@@ -56,21 +58,21 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
     Raises
     ------
     NoPictureError
-        If the task has no drawing, or none that moves.
+        If the task has no drawing, or none that moves, or no policy was tried on the hardware.
     """
-    iteration = iterations[-1]
-    measured, theta = worst(iteration), iteration.optimum.parameters
-    start = measured.states[0]
-    shown = [("nominal model", NOMINAL, study.simulate(theta, None, start))]
-    if experiments_before(iteration):
-        corrected = study.simulate(theta, iteration.fitted_bias, start)
-        shown.append(("nominal model + learned bias", SIMULATION, corrected))
-    shown.append((hardware_words(study), HARDWARE, measured))
-    animate(study.task, shown, f"{policy_words(iteration)}: {outcome_words(study, measured)}", file)
+    iteration = on_hardware(iterations)[-1]
+    experiment = worst_experiment(iteration)
+    theta, start, bias = experiment.parameters, experiment.states[0], search_bias(iteration)
+    rollouts = [("nominal model", NOMINAL, study.simulate(theta, None, start))]
+    if bias is not None and search_samples(iterations, iteration):
+        rollouts.append(("nominal model + learned bias", SIMULATION, study.simulate(theta, bias, start)))
+    rollouts.append((hardware_words(study), HARDWARE, experiment))
+    headline = f"{policy_words(iteration)}: {outcome_words(study, experiment)}"
+    animate(study.task, rollouts, headline, file)
 
 
 def animate(
-    task: Task, shown: Sequence[tuple[str, str, Rollout]], headline: str, file: Path | str | IO[bytes]
+    task: Task, rollouts: Sequence[tuple[str, str, Rollout]], headline: str, file: Path | str | IO[bytes]
 ) -> None:
     """Write a GIF, in real time, of rollouts side by side, each under its name, in its colour.
 
@@ -84,7 +86,7 @@ def animate(
         raise NoPictureError(f"nothing draws and moves {type(task).__name__}")
     figure = Figure(dpi=DOTS_PER_INCH)
     scenes = []
-    for index, (name, color, rollout) in enumerate(shown):
+    for index, (name, color, rollout) in enumerate(rollouts):
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), label=str(index))
         axes.set_title(name, fontsize="medium", color=color)
         artists = draw(axes, task, rollout.states[0], color=color)
@@ -109,7 +111,7 @@ def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement
             for patch in artists.values():
                 if isinstance(patch, Patch):
                     axes.update_datalim(patch.get_patch_transform().transform(patch.get_path().vertices))
-    same_view([scene.axes for scene in scenes])
+    share_view([scene.axes for scene in scenes])
     (left, right), (bottom, top) = scenes[0].axes.get_xlim(), scenes[0].axes.get_ylim()
     height = EACH * (top - bottom) / (right - left)
     total = HEAD + height + FOOT
@@ -136,7 +138,7 @@ def _pictures(
             now = min(frame, rollout.frames)
             failed = rollout.failed_at is not None and now == rollout.frames
             move(artists, task, rollout.states[now], muted=failed)
-            ending = f": {rollout.failure}" if failed else ""
+            ending = f": {task.words(rollout.failure)}" if failed and rollout.failure else ""
             clock.set_text(fill(f"{seconds(task, now):.2f} s{ending}", LINE))
         for axes, artist in moving:
             axes.draw_artist(artist)

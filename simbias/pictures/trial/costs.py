@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.panels import headline, legend, panels
 from simbias.pictures.style import (
     BEYOND,
@@ -21,7 +22,7 @@ from simbias.pictures.style import (
     plain,
     shade_beyond,
 )
-from simbias.pictures.trial.compared import simulated
+from simbias.pictures.trial.comparison import search_bias, simulate
 from simbias.records import Iteration
 from simbias.study import Study
 
@@ -32,29 +33,38 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """The cost Z (Eq. 8) of each policy, predicted and measured.
 
     At the left, by iteration: the prediction that the policy was chosen by, each hardware experiment's cost,
-    and, joined to it, that of the same policy from the same start in the simulation that it was optimised in.
+    and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
     At the right, these pairs, numbered by iteration; what lies above the diagonal is dearer than simulated.
     Z_max parts what works from what fails; shaded is what works in simulation and fails on hardware.
+
+    Raises
+    ------
+    NoPictureError
+        If no policy was searched in simulation.
     """
+    if all(search_bias(iteration) is None for iteration in iterations):
+        raise NoPictureError("no policy was searched in simulation")
     figure, grid = panels(1, 2, HEIGHT)
     (by_iteration, pairs), limit = grid[0], study.cost.max_cost
-    seen = [limit]
+    values = [limit]
     for iteration in iterations:
-        models = [rollout.cost for rollout in simulated(study, iteration)]
-        measured = [rollout.cost for rollout in iteration.experiments]
-        at = iteration.index + APART * (np.arange(len(measured)) - (len(measured) - 1) / 2)
-        sides = [iteration.index - 0.35, iteration.index + 0.35]
-        by_iteration.plot(sides, [iteration.predicted_cost] * 2, color=SIMULATION, linewidth=2.5)
-        by_iteration.vlines(at, models, measured, color="0.7", linewidth=0.8, zorder=1)
-        by_iteration.plot(at, models, "o", color=SIMULATION, markerfacecolor="white")
-        by_iteration.plot(at, measured, "o", color=HARDWARE)
-        pairs.plot(models, measured, "o", color=HARDWARE)
-        for x, y in zip(models, measured, strict=True):
-            pairs.annotate(
-                str(iteration.index), (x, y), (4, 3), textcoords="offset points", fontsize=SMALL, color=LIMIT
-            )
-        seen += [iteration.predicted_cost, *models, *measured]
-    if 0 < 10 * min(seen) < max(seen):
+        on_hardware, bias = [rollout.cost for rollout in iteration.experiments], search_bias(iteration)
+        at = iteration.index + APART * (np.arange(len(on_hardware)) - (len(on_hardware) - 1) / 2)
+        by_iteration.plot(at, on_hardware, "o", color=HARDWARE, zorder=3)
+        values += on_hardware
+        if iteration.search is not None:
+            sides = [iteration.index - 0.35, iteration.index + 0.35]
+            predicted_cost = iteration.search.predicted_cost
+            by_iteration.plot(sides, [predicted_cost] * 2, color=SIMULATION, linewidth=2.5)
+            values.append(predicted_cost)
+        if bias is not None and on_hardware:
+            models = [rollout.cost for rollout in simulate(study, bias, iteration.experiments)]
+            by_iteration.vlines(at, models, on_hardware, color="0.7", linewidth=0.8, zorder=1)
+            by_iteration.plot(at, models, "o", color=SIMULATION, markerfacecolor="none", zorder=4)
+            pairs.plot(models, on_hardware, "o", color=HARDWARE)
+            _number(pairs, iteration.index, models, on_hardware)
+            values += models
+    if 0 < 10 * min(values) < max(values):
         logarithmic(by_iteration, "y")
         logarithmic(pairs, "x", "y")
     by_iteration.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -68,6 +78,12 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         plain(axes)
     legend(figure, _entries())
     return figure
+
+
+def _number(axes: Axes, index: int, models: Sequence[float], on_hardware: Sequence[float]) -> None:
+    """Write the number of an iteration beside its pairs."""
+    for pair in zip(models, on_hardware, strict=True):
+        axes.annotate(str(index), pair, (4, 3), textcoords="offset points", fontsize=SMALL, color=LIMIT)
 
 
 def _part(axes: Axes, limit: float) -> None:
@@ -88,9 +104,9 @@ def _part(axes: Axes, limit: float) -> None:
 def _entries() -> dict[str, Line2D]:
     """What is seen."""
     return {
-        "predicted, from the mean start": Line2D([], [], color=SIMULATION, linewidth=2.5),
+        "predicted by the search": Line2D([], [], color=SIMULATION, linewidth=2.5),
         "simulated, from an experiment's start": Line2D(
-            [], [], color=SIMULATION, marker="o", linestyle="", markerfacecolor="white"
+            [], [], color=SIMULATION, marker="o", linestyle="", markerfacecolor="none"
         ),
         "measured on hardware": Line2D([], [], color=HARDWARE, marker="o", linestyle=""),
     }

@@ -16,7 +16,7 @@ from simbias.interfaces import FittedBias, Task
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.panels import headline, legend, panels
 from simbias.pictures.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
-from simbias.pictures.trial.compared import corrections
+from simbias.pictures.trial.comparison import search_bias, search_samples
 from simbias.records import Array, Iteration
 from simbias.study import Study
 
@@ -30,50 +30,69 @@ def prediction_errors(
 ) -> Figure:
     """Errors of predictions some frames ahead, in each iteration's experiments: medians and quartiles.
 
-    The bias has been learned from earlier iterations only. A prediction starts at the true state in one of
-    some evenly spread frames and applies the inputs that the policy had commanded. Its error is the norm over
-    all states that share a unit. Horizons (in frames) longer than a quarter of the task's or than every
-    experiment are left out, and so are experiments shorter than the longest horizon.
+    The bias has been learned from earlier iterations only; before anything was learned, there is the nominal
+    model alone. A prediction starts at the recorded state in one of some evenly spread frames and applies the
+    inputs that the policy had commanded. Its error is the norm over all states that share a unit. Horizons
+    (in frames) longer than a quarter of the task's or than every experiment are left out, and so are
+    experiments shorter than the longest horizon.
 
     Raises
     ------
     NoPictureError
         If no experiment lasted as long as the shortest horizon.
     """
-    lasted = max(rollout.frames for iteration in iterations for rollout in iteration.experiments)
-    horizons = [k for k in horizons if k <= max(1, study.task.horizon // 4) and k <= lasted]
+    frames = [rollout.frames for iteration in iterations for rollout in iteration.experiments]
+    longest = min(max(1, study.task.horizon // 4), max(frames, default=0))
+    horizons = [k for k in horizons if k <= longest]
     if not horizons:
         raise NoPictureError("no experiment lasted as long as the shortest horizon")
     groups = _groups(study.task)
     figure, grid = panels(len(groups), len(horizons), HEIGHT)
-    zero = study.bias.fit(study.no_data)
+    names: dict[str, None] = {}
     for iteration in iterations:
         pieces = windows(study, iteration, max(horizons))
-        corrected = prediction_error(study, iteration.fitted_bias or zero, pieces, horizons)
-        nominal = prediction_error(study, zero, pieces, horizons)
-        for row, states in zip(grid, groups.values(), strict=True):
-            for column, axes in enumerate(row):
-                for errors, side, color, marker in (
-                    (nominal, -APART, NOMINAL, "s"),
-                    (corrected, APART, SIMULATION, "o"),
-                ):
-                    norms = np.linalg.norm(errors[column][:, states], axis=1)
-                    _draw(axes, iteration.index + side, norms, color, marker)
+        for name, fitted_bias in _models(study, iterations, iteration).items():
+            names[name] = None
+            errors = prediction_error(study, fitted_bias, pieces, horizons)
+            for row, states in zip(grid, groups.values(), strict=True):
+                for axes, values in zip(row, errors, strict=True):
+                    _draw(axes, iteration.index, np.linalg.norm(values[:, states], axis=1), LOOKS[name])
     for row, (unit, states) in zip(grid, groups.items(), strict=True):
-        names = ", ".join(symbol(study.task.states[i].name) for i in states)
-        row[0].set_ylabel(f"error of {names} ({unit})", labelpad=1)
-        _same_scale(row)
+        symbols = ", ".join(symbol(study.task.states[i].name) for i in states)
+        row[0].set_ylabel(f"error of {symbols} ({unit})", labelpad=1)
+        _share_scale(row)
     for axes, k in zip(grid[0], horizons, strict=True):
         headline(axes, f"{k} frame{'' if k == 1 else 's'} ahead ({1000 * seconds(study.task, k):g} ms)")
-    legend(figure, _entries())
+    legend(figure, _entries(list(names)))
     return figure
 
 
+class Look(NamedTuple):
+    """How the errors of a model are drawn."""
+
+    aside: float  # iterations
+    color: str
+    marker: str
+
+
+NOMINAL_ALONE, CORRECTED = "nominal model alone", "with the bias learned from earlier iterations"
+LOOKS = {NOMINAL_ALONE: Look(-APART, NOMINAL, "s"), CORRECTED: Look(APART, SIMULATION, "o")}
+
+
 class Windows(NamedTuple):
-    """Pieces of experiments, k frames long: true states and commanded inputs."""
+    """Pieces of experiments, k frames long: recorded states and commanded inputs."""
 
     states: Array  # (w, k+1, n)
     inputs: Array  # (w, k, m)
+
+
+def _models(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> dict[str, FittedBias]:
+    """The biases that an iteration's experiments are predicted with, by their names."""
+    models = {NOMINAL_ALONE: study.bias.fit(study.no_data)}
+    bias = search_bias(iteration)
+    if bias is not None and search_samples(iterations, iteration):
+        models[CORRECTED] = bias
+    return models
 
 
 def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
@@ -81,7 +100,7 @@ def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
     starts = [
         (rollout, t)
         for rollout in iteration.experiments
-        for t in _spread(rollout.frames - frames, WINDOWS // len(iteration.experiments))
+        for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(iteration.experiments)))
     ]
     n, m = len(study.task.states), len(study.task.inputs)
     return Windows(
@@ -100,14 +119,12 @@ def prediction_error(
     study: Study, fitted_bias: FittedBias, pieces: Windows, horizons: Sequence[int]
 ) -> Array:
     """Errors (horizons, w, n) of predictions (Eq. 7) from the first state of each piece, under its inputs."""
-    predicted, errors = np.ascontiguousarray(pieces.states[:, 0]), []
+    x, errors = pieces.states[:, 0], []
     for k in range(1, max(horizons) + 1):
-        u = np.ascontiguousarray(pieces.inputs[:, k - 1])
-        added = corrections(fitted_bias, predicted, u)
-        steps = [study.nominal.step(*pair) for pair in zip(predicted, u, strict=True)]
-        predicted = np.array(steps).reshape(added.shape) + added
+        u = pieces.inputs[:, k - 1]
+        x = study.nominal.step(x, u) + fitted_bias.correction(x, u)
         if k in horizons:
-            errors.append(predicted - pieces.states[:, k])
+            errors.append(x - pieces.states[:, k])
     return np.array(errors)
 
 
@@ -117,15 +134,15 @@ def _groups(task: Task) -> dict[str, list[int]]:
     return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 
-def _draw(axes: Axes, x: float, values: Array, color: str, marker: str) -> None:
-    """Median and quartiles."""
+def _draw(axes: Axes, index: int, values: Array, look: Look) -> None:
+    """Median and quartiles of an iteration."""
     if len(values):
-        low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
-        axes.plot([x, x], [low, high], color=color, linewidth=2.5, solid_capstyle="butt")
-        axes.plot(x, median, marker, color=color, markersize=6, markeredgecolor="white")
+        x, (low, median, high) = index + look.aside, np.quantile(values, [0.25, 0.5, 0.75])
+        axes.plot([x, x], [low, high], color=look.color, linewidth=2.5, solid_capstyle="butt")
+        axes.plot(x, median, look.marker, color=look.color, markersize=6, markeredgecolor="white")
 
 
-def _same_scale(row: Sequence[Axes]) -> None:
+def _share_scale(row: Sequence[Axes]) -> None:
     """One scale for a row, logarithmic if there is any error, and its axes."""
     low, high = min(axes.dataLim.minposy for axes in row), max(axes.dataLim.y1 for axes in row)
     for axes in row:
@@ -137,13 +154,11 @@ def _same_scale(row: Sequence[Axes]) -> None:
         plain(axes)
 
 
-def _entries() -> dict[str, Line2D]:
+def _entries(names: Sequence[str]) -> dict[str, Line2D]:
     """What is seen."""
-    models = {
-        "nominal model alone": (NOMINAL, "s"),
-        "with the bias learned from earlier iterations": (SIMULATION, "o"),
-    }
-    return {
-        name: Line2D([], [], color=color, marker=marker, linewidth=2.5, markeredgecolor="white")
-        for name, (color, marker) in models.items()
-    }
+    looks = [LOOKS[name] for name in names]
+    lines = [
+        Line2D([], [], color=look.color, marker=look.marker, linewidth=2.5, markeredgecolor="white")
+        for look in looks
+    ]
+    return dict(zip(names, lines, strict=True))

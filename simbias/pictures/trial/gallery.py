@@ -33,6 +33,7 @@ FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
     "rejections": rejections,
 }
 ANIMATION = "animation"
+ALL = (*FIGURES, ANIMATION)
 IN_SWEEPS = ("overview",)  # the others take long; `python -m simbias.pictures` draws all
 
 
@@ -71,17 +72,17 @@ def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> lis
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(str(folder), f"no folder ({error.strerror})") from error
-    saved = []
+    files = []
     for name, draw in FIGURES.items():
         with suppress(NoPictureError):
             figure = draw(study, iterations)
             for suffix in (".png", ".svg"):
                 save(figure, folder / f"{name}{suffix}")
-                saved.append(f"{name}{suffix}")
+                files.append(f"{name}{suffix}")
     with suppress(NoPictureError):
         (folder / f"{ANIMATION}.gif").write_bytes(_gif(study, iterations))
-        saved.append(f"{ANIMATION}.gif")
-    return saved
+        files.append(f"{ANIMATION}.gif")
+    return files
 
 
 def _gif(study: Study, iterations: Sequence[Iteration]) -> bytes:

@@ -14,8 +14,16 @@ from simbias.interfaces import Task
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.panels import headline, legend, panels
 from simbias.pictures.style import BEYOND, HARDWARE, LIMIT, SIMULATION, label, plain
-from simbias.pictures.trial.compared import first_and_last, outcome_words, policy_words, simulated, worst
-from simbias.pictures.trial.limits import state_limits
+from simbias.pictures.trial.comparison import (
+    first_and_last,
+    on_hardware,
+    outcome_words,
+    policy_experiments,
+    policy_words,
+    search_bias,
+    simulate,
+    worst_experiment,
+)
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Study
 
@@ -26,31 +34,43 @@ NEAR = 0.5  # of a limit: what comes so close to it is shown together with it
 def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """All experiments of the first and of the last policy, in the planes of a state and its rate.
 
-    Beside each the simulation that its policy was optimised in, from the same start (a dot); a cross is where
-    a rollout failed. Shaded is what a criterion forbids to a state or rate whatever the other states are;
-    failures also lie elsewhere, as a criterion may weigh several states against each other.
+    With each comes the simulation that its policy was searched in, if it was, from the same start (a dot). A
+    cross is where a rollout failed. Shaded is what a criterion forbids to a state or rate whatever the other
+    states are (`Criterion.bounds`). Failures also lie elsewhere, as a criterion may weigh several states
+    against each other.
 
     Raises
     ------
     NoPictureError
-        If no state is the rate of another by its unit.
+        If no state is the rate of another by its unit, or no policy was tried on the hardware.
     """
     task, pairs = study.task, phase_pairs(study.task)
     if not pairs:
         raise NoPictureError(f"no state of {type(task).__name__} has another's unit per second")
-    shown = first_and_last(iterations)
-    figure, grid = panels(len(shown), len(pairs), HEIGHT)
-    for row, iteration in zip(grid, shown, strict=True):
-        headline(row[0], f"{policy_words(iteration)}: {outcome_words(study, worst(iteration))}")
-        models = simulated(study, iteration)
+    both = first_and_last(on_hardware(iterations))
+    figure, grid = panels(len(both), len(pairs), HEIGHT)
+    for row, iteration in zip(grid, both, strict=True):
+        headline(row[0], f"{policy_words(iteration)}: {outcome_words(study, worst_experiment(iteration))}")
+        experiments, bias = policy_experiments(iteration), search_bias(iteration)
+        models = [] if bias is None else simulate(study, bias, experiments)
         for axes, pair in zip(row, pairs, strict=True):
             _draw(axes, task, pair, models, SIMULATION, "--")
-            _draw(axes, task, pair, iteration.experiments, HARDWARE, "-")
-    limits = state_limits(task)
+            _draw(axes, task, pair, experiments, HARDWARE, "-")
+    bounds = state_bounds(task)
     for column, pair in zip(grid.T, pairs, strict=True):
-        _same_view(column, limits[list(pair)])
-    legend(figure, _entries())
+        _share_view(column, bounds[list(pair)])
+    legend(figure, _entries(any(search_bias(iteration) is not None for iteration in both)))
     return figure
+
+
+def state_bounds(task: Task) -> Array:
+    """How large (n,) each state may be, whatever the others are; infinite where no criterion says."""
+    return np.array(
+        [
+            min((criterion.bounds.get(state.name, np.inf) for criterion in task.criteria), default=np.inf)
+            for state in task.states
+        ]
+    )
 
 
 def phase_pairs(task: Task) -> list[tuple[int, int]]:
@@ -76,28 +96,29 @@ def _draw(
     plain(axes)
 
 
-def _same_view(column: Sequence[Axes], limits: Array) -> None:
-    """One view of all panels of a plane; the limits (2, 2) of its states where a rollout comes near them."""
+def _share_view(column: Sequence[Axes], bounds: Array) -> None:
+    """One view of all panels of a plane; the bounds (2,) of its states where a rollout comes near them."""
     corners = np.concatenate([axes.dataLim.get_points() for axes in column])
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 0.06 * (high - low)
-    low = np.where(low < NEAR * limits[:, 0], np.minimum(low, limits[:, 0]), low) - margin
-    high = np.where(high > NEAR * limits[:, 1], np.maximum(high, limits[:, 1]), high) + margin
+    low = np.where(low < -NEAR * bounds, np.minimum(low, -bounds), low) - margin
+    high = np.where(high > NEAR * bounds, np.maximum(high, bounds), high) + margin
     for axes in column:
-        for edges in ((low[0], limits[0, 0]), (limits[0, 1], high[0])):
+        for edges in ((low[0], -bounds[0]), (bounds[0], high[0])):
             if edges[0] < edges[1]:
                 axes.axvspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
-        for edges in ((low[1], limits[1, 0]), (limits[1, 1], high[1])):
+        for edges in ((low[1], -bounds[1]), (bounds[1], high[1])):
             if edges[0] < edges[1]:
                 axes.axhspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
-def _entries() -> dict[str, Line2D | Patch]:
+def _entries(with_simulation: bool) -> dict[str, Line2D | Patch]:
     """What is seen."""
+    simulation = {"simulation": Line2D([], [], color=SIMULATION, linestyle="--")} if with_simulation else {}
     return {
         "hardware": Line2D([], [], color=HARDWARE),
-        "simulation": Line2D([], [], color=SIMULATION, linestyle="--"),
+        **simulation,
         "failure": Line2D([], [], color=LIMIT, marker="X", linestyle="", markeredgecolor="white"),
         "beyond a limit": Patch(color=BEYOND),
     }

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from simbias.interfaces import Task
+from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.panels import headline, panels
 from simbias.pictures.style import HARDWARE, NOMINAL, OTHERS, SIMULATION, SMALL, plain
-from simbias.records import Iteration
+from simbias.records import Iteration, Selection
 from simbias.study import Study
 
 BAR, MARGIN = 0.3, 0.2  # in, for each iteration and beside them
@@ -21,53 +21,52 @@ READABLE = 0.04  # of the longest bar: where a number has room
 
 
 def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
-    """For each iteration, how many of the downsampled transitions became training data.
+    """For each iteration that learned, how many of the downsampled transitions became training data.
 
     The others are counted under the first criterion that rejected them. The last column is the size of D
     afterwards, which a cleared model begins anew (line 7 of Algorithm 1).
+
+    Raises
+    ------
+    NoPictureError
+        If no iteration learned.
     """
-    figure, grid = panels(1, 2, MARGIN + BAR * len(iterations))
-    axes, beside = grid[0]
-    rows = [iteration.index for iteration in iterations]
-    names = dict.fromkeys(name for iteration in iterations for name in iteration.selection.rejected)
-    ends, longest = np.zeros(len(rows)), max(1, *(_sampled(iteration) for iteration in iterations))
-    accepted = [len(iteration.selection.transitions) for iteration in iterations]
-    parts = {"accepted": (accepted, SIMULATION)}
+    lessons = [(iteration.index, iteration.learning) for iteration in iterations if iteration.learning]
+    if not lessons:
+        raise NoPictureError("nothing was learned from the trial's experiments")
+    figure, grid = panels(1, 2, MARGIN + BAR * len(lessons))
+    axes, aside = grid[0]
+    rows, selections = [index for index, _ in lessons], [learning.selection for _, learning in lessons]
+    names = dict.fromkeys(name for selection in selections for name in selection.rejected)
+    ends, longest = np.zeros(len(rows)), max(1, *map(_count, selections))
+    parts = {"accepted": ([len(selection.transitions) for selection in selections], SIMULATION)}
     for name, color in zip(names, cycle(COLORS), strict=False):
-        counts = [iteration.selection.rejected.get(name, 0) for iteration in iterations]
-        parts[f"rejected: {_words(study.task, name)}"] = counts, color
+        counts = [selection.rejected.get(name, 0) for selection in selections]
+        parts[f"rejected: {study.task.words(name)}"] = counts, color
     for words, (counts, color) in parts.items():
         if any(counts):
             bars = axes.barh(rows, counts, left=ends, color=color, label=words, height=0.75)
             texts = [str(count) if count > READABLE * longest else "" for count in counts]
             axes.bar_label(bars, texts, label_type="center", fontsize=SMALL, color=_readable_on(color))
             ends += counts
-    for iteration, end in zip(iterations, ends, strict=True):
-        cleared = ", cleared before" if iteration.model_reset else ""
-        words = f"{len(iteration.data)} in D{cleared}"
-        axes.annotate(
-            words, (end, iteration.index), (4, 0), textcoords="offset points", va="center", fontsize=SMALL
-        )
+    for (index, learning), end in zip(lessons, ends, strict=True):
+        reset = ", cleared before" if learning.reset else ""
+        words = f"{len(learning.data)} in D{reset}"
+        axes.annotate(words, (end, index), (4, 0), textcoords="offset points", va="center", fontsize=SMALL)
     axes.set(xlabel="transitions, after downsampling", ylabel="iteration", xlim=(0, 1.3 * longest))
     axes.invert_yaxis()
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(integer=True))
     plain(axes)
     headline(axes, "Samples of each iteration's experiments")
-    beside.axis("off")
-    beside.legend(*axes.get_legend_handles_labels(), loc="upper left", frameon=False, fontsize=SMALL)
+    aside.axis("off")
+    aside.legend(*axes.get_legend_handles_labels(), loc="upper left", frameon=False, fontsize=SMALL)
     return figure
 
 
-def _sampled(iteration: Iteration) -> int:
+def _count(selection: Selection) -> int:
     """How many transitions were judged."""
-    return len(iteration.selection.transitions) + sum(iteration.selection.rejected.values())
-
-
-def _words(task: Task, name: str) -> str:
-    """A criterion in words."""
-    words = {criterion.name: criterion.words for criterion in task.criteria}
-    return words.get(name, "too far from the nominal model's prediction" if name == "residual" else name)
+    return len(selection.transitions) + sum(selection.rejected.values())
 
 
 def _readable_on(color: str) -> str:

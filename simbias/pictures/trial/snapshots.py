@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from simbias.interfaces import Task
-from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of, same_view
+from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of, share_view
 from simbias.pictures.style import HARDWARE, SMALL, seconds
 from simbias.records import Array, Rollout
 
@@ -36,19 +36,25 @@ def snapshots(
     )
     grid = figure.subplots(len(rollouts), len(times), squeeze=False)
     for row, (name, rollout) in zip(grid, rollouts.items(), strict=True):
-        failing = strip(row, task, rollout, times, draw)
+        failing = draw_strip(row, task, rollout, times, draw)
         row[0].text(-0.02, 0.5, name, transform=row[0].transAxes, rotation=90, ha="right", va="center")
         if failing is not None:
-            words = fill(f"{seconds(task, rollout.frames):.2f} s: {rollout.failure}", 22)
+            words = fill(ending_words(task, rollout), 22)
             below = failing.transAxes
             failing.text(0.5, -0.03, words, transform=below, ha="center", va="top", fontsize=SMALL)
     for axes, time in zip(grid[0], times, strict=True):
         axes.set_title(f"t = {time:g} s", fontsize="medium")
-    same_view(list(grid.flat))
+    share_view(list(grid.flat))
     return figure
 
 
-def strip(
+def ending_words(task: Task, rollout: Rollout) -> str:
+    """When and why a rollout failed."""
+    why = f": {task.words(rollout.failure)}" if rollout.failure else ""
+    return f"{seconds(task, rollout.frames):.2f} s{why}"
+
+
+def draw_strip(
     row: Sequence[Axes],
     task: Task,
     rollout: Rollout,
@@ -58,7 +64,7 @@ def strip(
 ) -> Axes | None:
     """Draw a rollout at the times (s) into a row of axes; return those that show its failure, if any do.
 
-    Set their view afterwards, with `same_view`.
+    Set their view afterwards, with `share_view`.
     """
     failing = None
     for axes, time in zip(row, times, strict=True):

@@ -18,7 +18,8 @@ import simbias
 from simbias.__main__ import main
 from simbias.pictures.sweep.batches import Outcomes
 from simbias.sweep.grid import expand
-from simbias.tracking.trials import load_trial
+
+pytestmark = pytest.mark.slow
 
 FAILING = ["task.horizon=4500", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 MIXED = ["task.horizon=1500", "optimizer.max_evaluations=50", "method.max_iterations=2"]
@@ -86,7 +87,7 @@ def test_costs_are_those_of_the_trials(folder: Path) -> None:
     trials = runs(folder)[1]
     assert len(trials) == 4
     for run_ in trials:
-        trial = load_trial(run_.info.run_id, f"sqlite:///{folder}/mlflow.db")
+        trial = simbias.load_trial(run_.info.run_id, f"sqlite:///{folder}/mlflow.db")
         own = numbers[numbers["seed"] == trial.study.seed]
         expected = [iteration.hardware_cost for iteration in trial.iterations]
         assert list(own["hardware_cost"]) == pytest.approx(expected, rel=1e-5)
@@ -100,20 +101,19 @@ def test_success_rates_are_those_of_experiments_from_the_grid(folder: Path) -> N
     assert 2 <= len(once) <= 4  # two policies of each of two cells, once each, if they differ
     assert 0 < numbers["succeeded"].sum() < numbers["experiments"].sum()
     for run_ in runs(folder)[1]:
-        trial = load_trial(run_.info.run_id, f"sqlite:///{folder}/mlflow.db")
+        trial = simbias.load_trial(run_.info.run_id, f"sqlite:///{folder}/mlflow.db")
         repetition = int(run_.data.tags["repetition"])
         noise = [f"hardware.noise.{key}_variance" for key in ("torque", "angle", "velocity")]
         values = zip(noise, (0.1, 1.6e-5, 1.6e-2), strict=True)
-        study = simbias.load(["tracking=none", *MIXED, *(f"{key}={value}" for key, value in values)])
+        study = simbias.load([*MIXED, *(f"{key}={value}" for key, value in values)])
         own = numbers[
             (numbers["cell"] == run_.data.tags["axis.noise"]) & (numbers["repetition"] == repetition)
         ]
         rngs = np.random.default_rng(repetition).spawn(len(own))
         for row, rng in zip(own.to_dict("records"), rngs, strict=True):
             x = np.array([row["alpha_w"], row["alpha_b"], *study.task.start_mean[2:]])
-            theta = trial.iterations[-1].optimum.parameters
-            rollout = study.hardware.run(study.policy, theta, x, rng)
-            assert (study.cost.of(rollout) < study.cost.max_cost) == row["succeeded"]
+            rollout = study.experiment(trial.iterations[-1].parameters, rng, x)
+            assert study.cost.passes(rollout) == row["succeeded"]
     assert main([*command("fig7", folder), "sweep.figures.fig7.x.points=2", "engine=sequential"]) == 0
     assert len(pieces(folder)) == 2 * len(once)
     assert once.items() < pieces(folder).items()
@@ -212,9 +212,11 @@ def test_figure_without_a_store(folder: Path) -> None:
 
 
 def test_outcomes_travel_as_text() -> None:
-    outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "too fast"))
+    outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "speed"), (True, False))
     assert Outcomes.from_json(outcomes.as_json()) == outcomes
     for length in range(len(outcomes.as_json())):
         with pytest.raises(json.JSONDecodeError):
             Outcomes.from_json(outcomes.as_json()[:length])
     assert json.loads(outcomes.as_json())["frames"] == [5000, 17]
+    with pytest.raises(ValueError, match="not the outcomes"):
+        Outcomes.from_json('{"costs": [1.0], "frames": [17], "failures": ["too fast"]}')

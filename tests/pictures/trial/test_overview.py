@@ -17,9 +17,9 @@ from PIL import Image
 
 from simbias.pictures import drawing_of, overview, save, snapshots
 from simbias.pictures.__main__ import main
-from simbias.pictures.drawing import same_view
+from simbias.pictures.drawing import NoPictureError, share_view
 from simbias.pictures.style import HARDWARE, SIMULATION
-from simbias.records import Iteration, Optimum, Rollout, Selection
+from simbias.records import Iteration, Learning, Optimum, Rollout, Search, Selection, Transitions
 from simbias.study import Study
 from simbias.task.bongoboard_drawing import draw
 
@@ -43,29 +43,26 @@ def centre(patch) -> np.ndarray:
 
 def texts(figure: Figure) -> str:
     """All that a figure says."""
-    found = []
+    words = []
     for axes in figure.axes:
         legend = axes.get_legend()
-        found += [axes.get_title(), axes.get_xlabel(), axes.get_ylabel()]
-        found += [text.get_text() for text in axes.texts + (legend.get_texts() if legend else [])]
-    return "\n".join(found)
+        words += [axes.get_title(), axes.get_xlabel(), axes.get_ylabel()]
+        words += [text.get_text() for text in axes.texts + (legend.get_texts() if legend else [])]
+    return "\n".join(words)
 
 
 def iteration_of(study: Study, index: int, theta: np.ndarray, experiments: tuple[Rollout, ...]) -> Iteration:
     """An iteration as a method would record it."""
-    nothing = study.no_data
+    data = Transitions(np.zeros((1, 7)), np.zeros((1, 6)))
     return Iteration(
         index=index,
-        optimum=Optimum(theta, 3.0, 1000, "the test"),
-        predicted_cost=3.0,
-        model_reset=False,
-        experiments=experiments,
+        parameters=theta,
+        experiments=tuple(replace(rollout, parameters=theta) for rollout in experiments),
         hardware_cost=max(rollout.cost for rollout in experiments),
-        succeeded=all(rollout.failed_at is None for rollout in experiments),
+        succeeded=all(map(study.cost.passes, experiments)),
         total_experiments=(index + 1) * len(experiments),
-        selection=Selection(nothing, 0, 0, {}),
-        data=nothing,
-        fitted_bias=study.bias.fit(nothing),
+        search=Search(Optimum(theta, 3.0, 1000, "the test"), 3.0, study.bias.fit(study.no_data)),
+        learning=Learning(Selection(data, 1, 1, {}), data),
     )
 
 
@@ -94,20 +91,20 @@ def trial(study: Study, fallen: Rollout, balanced: Rollout) -> list[Iteration]:
 def test_drawing_agrees_with_the_pose(study: Study, seed: int) -> None:
     """Every part is where the task's geometry has it, to scale."""
     robot, state = study.task.robot, np.random.default_rng(seed).normal(0.0, 0.4, 6)
-    pose, drawn = study.task.pose(state[:3]), draw(Figure().subplots(), study.task, state)
-    np.testing.assert_allclose(centre(drawn["wheel"]), pose.wheel)
-    np.testing.assert_allclose(centre(drawn["board"]), pose.board)
+    pose, artists = study.task.pose(state[:3]), draw(Figure().subplots(), study.task, state)
+    np.testing.assert_allclose(centre(artists["wheel"]), pose.wheel)
+    np.testing.assert_allclose(centre(artists["board"]), pose.board)
     for joint, place in {"ankle": pose.ankles, "hip": pose.pelvis}.items():
-        left, right = (centre(drawn[f"{side} {joint}"]) for side in ("left", "right"))
+        left, right = (centre(artists[f"{side} {joint}"]) for side in ("left", "right"))
         np.testing.assert_allclose((left + right) / 2, place, atol=1e-12)
         np.testing.assert_allclose(
             right - left, robot.ankle_spacing * direction(pose.board_angle), atol=1e-12
         )
     for side in ("left", "right"):
-        leg = centre(drawn[f"{side} hip"]) - centre(drawn[f"{side} ankle"])
+        leg = centre(artists[f"{side} hip"]) - centre(artists[f"{side} ankle"])
         np.testing.assert_allclose(leg, robot.leg_length * direction(pose.leg_angle + np.pi / 2), atol=1e-12)
-        np.testing.assert_allclose(centre(drawn[f"{side} leg"]), centre(drawn[f"{side} ankle"]) + leg / 2)
-    corners = drawn["board"].get_xy()
+        np.testing.assert_allclose(centre(artists[f"{side} leg"]), centre(artists[f"{side} ankle"]) + leg / 2)
+    corners = artists["board"].get_xy()
     np.testing.assert_allclose(
         corners[1] - corners[0], robot.board_length * direction(pose.board_angle), atol=1e-12
     )
@@ -119,17 +116,17 @@ def direction(angle: float) -> np.ndarray:
 
 def test_foot_stands_between_board_and_ankles(study: Study) -> None:
     """At rest: the board on the wheel, the foot on the board, the ankles at the foot's upper side."""
-    robot, drawn = study.task.robot, draw(Figure().subplots(), study.task, ORIGIN)
-    heights = {name: drawn[name].get_xy()[:, 1] for name in ("board", "foot")}
+    robot, artists = study.task.robot, draw(Figure().subplots(), study.task, ORIGIN)
+    heights = {name: artists[name].get_xy()[:, 1] for name in ("board", "foot")}
     assert heights["board"].min() == pytest.approx(2 * robot.wheel_radius)
     assert heights["foot"].min() == pytest.approx(heights["board"].max())
-    assert heights["foot"].max() == pytest.approx(centre(drawn["left ankle"])[1])
+    assert heights["foot"].max() == pytest.approx(centre(artists["left ankle"])[1])
 
 
 def test_sector_turns_with_the_wheel(study: Study) -> None:
     """A wheel that has rolled to the left has turned counter-clockwise."""
-    drawn = draw(Figure().subplots(), study.task, np.array([np.pi / 2, -np.pi / 2, 0, 0, 0, 0]))
-    hub, rim = drawn["sector"].get_xy()[0], drawn["sector"].get_xy()[5]
+    artists = draw(Figure().subplots(), study.task, np.array([np.pi / 2, -np.pi / 2, 0, 0, 0, 0]))
+    hub, rim = artists["sector"].get_xy()[0], artists["sector"].get_xy()[5]
     assert hub[0] == pytest.approx(-study.task.robot.wheel_radius * np.pi / 2)
     np.testing.assert_allclose(rim - hub, [-study.task.robot.wheel_radius, 0.0], atol=1e-12)
 
@@ -142,8 +139,9 @@ def test_failures_are_all_there_are(study: Study) -> None:
 def test_every_failure_can_be_shown(study: Study, words: str) -> None:
     """A failed rollout is pale at its failing frame, with time and words; nothing is drawn after it."""
     task, state = study.task, np.array(FAILURES[words])
-    assert task.criteria[task.violated(state)].words == words
-    rollout = Rollout(np.array([ORIGIN, state]), np.zeros((1, 1)), 1, words)
+    name = task.failure(state)
+    assert task.words(name) == words
+    rollout = Rollout(np.array([ORIGIN, state]), np.zeros((1, 1)), 1, name)
     figure = snapshots(task, {"hardware": rollout}, [0.0, 0.001, 0.002])
     before, failing, after = figure.axes
     assert {patch.get_alpha() for patch in before.patches} == {1.0}
@@ -153,6 +151,7 @@ def test_every_failure_can_be_shown(study: Study, words: str) -> None:
     assert not after.has_data()
 
 
+@pytest.mark.slow
 def test_snapshots_have_one_scale_and_show_all(study: Study, fallen: Rollout, balanced: Rollout) -> None:
     figure = snapshots(study.task, {"nominal model": fallen, "hardware": balanced}, [0.0, 1.5, 5.0])
     assert len({(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}) == 1
@@ -175,34 +174,34 @@ def test_snapshot_is_of_its_time(study: Study, balanced: Rollout) -> None:
 def test_overview_tells_what_happened(study: Study, trial: list[Iteration]) -> None:
     """The worst experiments in words, every axis with its unit, the criterion that failed."""
     fallen, words = trial[0].experiments[0], texts(overview(study, trial))
-    for said in (
+    for sentence in (
         f"Policy from simulation alone: fails on hardware after {fallen.failed_at / 1000:.2f} s",
         "Policy after 2 hardware experiments: lasts all 5 s on hardware",
         "simulation: nominal model + learned bias (gp)",
         "hardware: pymunk, worst of 2",
-        fallen.failure,
+        study.task.words(fallen.failure),
         "time (s)",
         "cost Z (dimensionless)",
         "hardware experiment",
     ):
-        assert said in words
-    criterion = next(c for c in study.task.criteria if c.words == fallen.failure)
+        assert sentence in words
+    criterion = next(c for c in study.task.criteria if c.name == fallen.failure)
     assert words.count(f"{criterion.name.replace('_', ' ')} ({criterion.unit})") == 2
 
 
 def test_overview_shows_the_data(study: Study, trial: list[Iteration]) -> None:
     """Its lines are the measures and costs of the records; colours tell simulation and hardware apart."""
     fallen = trial[0].experiments[0]
-    index = next(i for i, c in enumerate(study.task.criteria) if c.words == fallen.failure)
+    index = next(i for i, c in enumerate(study.task.criteria) if c.name == fallen.failure)
     panels = [axes for axes in overview(study, trial).axes if axes.get_legend() is not None]
     hardware = next(line for line in panels[0].lines if line.get_label().startswith("hardware"))
     times, measures = hardware.get_data()
     np.testing.assert_allclose(times, 0.001 * np.arange(fallen.frames + 1))
     np.testing.assert_allclose(measures, [study.task.measure(x)[index] for x in fallen.states])
     costs = [line for line in panels[-1].lines if line.get_marker() == "o"]
-    shown = np.concatenate([line.get_data() for line in costs], axis=1)
-    np.testing.assert_array_equal(shown[0], [1, 2, 3, 4])
-    np.testing.assert_array_equal(shown[1], [r.cost for i in trial for r in i.experiments])
+    points = np.concatenate([line.get_data() for line in costs], axis=1)
+    np.testing.assert_array_equal(points[0], [1, 2, 3, 4])
+    np.testing.assert_array_equal(points[1], [r.cost for i in trial for r in i.experiments])
     assert {to_hex(line.get_color()).upper() for line in costs} == {HARDWARE}
     assert HARDWARE != SIMULATION
 
@@ -225,18 +224,36 @@ def test_a_trial_of_one_iteration(study: Study, trial: list[Iteration]) -> None:
 
 def test_a_failure_that_no_criterion_names(study: Study, trial: list[Iteration]) -> None:
     """Hardware has failures of its own."""
-    fallen = replace(trial[0].experiments[0], failure="the physics engine blew up")
+    fallen = replace(trial[0].experiments[0], failure="the_physics_engine_blew_up")
     figure = overview(study, [replace(trial[0], experiments=(fallen,))])
     assert "the physics engine blew up" in texts(figure)
 
 
+def test_a_method_without_search(study: Study, trial: list[Iteration]) -> None:
+    """Hardware alone, and the policy that each iteration arrived at, of those that it tried."""
+    first, last = (replace(iteration, search=None, learning=None) for iteration in trial)
+    first = replace(first, parameters=BALANCING, experiments=first.experiments + last.experiments)
+    words = texts(overview(study, [first, replace(last, index=1)]))
+    assert "Policy of iteration 0: lasts all 5 s on hardware" in words
+    assert "Policy of iteration 1: lasts all 5 s on hardware" in words
+    assert "hardware: pymunk, worst of 2" in words
+    assert "simulation" not in words
+    assert "predicted" not in words
+
+
+def test_a_trial_that_tried_no_policy(study: Study, trial: list[Iteration]) -> None:
+    with pytest.raises(NoPictureError, match="no policy was tried"):
+        overview(study, [replace(trial[0], experiments=())])
+
+
 def test_a_policy_that_is_too_costly(study: Study, trial: list[Iteration]) -> None:
     """No failure is no success yet (line 10 of Algorithm 1)."""
-    costly = replace(trial[1].experiments[0], cost=345.6)
+    costly = replace(trial[1].experiments[0], cost=345.6, parameters=trial[0].parameters)
     words = texts(overview(study, [replace(trial[0], experiments=(costly,))]))
     assert "too costly on hardware (Z = 346)" in words
 
 
+@pytest.mark.slow
 def test_same_figure_gives_the_same_file(study: Study, trial: list[Iteration], tmp_path: Path) -> None:
     """And at twice a README's width, in few bytes, in true colours."""
     for name in ("one.png", "two.png"):
@@ -253,18 +270,20 @@ def test_same_figure_gives_the_same_file(study: Study, trial: list[Iteration], t
         )
 
 
+@pytest.mark.slow
 def test_figures_leave_pyplot_alone() -> None:
     """In a process that draws, pyplot is never imported: no display is needed, no figure stays open."""
     program = (
         "import sys; import numpy as np; import simbias; from simbias.pictures import snapshots\n"
         "from simbias.records import Rollout\n"
         "rollout = Rollout(np.zeros((2, 6)), np.zeros((1, 1)))\n"
-        "snapshots(simbias.load(['tracking=none']).task, {'a': rollout}, [0.0])\n"
+        "snapshots(simbias.load().task, {'a': rollout}, [0.0])\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
+@pytest.mark.slow
 def test_a_task_without_a_drawing(point_mass: Study, tmp_path: Path) -> None:
     """Everything but snapshots works for any task."""
     iterations = list(point_mass.run())
@@ -276,6 +295,7 @@ def test_a_task_without_a_drawing(point_mass: Study, tmp_path: Path) -> None:
         snapshots(point_mass.task, {"hardware": iterations[0].experiments[0]}, [0.0])
 
 
+@pytest.mark.slow
 def test_a_drawing_of_ones_own(point_mass: Study) -> None:
     def draw_mass(axes, task, state, *, color="0.4", muted=False):
         return {"mass": axes.add_patch(Circle((state[0], 0.0), 0.05, color=color))}
@@ -287,9 +307,10 @@ def test_a_drawing_of_ones_own(point_mass: Study) -> None:
 
 
 def test_no_drawings_need_no_view() -> None:
-    same_view([])
+    share_view([])
 
 
+@pytest.mark.slow
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "out.png")
     few = ["optimizer.max_evaluations=150", "--config-dir", str(OWN_CONF)]

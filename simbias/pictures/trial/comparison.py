@@ -1,0 +1,107 @@
+"""Hardware experiments and the same in simulation, and what to call them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from simbias.interfaces import FittedBias
+from simbias.pictures.drawing import NoPictureError
+from simbias.pictures.style import seconds
+from simbias.records import Iteration, Rollout
+from simbias.study import Study
+
+
+def simulate(study: Study, fitted_bias: FittedBias, experiments: Sequence[Rollout]) -> list[Rollout]:
+    """Each experiment in simulation: its policy, from its start."""
+    thetas = np.array([rollout.parameters for rollout in experiments])
+    starts = np.array([rollout.states[0] for rollout in experiments])
+    rollouts = study.simulator(fitted_bias).rollouts(thetas, starts)
+    return [replace(rollout, cost=study.cost.of(rollout)) for rollout in rollouts]
+
+
+def search_bias(iteration: Iteration) -> FittedBias | None:
+    """The bias of the simulation that an iteration's policy was searched in; None without such a search."""
+    return None if iteration.search is None else iteration.search.fitted_bias
+
+
+def search_samples(iterations: Sequence[Iteration], iteration: Iteration) -> int:
+    """From how many samples that bias was learned: those of D after the iterations before."""
+    sizes = [
+        len(earlier.learning.data)
+        for earlier in iterations
+        if earlier.index < iteration.index and earlier.learning is not None
+    ]
+    return sizes[-1] if sizes else 0
+
+
+def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
+    """The iterations whose policy was tried on the hardware.
+
+    Raises
+    ------
+    NoPictureError
+        If there is none.
+    """
+    tests = [iteration for iteration in iterations if policy_experiments(iteration)]
+    if not tests:
+        raise NoPictureError("no policy was tried on the hardware")
+    return tests
+
+
+def first_and_last(iterations: Sequence[Iteration]) -> list[Iteration]:
+    """The first iteration and the last, if these are two."""
+    return [iterations[0], *iterations[1:][-1:]]
+
+
+def policy_experiments(iteration: Iteration) -> list[Rollout]:
+    """The experiments of the policy that an iteration arrived at; it may have tried others too."""
+    theta = iteration.parameters
+    return [rollout for rollout in iteration.experiments if np.array_equal(rollout.parameters, theta)]
+
+
+def worst_experiment(iteration: Iteration) -> Rollout:
+    """The most expensive of them."""
+    return max(policy_experiments(iteration), key=lambda rollout: rollout.cost)
+
+
+def experiments_before(iteration: Iteration) -> int:
+    """How many hardware experiments the iterations before have made."""
+    return iteration.total_experiments - len(iteration.experiments)
+
+
+def policy_words(iteration: Iteration) -> str:
+    """What a policy rests on."""
+    before = experiments_before(iteration)
+    if iteration.search is None:
+        return f"Policy of iteration {iteration.index}"
+    if before == 0:
+        return "Policy from simulation alone"
+    return f"Policy after {before} hardware experiment{'' if before == 1 else 's'}"
+
+
+def simulation_words(study: Study, samples: int) -> str:
+    """The simulation whose bias was learned from so many samples."""
+    bias = f" + learned bias ({study.choices['bias']})" if samples else ""
+    return f"simulation: nominal model{bias}"
+
+
+def hardware_words(study: Study) -> str:
+    """The hardware."""
+    return f"hardware: {study.choices['hardware']}"
+
+
+def failure_words(study: Study, rollout: Rollout) -> str:
+    """Why a rollout failed; empty if it did not."""
+    return "" if rollout.failure is None else study.task.words(rollout.failure)
+
+
+def outcome_words(study: Study, rollout: Rollout) -> str:
+    """What came out on hardware."""
+    if rollout.failed_at is not None:
+        return f"fails on hardware after {seconds(study.task, rollout.failed_at):.2f} s"
+    if study.cost.passes(rollout):
+        return f"lasts all {seconds(study.task, rollout.frames):g} s on hardware"
+    return f"too costly on hardware (Z = {rollout.cost:.3g})"
