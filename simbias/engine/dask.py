@@ -3,47 +3,71 @@
 from __future__ import annotations
 
 import logging
-import queue
+import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import partial
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
-from pydantic import PositiveFloat, PositiveInt
+from pydantic import FilePath, PositiveInt
 
 from simbias.config import ConfigError
-from simbias.engine.rounds import RoundBrokenError, call, until_done
-from simbias.interfaces import Engine, R, T, WorkerLostError
+from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
+from simbias.engine.workplace import tidy, workplace
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
+    from distributed.security import Security
 
-POLL_SECONDS = 0.5
-CONNECT_SECONDS = 10
-THREADS = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+CONNECT_SECONDS = 5.0
+RECOUNT_SECONDS = 1.0  # between two looks at how many workers there are
+LIBRARIES = ("OMP", "OPENBLAS", "MKL", "NUMBA")
+
+
+@dataclass(frozen=True)
+class Certificates:
+    """PEM files by which a cluster and its client know each other; without `key`, `cert` holds it too."""
+
+    ca_file: FilePath | None = None
+    cert: FilePath | None = None
+    key: FilePath | None = None
+
+    def __post_init__(self) -> None:
+        if (self.ca_file is None) != (self.cert is None) or (self.key and not self.cert):
+            raise ValueError("tls needs a ca_file and a cert")
 
 
 class Dask(Engine):
-    """joblib's Dask backend, on a cluster of one's own or on workers of this machine.
+    """Tasks as futures of a Dask cluster: one's own, or one of this machine alone.
+
+    The local cluster talks TLS with certificates of its own, so that no other user of the machine gets in.
 
     Parameters
     ----------
     address
-        Of a scheduler, whose workers can import simbias; None for a local cluster.
+        Of a scheduler, whose workers can import simbias and have one thread each; None for a local cluster.
     n_jobs
         Workers of the local cluster.
-    patience
-        s that the cluster may be idle although results are missing: then those are lost and run again.
+    tls
+        Certificates for a tls:// address; without any, those of Dask's own configuration.
     """
 
     def __init__(
-        self, address: str | None = None, n_jobs: PositiveInt = 2, patience: PositiveFloat = 10.0
+        self, address: str | None = None, n_jobs: PositiveInt = 2, tls: Certificates | None = None
     ) -> None:
         self._address = address
-        self._patience = patience
+        self._tls = tls if tls and tls.ca_file else None
         self.n_jobs = n_jobs
+        if self._tls and not (address or "").startswith("tls://"):
+            raise ValueError("tls is for an address that begins with tls://")
+        if address and not address.startswith("tls://") and not _is_loopback(address):
+            _warn_of_open(address)
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T]
@@ -52,91 +76,202 @@ class Dask(Engine):
         if not tasks:
             return
         with self._client() as client:
-            yield from until_done(partial(self._round, client, function), tasks)
+            yield from self._results(client, function, tasks)
 
     @contextmanager
     def _client(self) -> Iterator[Client]:
-        """A client of the cluster; a local cluster ends with it."""
+        """A client of the cluster. When it is closed, Dask drops its tasks; a local cluster ends with it."""
         try:
-            from distributed import Client, LocalCluster
+            from distributed import Client
         except ImportError as error:
             raise ConfigError("engine", "dask is not installed; pip install 'simbias[dask]'") from error
         if self._address is not None:
+            client = _connection(self._address, _security(self._tls))
             try:
-                client = Client(self._address, timeout=CONNECT_SECONDS)
-            except (OSError, ValueError) as error:
-                raise ConfigError("engine.address", f"{self._address}: no scheduler answers") from error
-            with client:
                 yield client
-            return
-        with (
-            LocalCluster(
-                n_workers=self.n_jobs,
-                threads_per_worker=1,
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,  # of workers that died, which is dealt with
-                env={f"{name}_NUM_THREADS": "1" for name in THREADS},
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            yield client
+            finally:
+                with suppress(Exception):  # Dask's, of a scheduler that is gone: would hide the reason
+                    client.close()
+        else:
+            with _local_cluster(self.n_jobs) as cluster, Client(cluster, set_as_default=False) as client:
+                yield client
 
-    def _round(
-        self, client: Client, function: Callable, calls: Iterable[tuple[int, Any]], alone: bool
-    ) -> Iterator[tuple[int, Any]]:
-        """Results of the calls, until the cluster has nothing to do although some are missing.
+    def _results(
+        self, client: Client, function: Callable[[T], R], tasks: Sequence[T]
+    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+        """Results of all tasks.
 
-        joblib waits for ever for a task that Dask gave up, so it waits in a thread of its own.
+        Dask blames a dead worker on all tasks that waited there. So a task that lost its workers runs alone
+        at the end, before it is to blame.
         """
-        results: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        feeder = partial(_feed, results, client, partial(call, function), calls, alone)
-        threading.Thread(target=feeder, daemon=True).start()
-        last_busy = time.monotonic()
-        while True:
-            try:
-                result = results.get(timeout=POLL_SECONDS)
-            except queue.Empty:
-                if any(client.processing().values()):
-                    last_busy = time.monotonic()
-                elif time.monotonic() - last_busy > self._patience:
-                    raise RoundBrokenError("the cluster is idle although results are missing") from None
+        from distributed import KilledWorker
+
+        losses: Counter[int] = Counter()
+        indices, suspects = deque(range(len(tasks))), deque[int]()
+        for index, result in self._outcomes(client, function, tasks, indices):
+            if not isinstance(result, KilledWorker):
+                yield index, result
                 continue
-            last_busy = time.monotonic()
-            if result is None:
-                return
-            if isinstance(result, BaseException):
-                raise result
-            yield result
+            losses[index] += result.allowed_failures + 1
+            (indices if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
+        for index in suspects:
+            for _, result in self._outcomes(client, function, tasks, deque([index])):
+                if isinstance(result, KilledWorker):
+                    count = losses[index] + result.allowed_failures + 1
+                    result = WorkerLostError(f"its worker died {count} times")
+                yield index, result
+
+    def _outcomes(
+        self, client: Client, function: Callable, tasks: Sequence, indices: deque[int]
+    ) -> Iterator[tuple[int, Any]]:
+        """Results of the tasks of these indices, more of which may be added meanwhile, or a KilledWorker.
+
+        Two tasks for each worker are with Dask at a time: one that runs, and one that waits to.
+        """
+        from distributed import KilledWorker, as_completed
+
+        futures: dict[Future, int] = {}
+        results = as_completed([], loop=client.loop, with_results=True, raise_errors=False)
+        last_count, workers = -RECOUNT_SECONDS, 1
+        while indices or futures:
+            if time.monotonic() - last_count >= RECOUNT_SECONDS:
+                last_count, workers = time.monotonic(), self._count_workers(client)
+            while indices and len(futures) < 2 * workers:
+                index = indices.popleft()
+                future = client.submit(partial(_run_alone, function, tasks[index]), pure=False)
+                futures[future] = index
+                results.add(future)
+            future, result = next(results)
+            if future.status == "cancelled":
+                raise ConfigError("engine.address", f"{self._address or 'local'}: the scheduler is gone")
+            if future.status == "error":
+                result = future.exception()
+                if not isinstance(result, KilledWorker):  # the worker cannot run any task
+                    raise result
+            yield futures.pop(future), result
+
+    def _count_workers(self, client: Client) -> int:
+        """How many there are, at least one: where there are none yet, Dask waits for some."""
+        try:
+            threads = client.nthreads()
+        except OSError as error:
+            raise ConfigError("engine.address", f"{self._address}: the scheduler is gone") from error
+        for worker, count in threads.items():
+            if count > 1:  # trials set what their process has but once, as the threads of linear algebra
+                raise ConfigError(
+                    "engine.address", f"{worker} has {count} threads; start workers with --nthreads 1"
+                )
+        return max(1, len(threads))
 
 
-def _feed(
-    results: queue.SimpleQueue,
-    client: Client,
-    worker: Callable,
-    calls: Iterable[tuple[int, Any]],
-    alone: bool,
-) -> None:
-    """Put the results of the calls into the queue, then None, or the exception that ended them.
+def _run_alone(function: Callable[[T], R], task: T) -> R:
+    """Run a task, its worker's libraries on one thread each."""
+    _limit_threads()
+    return function(task)
 
-    Arguments are plain containers, which joblib sends with the task: what it scattered would be lost with a
-    worker.
+
+@cache
+def _limit_threads() -> None:
+    """Once in a worker, whose environment may be another's."""
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+
+
+def dask_setup(worker: object) -> None:
+    """In a worker of the local cluster, as it starts: leave Ctrl-C to the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _local_cluster(workers: int) -> Iterator[Any]:
+    """Processes of this machine that only we can talk to.
+
+    The folder is ours too, since Dask's own one may be another user's.
     """
-    from joblib import Parallel, delayed, parallel_config
-    from joblib._dask import DaskDistributedBackend
+    import dask
+    from distributed import LocalCluster
 
-    class Backend(DaskDistributedBackend):
-        """Never of one job: joblib would run it here, as when but one worker is left, and die with it."""
-
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            return max(2, super().effective_n_jobs(n_jobs))
-
+    tidy()
+    no_pages: dict[str, list[str]] = {
+        f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")
+    }
     try:
-        with parallel_config(Backend(client=client)):
-            parallel = Parallel(
-                return_as="generator_unordered", batch_size=1, pre_dispatch="1" if alone else "2*n_jobs"
+        with dask.config.set(no_pages):
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                security=True,
+                protocol="tls",
+                local_directory=str(workplace()),
+                scheduler_kwargs={
+                    "allowed_failures": 0,  # we count them
+                    "dashboard": False,
+                    "dashboard_address": "127.0.0.1:0",  # any free port, where nothing is shown
+                },
+                silence_logs=logging.CRITICAL,  # of workers that died, which is dealt with
+                env={f"{name}_NUM_THREADS": "1" for name in LIBRARIES},
+                preload=[__name__],  # calls dask_setup
             )
-            for result in parallel(delayed(worker)(index, task) for index, task in calls):
-                results.put(result)
-        results.put(None)
-    except BaseException as error:
-        results.put(error)
+    except ImportError as error:
+        raise ConfigError("engine", "cryptography is not installed; pip install 'simbias[dask]'") from error
+    with cluster:
+        yield cluster
+
+
+def _connection(address: str, security: Security | None) -> Client:
+    """A client of the scheduler at an address.
+
+    It is made in a thread, since Dask waits for ever where something takes the connection and says nothing.
+    """
+    from distributed import Client
+
+    outcome: list[Client | Exception] = []
+
+    def connect() -> None:
+        try:
+            outcome.append(Client(address, security=security, timeout=CONNECT_SECONDS, set_as_default=False))
+        except Exception as error:
+            outcome.append(error)
+
+    thread = threading.Thread(target=connect, daemon=True)
+    thread.start()
+    thread.join(CONNECT_SECONDS + 1)
+    if not outcome:
+        raise ConfigError("engine.address", f"{address}: no scheduler answers")
+    if isinstance(outcome[0], Exception):
+        raise ConfigError("engine.address", f"{address}: no scheduler answers") from outcome[0]
+    return outcome[0]
+
+
+def _security(tls: Certificates | None) -> Security | None:
+    """Dask's form of certificates; None leaves it to Dask's configuration."""
+    from distributed.security import Security
+
+    if tls is None:
+        return None
+    key = tls.key or tls.cert
+    return Security(
+        require_encryption=True,
+        tls_ca_file=str(tls.ca_file),
+        tls_client_cert=str(tls.cert),
+        tls_client_key=str(key),
+    )
+
+
+def _is_loopback(address: str) -> bool:
+    """Whether an address is one of this machine alone."""
+    host = urlsplit(address if "://" in address else f"tcp://{address}").hostname or ""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+@cache
+def _warn_of_open(address: str) -> None:
+    """One line, once."""
+    logging.getLogger(__name__).warning(
+        "simbias: engine.address: %s is not encrypted: who reaches it can run code here and there; use tls://",
+        address,
+    )

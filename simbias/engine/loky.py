@@ -7,17 +7,28 @@ import signal
 import threading
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 from pydantic import PositiveInt
 
-from simbias.engine.rounds import RoundBrokenError, call, until_done
-from simbias.interfaces import Engine, R, T, WorkerLostError
+from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
+from simbias.engine.workplace import tidy, workplace
 
 WATCH_SECONDS = 1.0
+NOISE = (  # what joblib says of workers that are replaced or stopped, which is dealt with
+    "A worker stopped while some jobs",
+    r"\d+ tasks (which were still being processed|have been successfully executed)",
+)
+
+Round = Callable[[Iterable[tuple[int, Any]], bool], Iterator[tuple[int, Any]]]
+
+
+class RoundBrokenError(RuntimeError):
+    """Workers died; what they ran is not done."""
 
 
 class Loky(Engine):
@@ -36,30 +47,66 @@ class Loky(Engine):
         self, function: Callable[[T], R], tasks: Sequence[T]
     ) -> Iterator[tuple[int, R | WorkerLostError]]:
         """Yield indices and results as tasks end."""
-        return until_done(partial(self._round, function), tasks)
+        tidy()
+        return run_rounds(partial(self._round, function), tasks)
 
     def _round(
         self, function: Callable, calls: Iterable[tuple[int, Any]], alone: bool
     ) -> Iterator[tuple[int, Any]]:
-        """Results of the calls, until a worker dies."""
+        """Results of the calls, until a worker dies; joblib kills the workers when this is closed."""
         from joblib import Parallel, delayed, parallel_config
 
-        warnings.filterwarnings(
-            "ignore", message="A worker stopped while some jobs"
-        )  # replaced: it had grown
-        worker = delayed(partial(_in_worker, os.getpid(), function))
-        with parallel_config("loky", n_jobs=self.n_jobs, inner_max_num_threads=1):
+        for message in NOISE:
+            warnings.filterwarnings("ignore", message=message)
+        with parallel_config(
+            "loky",
+            n_jobs=self.n_jobs,
+            inner_max_num_threads=1,
+            initializer=_follow,
+            initargs=(os.getpid(),),
+            temp_folder=str(workplace()),
+        ):
             parallel = Parallel(
                 return_as="generator_unordered", batch_size=1, pre_dispatch="1" if alone else "2*n_jobs"
             )
-            results = parallel(worker(index, task) for index, task in calls)
+            results = parallel(delayed(_call)(function, index, task) for index, task in calls)
         try:
             yield from results
         except BrokenProcessPool as error:
             raise RoundBrokenError(_reason(error)) from error
-        except BaseException:  # interrupted: do not wait for trials
-            _kill_workers()
-            raise
+
+
+def run_rounds(run_round: Round, tasks: Sequence[T]) -> Iterator[tuple[int, R | WorkerLostError]]:
+    """Yield (index, result) of every task once, round after round, whatever becomes of workers.
+
+    `run_round(calls, alone)` yields the results of (index, task) calls and raises RoundBrokenError when
+    workers died; it takes a call only when it is about to run it, if `alone` only when none else runs.
+    A task that was under way in two broken rounds runs alone from then on, so that no other is blamed.
+    """
+    rest = dict(enumerate(tasks))
+    losses: Counter[int] = Counter()
+    while rest:
+        suspects = [index for index in rest if losses[index] >= MOST_LOSSES - 1]
+        alone = len(suspects) == len(rest)
+        batch = suspects[:1] if alone else [index for index in rest if index not in suspects]
+        starts: list[int] = []
+        calls = ((index, _start(starts, index, rest[index])) for index in batch)
+        try:
+            for index, result in run_round(calls, alone):
+                del rest[index]
+                yield index, result
+        except RoundBrokenError as error:
+            for index in starts:
+                losses[index] += index in rest
+            for index in [index for index in rest if losses[index] >= MOST_LOSSES]:
+                del rest[index]
+                yield index, WorkerLostError(f"its worker died {MOST_LOSSES} times: {error}")
+
+
+def _start(starts: list[int], index: int, task: T) -> T:
+    """The task, with a note that it starts."""
+    starts.append(index)
+    return task
 
 
 def _reason(error: BaseException) -> str:
@@ -68,23 +115,13 @@ def _reason(error: BaseException) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-def _kill_workers() -> None:
-    """End the workers at once."""
-    from joblib.externals.loky import get_reusable_executor
-
-    get_reusable_executor().shutdown(wait=False, kill_workers=True)
+def _call(function: Callable[[T], R], index: int, task: T) -> tuple[int, R]:
+    """A task's result, with its index: what a worker does."""
+    return index, function(task)
 
 
-def _in_worker(parent: int, function: Callable[[T], R], index: int, task: T) -> tuple[int, R]:
-    """Run a task in a worker that ends with its parent, and leaves Ctrl-C to it."""
-    if os.getpid() != parent:
-        _follow(parent)
-    return call(function, index, task)
-
-
-@cache
 def _follow(parent: int) -> None:
-    """Once in a worker: end it when its parent has ended, however that ended."""
+    """In a worker: end it when its parent has ended, however that ended, and leave Ctrl-C to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from simbias.interfaces import Engine, R, T, WorkerLostError
+from simbias.engine.contract import Engine, R, T, WorkerLostError
 
 
 class Sequential(Engine):

@@ -3,95 +3,238 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
-import shutil
 import signal
-import threading
+import subprocess
+import sys
 import time
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
-from sweeping import FOUR_CELLS, run, trial_by_trial, write_sweep
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from simbias.config import ConfigError, compose
-from simbias.config.build import engine
+from simbias.config import compose
+from simbias.config.services import engine
+from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.dask import Dask
-from simbias.engine.loky import Loky
-from simbias.engine.rounds import RoundBrokenError, until_done
+from simbias.engine.loky import Loky, RoundBrokenError, run_rounds
 from simbias.engine.sequential import Sequential
-from simbias.interfaces import Engine, WorkerLostError
-from simbias.tracking.store import connect
+
+pytestmark = pytest.mark.slow
 
 needs_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="needs dask")
-ENGINES = [
-    Sequential(),
-    Loky(n_jobs=1),
-    Loky(n_jobs=2),
-    pytest.param(Dask(n_jobs=2, patience=1.0), marks=needs_dask),
-]
-WORKERS = [Loky(n_jobs=2), pytest.param(Dask(n_jobs=2, patience=1.0), marks=needs_dask)]
+DASK = pytest.param(Dask(n_jobs=2), marks=needs_dask)
+WORKERS = [Loky(n_jobs=2), DASK]
+ENGINES = [Sequential(), Loky(n_jobs=1), *WORKERS]
 
 Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
 
 
 def work(task: Task) -> tuple[int, int]:
-    """Twice the number, and who found it."""
+    """Twice the number, and the process that did it."""
     number, seconds, fate = task
     time.sleep(seconds)
-    if fate == "always dies" or (fate and fate != "lives" and not Path(fate).exists()):
+    if fate == "always dies" or (fate and not Path(fate).exists()):
         if fate != "always dies":
             Path(fate).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * number, os.getpid()
 
 
-@pytest.mark.parametrize("chosen", ENGINES, ids=lambda e: type(e).__name__)
-def test_every_task_once(chosen: Engine) -> None:
-    found = list(chosen.run(work, [(number, 0.01, "") for number in range(7)]))
-    assert sorted((index, result[0]) for index, result in found) == [(i, 2 * i) for i in range(7)]  # type: ignore[index]
-    assert list(chosen.run(work, [])) == []
+class Trap:
+    """A result that kills the worker that sends it, once."""
+
+    def __init__(self, fate: str) -> None:
+        self.fate = fate
+
+    def __reduce__(self) -> Any:
+        if not Path(self.fate).exists():
+            Path(self.fate).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Trap, (self.fate,)
 
 
-@pytest.mark.parametrize("chosen", WORKERS, ids=lambda e: type(e).__name__)
-def test_a_worker_that_dies_once_loses_nothing(chosen: Engine, tmp_path: Path) -> None:
+def set_trap(fate: str) -> Trap:
+    return Trap(fate)
+
+
+def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
+    """A number whose last bits matter, the task in words, and how many threads libraries use here."""
+    x, _ = task
+    np.ones((9, 9)) @ np.ones((9, 9))
+    threads = {library["num_threads"] for library in threadpool_info()}
+    return sum(math.sin(k * x) / k for k in range(1, 200)), repr(task), threads
+
+
+def name_of(subject: Any) -> str:
+    return type(subject).__name__
+
+
+def numbers(results: Any) -> list[tuple[int, int]]:
+    return sorted((index, result[0]) for index, result in results)
+
+
+def is_gone(pid: int) -> bool:
+    """Whether a process has ended, be it that nobody fetched its exit status."""
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+def eventually(seconds: float, condition: Any) -> bool:
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.1)
+    return condition()
+
+
+class Counted(Sequence):
+    """Tasks that count how many were taken out."""
+
+    def __init__(self, length: int) -> None:
+        self.length, self.starts = length, 0
+
+    def __len__(self) -> int:
+        return self.length
+
+    def __getitem__(self, index: Any) -> Any:
+        if index == self.length:
+            raise IndexError
+        self.starts += 1
+        return (index, 0.0, "")
+
+
+@pytest.mark.parametrize("subject", ENGINES, ids=name_of)
+def test_200_tiny_tasks(subject: Engine) -> None:
+    """Each once; Dask has no more of them at a time than two for each worker."""
+    tasks, results = Counted(200), []
+    for index, result in subject.run(work, tasks):
+        assert not isinstance(subject, Dask) or tasks.starts - len(results) <= 2 * 2
+        results.append((index, result))
+    assert numbers(results) == [(i, 2 * i) for i in range(200)]
+    assert list(subject.run(work, [])) == []
+
+
+@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
+def test_a_pure_function_has_the_same_result_everywhere(subject: Engine) -> None:
+    """Dask looks into arguments for keys and calls; tasks are none of its business."""
+    things = [{"a": ("x", [1, {"b": (None, len)}])}, (max, 1, 2), "_run_alone"]
+    tasks = [(0.1 * k, thing) for k, thing in enumerate(things)]
+    with threadpool_limits(1):
+        assert dict(subject.run(examine, tasks)) == dict(Sequential().run(examine, tasks))
+
+
+@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
+def test_a_worker_that_dies_once_loses_nothing(subject: Engine, tmp_path: Path) -> None:
     tasks: list[Task] = [(number, 0.1, "") for number in range(8)]
     tasks[3] = (3, 0.1, str(tmp_path / "died"))
-    found = list(chosen.run(work, tasks))
-    assert sorted((index, result[0]) for index, result in found) == [(i, 2 * i) for i in range(8)]  # type: ignore[index]
+    results = list(subject.run(work, tasks))
+    assert numbers(results) == [(i, 2 * i) for i in range(8)]
     assert (tmp_path / "died").exists()
-    assert os.getpid() not in {result[1] for _, result in found}  # type: ignore[index]
+    assert os.getpid() not in {result[1] for _, result in results}  # type: ignore[index]
 
 
-def dask_gives_up_at_once() -> Any:
-    """Without this Dask lets a task kill four workers before it gives it up, which takes its time."""
-    try:
-        import dask
-    except ImportError:
-        return nullcontext()
-    return dask.config.set({"distributed.scheduler.allowed-failures": 0})
+@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
+def test_a_result_that_died_with_its_worker_is_made_again(subject: Engine, tmp_path: Path) -> None:
+    ((index, result),) = subject.run(set_trap, [str(tmp_path / "died")])
+    assert (index, type(result)) == (0, Trap)
 
 
-@pytest.mark.parametrize("chosen", WORKERS, ids=lambda e: type(e).__name__)
-def test_a_task_that_kills_its_workers_is_told_from_the_others(chosen: Engine) -> None:
+@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
+def test_only_the_task_that_kills_its_workers_is_blamed(subject: Engine) -> None:
     tasks: list[Task] = [(number, 0.1, "") for number in range(6)]
     tasks[1] = (1, 0.0, "always dies")
-    with dask_gives_up_at_once():
-        found = dict(chosen.run(work, tasks))
-    assert isinstance(found.pop(1), WorkerLostError)
-    assert {index: result[0] for index, result in found.items()} == {i: 2 * i for i in (0, 2, 3, 4, 5)}  # type: ignore[index]
+    results = dict(subject.run(work, tasks))
+    assert "its worker died 3 times" in str(results[1])
+    assert isinstance(results.pop(1), WorkerLostError)
+    assert numbers(results.items()) == [(i, 2 * i) for i in (0, 2, 3, 4, 5)]
 
 
-@pytest.mark.parametrize("chosen", WORKERS, ids=lambda e: type(e).__name__)
-def test_closing_stops_the_workers(chosen: Engine) -> None:
-    results = chosen.run(work, [(number, 0.0 if number == 0 else 30.0, "") for number in range(3)])
+@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
+def test_closing_stops_the_workers(subject: Engine, recwarn: pytest.WarningsRecorder) -> None:
+    results = subject.run(work, [(number, 0.0 if number == 0 else 30.0, "") for number in range(5)])
     _, (_, pid) = next(results)  # type: ignore[misc]
     start = time.monotonic()
     results.close()  # type: ignore[attr-defined]
     assert time.monotonic() - start < 15
-    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    assert eventually(2, lambda: is_gone(pid))
+    assert [str(warning.message) for warning in recwarn] == []
+
+
+BUSY = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from test_engines import Dask, Loky, Path, begin
+import psutil, threading, time
+
+def tell():
+    while not Path(sys.argv[3]).exists():
+        time.sleep(0.1)
+    time.sleep(1)
+    for process in psutil.Process().children(recursive=True):
+        print(process.pid, flush=True)
+    print("all", flush=True)
+
+if __name__ == "__main__":
+    threading.Thread(target=tell, daemon=True).start()
+    for result in {"dask": Dask, "loky": Loky}[sys.argv[2]](n_jobs=3).run(begin, [sys.argv[3]]):
+        pass
+"""
+
+
+def begin(file: str) -> None:
+    """Say so, and go on for long."""
+    Path(file).touch()
+    time.sleep(60)
+
+
+def busy(name: str, folder: Path) -> Iterator[Any]:
+    """A process with two workers that have nothing to do and one that has, and their ids."""
+    (folder / "busy.py").write_text(BUSY)
+    process = subprocess.Popen(
+        [sys.executable, folder / "busy.py", Path(__file__).parent, name, folder / "begun"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"TMPDIR": str(folder)},
+    )
+    assert process.stdout is not None
+    yield process
+    yield [int(line) for line in iter(process.stdout.readline, "all\n")]
+
+
+@pytest.mark.parametrize("name", ["loky", pytest.param("dask", marks=needs_dask)])
+def test_workers_end_with_their_parent(name: str, tmp_path: Path) -> None:
+    """Even if that was killed, and workers that never had a task."""
+    process, pids = busy(name, tmp_path)
+    assert len(pids) >= 3
+    process.kill()
+    process.wait()
+    try:
+        assert eventually(8, lambda: all(is_gone(pid) for pid in pids))
+    finally:
+        for pid in pids:
+            if not is_gone(pid):
+                os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("name", ["loky", pytest.param("dask", marks=needs_dask)])
+def test_an_interruption_is_the_parents_business(name: str, tmp_path: Path) -> None:
+    """Ctrl-C goes to workers too, which say nothing about it."""
+    process, pids = busy(name, tmp_path)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert err.count("Traceback") == 1, err
+    assert err.rstrip().endswith("KeyboardInterrupt")
+    assert eventually(3, lambda: all(is_gone(pid) for pid in pids))
+    assert list(tmp_path.glob("simbias-*")) == []
 
 
 def test_no_innocent_is_blamed() -> None:
@@ -106,77 +249,14 @@ def test_no_innocent_is_blamed() -> None:
         for index in batch:
             yield index, index
 
-    found = dict(until_done(breaking, ["a", "b", "c"]))
-    assert isinstance(found.pop(2), WorkerLostError)
-    assert found == {0: 0, 1: 1}
+    results = dict(run_rounds(breaking, ["a", "b", "c"]))
+    assert isinstance(results.pop(2), WorkerLostError)
+    assert results == {0: 0, 1: 1}
     assert rounds[:2] == [([0, 1, 2], False)] * 2
     assert all(alone and len(batch) == 1 for batch, alone in rounds[2:])
 
 
-@needs_dask
-def test_dask_sweep_with_a_killed_worker(tmp_path: Path) -> None:
-    """Two worker processes of a real local cluster, one killed in the middle: as without engine and kill."""
-    folders = [tmp_path / name for name in ("dask", "sequential")]
-    write_sweep(tmp_path, "mine", FOUR_CELLS)
-    connect(f"sqlite:///{tmp_path}/mlflow.db", "another")
-    for folder in folders:
-        folder.mkdir()
-        shutil.copy(tmp_path / "mlflow.db", folder)
-    command = ["--config-dir", str(tmp_path / "conf"), "+sweep=mine", "sweep.trials=3"]
-    killed: list[int] = []
-    killer = threading.Thread(target=kill_a_dask_worker, args=(os.getpid(), killed), daemon=True)
-    killer.start()
-    status, out, err = run(*command, "engine=dask", "engine.patience=3", folder=folders[0])
-    assert (status, err) == (0, ""), out + err
-    assert len(killed) == 1
-    assert run(*command, "engine=sequential", folder=folders[1])[0] == 0
-    assert trial_by_trial(folders[0]) == trial_by_trial(folders[1])
-
-
-def kill_a_dask_worker(root: int, killed: list[int]) -> None:
-    """Wait until two workers compute, then kill one."""
-    for _ in range(600):
-        time.sleep(0.1)
-        busy = []
-        for process in psutil.Process(root).children(recursive=True):
-            try:
-                if "multiprocessing.spawn" in " ".join(process.cmdline()) and process.cpu_times().user > 1.0:
-                    busy.append(process)
-            except psutil.Error:
-                continue
-        if len(busy) == 2:
-            time.sleep(0.5)
-            busy[0].kill()
-            killed.append(busy[0].pid)
-            return
-
-
-@needs_dask
-def test_dask_at_an_address(tmp_path: Path) -> None:
-    from distributed import LocalCluster
-
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
-        chosen = engine(compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]))
-        assert isinstance(chosen, Dask)
-        found = dict(chosen.run(work, [(1, 0.0, ""), (2, 0.0, "")]))
-        assert {index: result[0] for index, result in found.items()} == {0: 2, 1: 4}  # type: ignore[index]
-        assert os.getpid() not in {result[1] for result in found.values()}  # type: ignore[index]
-
-
-@needs_dask
-def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simbias.engine.dask.CONNECT_SECONDS", 1)
-    with pytest.raises(ConfigError, match=r"engine\.address: tcp://127\.0\.0\.1:9: no scheduler answers"):
-        list(Dask(address="tcp://127.0.0.1:9").run(work, [(1, 0.0, "")]))
-
-
-def test_dask_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"pip install 'simbias\[dask\]'"):
-        list(Dask().run(work, [(1, 0.0, "")]))
-
-
 @pytest.mark.parametrize("name", ["loky", "sequential", "dask"])
 def test_engines_are_built_from_their_yaml(name: str) -> None:
-    chosen = engine(compose([f"engine={name}"]))
-    assert type(chosen).__module__ == f"simbias.engine.{name}"
+    subject = engine(compose([f"engine={name}"]))
+    assert type(subject).__module__ == f"simbias.engine.{name}"

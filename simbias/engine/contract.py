@@ -1,0 +1,31 @@
+"""The contract of engines: where the trials of a sweep run."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+MOST_LOSSES = 3  # of a task's worker, until the task is to blame
+
+
+class WorkerLostError(RuntimeError):
+    """A worker died with its task, again and again."""
+
+
+class Engine(ABC):
+    """Where the trials of a sweep run."""
+
+    @abstractmethod
+    def run(
+        self, function: Callable[[T], R], tasks: Sequence[T]
+    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+        """Yield (index of a task, function(task)) as tasks end, in any order, every task once.
+
+        `function` is one of a module's and raises nothing. A task whose worker died runs again; one whose
+        workers die each time yields a WorkerLostError. Tasks are plain containers. Closing the iterator stops
+        the workers.
+        """

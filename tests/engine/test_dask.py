@@ -1,0 +1,216 @@
+"""A cluster: its address, its certificates, and who is kept out."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from simbias.config import ConfigError, compose
+from simbias.config.services import engine
+from simbias.engine import dask as module
+from simbias.engine.dask import Dask
+
+distributed = pytest.importorskip("distributed")
+
+
+def double(number: int) -> int:
+    return 2 * number
+
+
+def where(_: int) -> int:
+    return os.getpid()
+
+
+def wait_and_write(task: tuple[float, str]) -> None:
+    seconds, file = task
+    Path(file).touch()
+    time.sleep(seconds)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A cluster at an address, as an administrator starts it."""
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+        yield cluster
+
+
+@pytest.mark.slow
+def test_an_address(cluster: Any) -> None:
+    subject = engine(compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]))
+    assert isinstance(subject, Dask)
+    assert dict(subject.run(double, [1, 2, 3])) == {0: 2, 1: 4, 2: 6}
+    assert os.getpid() not in dict(subject.run(where, [0])).values()
+
+
+@pytest.mark.slow
+def test_closing_drops_what_waits_at_an_address(cluster: Any, tmp_path: Path) -> None:
+    tasks = [(0.5, str(tmp_path / str(number))) for number in range(4)]
+    results = Dask(address=cluster.scheduler_address).run(wait_and_write, tasks)
+    next(results)
+    results.close()  # type: ignore[attr-defined]
+    time.sleep(1.5)
+    assert len(list(tmp_path.iterdir())) <= 2
+    assert cluster.scheduler.tasks == {}
+
+
+def test_a_function_that_workers_lack_is_an_error(cluster: Any) -> None:
+    def raises(_: int) -> int:
+        raise ModuleNotFoundError("No module named 'mine'")
+
+    with pytest.raises(ModuleNotFoundError, match="mine"):
+        list(Dask(address=cluster.scheduler_address).run(raises, [1]))
+
+
+def test_workers_of_many_threads_are_refused() -> None:
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, protocol="tcp", dashboard_address=":0"
+        ) as cluster,
+        pytest.raises(
+            ConfigError, match=r"engine\.address: .* has 2 threads; start workers with --nthreads 1"
+        ),
+    ):
+        list(Dask(address=cluster.scheduler_address).run(double, [1]))
+
+
+def own_listeners() -> list[Any]:
+    """Where this process and its children listen."""
+    us = psutil.Process()
+    connections = [c for process in (us, *us.children(recursive=True)) for c in process.net_connections()]
+    return [connection.laddr for connection in connections if connection.status == psutil.CONN_LISTEN]
+
+
+@pytest.mark.slow
+def test_strangers_are_kept_out_of_the_local_cluster() -> None:
+    """Of all ports none talks Dask without the certificate or has a page, and none is for other machines."""
+    before = set(own_listeners())
+    results = Dask(n_jobs=1).run(double, [1, 2, 3])
+    next(results)
+    ports = set(own_listeners()) - before
+    assert len(ports) >= 3  # scheduler, nanny, worker
+    others = distributed.Security.temporary()
+    encrypted, codes = 0, []
+    for ip, port in ports:
+        assert ip == "127.0.0.1"
+        try:
+            with urllib.request.urlopen(f"http://{ip}:{port}/health", timeout=1):
+                pytest.fail("a page")
+        except urllib.error.HTTPError as error:
+            codes.append(error.code)
+            continue
+        except OSError:
+            encrypted += 1
+        for address, security in ((f"tcp://{ip}:{port}", None), (f"tls://{ip}:{port}", others)):
+            with pytest.raises(OSError):  # noqa: PT011 (of several kinds)
+                distributed.Client(address, security=security, timeout=0.5, set_as_default=False)
+    assert encrypted >= 3
+    assert set(codes) <= {404}
+    assert len(list(results)) == 2
+
+
+@pytest.mark.slow
+def test_certificates(tmp_path: Path) -> None:
+    security = distributed.Security.temporary()
+    (tmp_path / "ca.pem").write_text(security.tls_ca_file)
+    (tmp_path / "cert.pem").write_text(security.tls_client_cert)
+    (tmp_path / "key.pem").write_text(security.tls_client_key)
+    files = {"ca_file": "ca.pem", "cert": "cert.pem", "key": "key.pem"}
+    overrides = [f"engine.tls.{name}={tmp_path / file}" for name, file in files.items()]
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, security=security, dashboard_address=":0"
+    ) as cluster:
+        address = f"engine.address={cluster.scheduler_address}"
+        assert dict(engine(compose(["engine=dask", address, *overrides])).run(double, [1])) == {0: 2}
+        with pytest.raises(ConfigError, match=r"engine\.address: tls://.*: no scheduler answers"):
+            list(engine(compose(["engine=dask", address])).run(double, [1]))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["engine.tls.ca_file=/nowhere"],
+            r"engine\.tls\.ca_file: Path does not point to a file, got '/nowhere'",
+        ),
+        ([f"engine.tls.ca_file={__file__}"], "engine.*tls needs a ca_file and a cert"),
+        (
+            [f"engine.tls.ca_file={__file__}", f"engine.tls.cert={__file__}"],
+            "engine: tls is for an address that begins with tls://",
+        ),
+    ],
+)
+def test_bad_certificates_are_named_by_their_key(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        engine(compose(["engine=dask", *overrides]))
+
+
+def test_one_warning_of_an_open_address(caplog: pytest.LogCaptureFixture) -> None:
+    module._warn_of_open.cache_clear()
+    for address in ("tcp://127.0.0.1:1", "localhost:1", "tcp://[::1]:1", "tls://far:1", None):
+        Dask(address=address)
+    assert caplog.records == []
+    for _ in range(2):
+        Dask(address="tcp://far:8786")
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert record.getMessage().startswith("simbias: engine.address: tcp://far:8786 is not encrypted")
+    Dask(address="further:8786")
+    assert len(caplog.records) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["tcp", "tls"])
+@pytest.mark.parametrize("words", [b"", b"SSH-2.0-OpenSSH_9.2p1 Debian\r\n"])
+def test_something_else_at_the_port(scheme: str, words: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    start = time.monotonic()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connections = []
+        address = f"{scheme}://127.0.0.1:{server.getsockname()[1]}"
+
+        def answer() -> None:
+            while True:
+                connections.append(server.accept()[0])
+                connections[-1].sendall(words)
+
+        module.threading.Thread(target=answer, daemon=True).start()
+        with pytest.raises(ConfigError, match=rf"engine\.address: {address}: no scheduler answers"):
+            list(Dask(address=address).run(double, [1]))
+    assert time.monotonic() - start < 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "no port"])
+def test_no_scheduler_at_the_address(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    with pytest.raises(ConfigError, match=rf"engine\.address: {address}: no scheduler answers"):
+        list(Dask(address=address).run(double, [1]))
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_ends_ends_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+        results = Dask(address=cluster.scheduler_address).run(
+            wait_and_write, [(0.0, os.devnull)] + [(2.0, os.devnull)] * 3
+        )
+        next(results)
+    with pytest.raises(ConfigError, match=r"engine\.address: .*: the scheduler is gone"):
+        list(results)
+
+
+@pytest.mark.parametrize(("missing", "words"), [("distributed", "dask"), ("cryptography", "cryptography")])
+def test_what_is_not_installed(missing: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, missing, None)
+    with pytest.raises(ConfigError, match=rf"{words} is not installed; pip install 'simbias\[dask\]'"):
+        list(Dask(n_jobs=1).run(double, [1]))
