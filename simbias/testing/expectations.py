@@ -1,0 +1,95 @@
+"""What checks are made of: expectations, and points to hold components to them at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from simbias.interfaces import Kernel
+from simbias.records import Array, Rollout, Transitions
+from simbias.study import Study
+
+POINTS = 12  # states and inputs at which methods are tried
+DATA = 20  # transitions from which a bias is fitted
+
+
+class ConformanceError(AssertionError):
+    """A component breaks its contract; one line with method, expected and got."""
+
+
+def expect(condition: Any, method: str, expected: str, got: Any) -> None:
+    """Hold a component to its contract."""
+    if not condition:
+        raise ConformanceError(f"{method}: expected {expected}, got {' '.join(str(got).split())[:120]}")
+
+
+def equal(a: Any, b: Any, method: str, expected: str, tolerance: float = 1e-9) -> None:
+    """Hold two arrays against each other."""
+    expect(np.shape(a) == np.shape(b), method, f"the shape {np.shape(b)}", np.shape(a))
+    expect(np.allclose(a, b, rtol=tolerance, atol=tolerance, equal_nan=True), method, expected, a)
+
+
+def states(study: Study) -> Array:
+    """States (POINTS, n) near the start."""
+    rng = np.random.default_rng(0)
+    return np.array([study.task.draw_start(rng) for _ in range(POINTS)])
+
+
+def inputs(study: Study) -> Array:
+    """Inputs (POINTS, m) within their limits."""
+    limit = np.where(np.isfinite(study.task.input_limit), study.task.input_limit, 1.0)
+    return np.random.default_rng(1).uniform(-limit, limit, (POINTS, len(study.task.inputs)))
+
+
+def policies(study: Study) -> Array:
+    """Policies (POINTS, p) in the box."""
+    lower, upper = study.policy.bounds
+    return np.random.default_rng(2).uniform(lower, upper, (POINTS, len(lower)))
+
+
+def _in_a_grid(array: Array) -> Array:
+    """The rows (POINTS, k) with two leading axes."""
+    return array.reshape(POINTS // 3, 3, -1)
+
+
+def expect_any_leading_axes(method: Callable[..., Any], name: str, *arrays: Array) -> None:
+    """A method gives for an array of points what it gives for each."""
+    each = np.array([method(*rows) for rows in zip(*arrays, strict=True)])
+    equal(method(*arrays), each, name, "for several points what it gives for each")
+    grid = method(*map(_in_a_grid, arrays))
+    equal(grid, _in_a_grid(each), name, "the same with two leading axes")
+
+
+def expect_arguments_left(method: Callable[..., Any], name: str, *arrays: Array) -> None:
+    """A method changes nothing that it was given."""
+    copies = [array.copy() for array in arrays]
+    method(*arrays)
+    for array, copy in zip(arrays, copies, strict=True):
+        equal(array, copy, name, "its arguments to be left as they are", 0.0)
+
+
+def transitions(study: Study) -> Transitions:
+    """Transitions whose residuals are smooth functions of the states."""
+    rng = np.random.default_rng(8)
+    x = np.array([study.task.draw_start(rng) for _ in range(DATA)])
+    u = rng.normal(size=(DATA, len(study.task.inputs)))
+    return Transitions(np.concatenate([x, u], axis=1), 1e-3 * np.sin(3.0 * x))
+
+
+def rollout(study: Study, seed: int = 0) -> Rollout:
+    """A simulated rollout from a random start."""
+    start = study.task.draw_start(np.random.default_rng(seed))
+    return study.simulate(np.zeros(study.policy.n_parameters), start=start)
+
+
+def expect_kernel_agrees(
+    kernel: Kernel | None, method: Callable[..., Array], name: str, *arrays: Array
+) -> None:
+    """A compiled function, if there is one, gives what the method gives."""
+    if kernel is not None:
+        compiled = [
+            kernel.function(*map(tuple, rows), kernel.parameters) for rows in zip(*arrays, strict=True)
+        ]
+        equal(np.array(compiled), method(*arrays), f"the kernel of {name}", "what the method gives")

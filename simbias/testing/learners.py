@@ -1,0 +1,101 @@
+"""Checks of what learns and judges: bias, samples, cost and evaluation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from simbias.study import Study
+from simbias.testing.check import check
+from simbias.testing.expectations import (
+    equal,
+    expect,
+    expect_any_leading_axes,
+    expect_arguments_left,
+    inputs,
+    policies,
+    rollout,
+    states,
+    transitions,
+)
+
+
+@check("bias", "without data nothing is corrected")
+def _bias_without_data(study: Study) -> None:
+    fitted = study.bias.fit(study.no_data)
+    equal(fitted.correction(states(study), inputs(study)), 0.0 * states(study), "correction", "zeros")
+
+
+@check("bias", "predictions of data, with any leading axes")
+def _bias_predicts(study: Study) -> None:
+    fitted = study.bias.fit(transitions(study))
+    x, u = states(study), inputs(study)
+    points = np.concatenate([x, u], axis=1)
+    mean, variance = fitted.predict(points)
+    equal((np.shape(mean), np.shape(variance)), (x.shape, x.shape), "predict", f"mean, variance {x.shape}")
+    expect((np.asarray(variance) >= 0).all(), "predict", "no negative variance", variance)
+    expect(np.isfinite(mean).all(), "predict", "finite means", mean)
+    expect_any_leading_axes(fitted.correction, "correction", x, u)
+    expect_arguments_left(fitted.correction, "correction", x, u)
+    again = study.bias.fit(transitions(study)).predict(points)
+    equal(again, (mean, variance), "fit", "the same from the same data", 0.0)
+
+
+@check("bias", "a bias is drawn from the generator alone")
+def _bias_draws(study: Study) -> None:
+    fitted, x, u = study.bias.fit(transitions(study)), states(study), inputs(study)
+    one, same = (fitted.draw(np.random.default_rng(3)).correction(x, u) for _ in range(2))
+    equal(one, same, "draw", "the same bias from the same generator", 0.0)
+
+
+@check("samples", "what is selected, and what is not, is counted")
+def _samples_count(study: Study) -> None:
+    rollouts = [rollout(study), rollout(study, 1)]
+    selection = study.samples.select(rollouts, study.nominal)
+    n, m, count = len(study.task.states), len(study.task.inputs), len(selection.transitions)
+    equal(selection.transitions.inputs.shape, (count, n + m), "samples.select", f"inputs (N, {n + m})")
+    equal(selection.transitions.residuals.shape, (count, n), "samples.select", f"residuals (N, {n})")
+    frames = sum(each.frames for each in rollouts)
+    expect(selection.frames == frames, "samples.select", f"{frames} frames", selection.frames)
+    expect(count <= selection.sampled, "samples.select", "no more samples than were looked at", count)
+    again = study.samples.select(rollouts, study.nominal).transitions.residuals
+    equal(again, selection.transitions.residuals, "samples.select", "the same of the same rollouts", 0.0)
+    equal(len(study.samples.select([], study.nominal).transitions), 0, "samples.select", "nothing of nothing")
+
+
+@check("cost", "finite, and nothing of a rollout is changed")
+def _cost_is_finite(study: Study) -> None:
+    whole = rollout(study)
+    copy = replace(whole, states=whole.states.copy(), inputs=whole.inputs.copy())
+    cost = study.cost.of(whole)
+    expect(isinstance(cost, float) and np.isfinite(cost), "cost.of", "a finite number", cost)
+    equal(whole.states, copy.states, "cost.of", "the rollout to be left as it is", 0.0)
+
+
+@check("cost", "who falls early pays more than Z_max")
+def _cost_of_failure(study: Study) -> None:
+    whole = rollout(study)
+    fallen = replace(
+        whole,
+        states=whole.states[:2],
+        inputs=whole.inputs[:1],
+        measured=None,
+        failed_at=1,
+        failure=study.task.criteria[0].name if study.task.criteria else "failed",
+    )
+    cost, limit = study.cost.of(fallen), study.cost.max_cost
+    expect(cost > limit, "cost.of", f"more than Z_max = {limit:g} of a rollout that falls in frame 1", cost)
+
+
+@check("evaluation", "a finite cost, the same each time and together")
+def _evaluation_is_deterministic(study: Study) -> None:
+    model, thetas = study.model(), policies(study)[:3]
+    objective, same = (
+        study.evaluation.objective(model, study.cost, np.random.default_rng(4)) for _ in range(2)
+    )
+    costs = np.array([objective(theta) for theta in thetas])
+    expect(np.isfinite(costs).all(), "objective", "finite costs", costs)
+    equal([same(theta) for theta in thetas], costs, "objective", "the same from the same generator", 0.0)
+    if hasattr(objective, "together"):
+        equal(objective.together(thetas), costs, "objective.together", "the costs of each alone", 0.0)

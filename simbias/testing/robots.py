@@ -1,0 +1,132 @@
+"""Checks of what knows a robot: task, nominal model, policy and hardware."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.records import Array
+from simbias.study import Study
+from simbias.testing.check import check
+from simbias.testing.expectations import (
+    POINTS,
+    equal,
+    expect,
+    expect_any_leading_axes,
+    expect_arguments_left,
+    expect_kernel_agrees,
+    inputs,
+    policies,
+    states,
+)
+
+
+@check("task", "shapes and names")
+def _task_shapes(study: Study) -> None:
+    task = study.task
+    n, m, c, q = (len(each) for each in (task.states, task.inputs, task.criteria, task.outputs))
+    for name, quantities in (("states", task.states), ("inputs", task.inputs), ("outputs", task.outputs)):
+        names = [quantity.name for quantity in quantities]
+        expect(len(set(names)) == len(names), f"task.{name}", "different names", names)
+    for name, length in (("input_limit", m), ("start_mean", n), ("start_deviation", n)):
+        equal(np.shape(getattr(task, name)), (length,), f"task.{name}", f"the shape ({length},)")
+    expect(task.time_step > 0 and task.horizon > 0, "task", "a positive time step and horizon", task.horizon)
+    x = states(study)
+    equal(np.shape(task.measure(x)), (POINTS, c), "task.measure", f"a measure for each of {c} criteria")
+    equal(np.shape(task.output(x)), (POINTS, q), "task.output", f"{q} outputs")
+
+
+@check("task", "any leading axes")
+def _task_axes(study: Study) -> None:
+    for name in ("measure", "output"):
+        method = getattr(study.task, name)
+        expect_any_leading_axes(method, f"task.{name}", states(study))
+        expect_arguments_left(method, f"task.{name}", states(study))
+
+
+@check("task", "the mean start is no failure, and what is not a number is one")
+def _task_failure(study: Study) -> None:
+    start = study.task.start_mean
+    expect(
+        study.task.failure(start) is None, "task.failure", "none at the mean start", study.task.failure(start)
+    )
+    expect(
+        study.task.failure(np.full_like(start, np.nan)), "task.failure", "one of states that are nan", None
+    )
+
+
+@check("task", "compiled functions give the same numbers")
+def _task_kernels(study: Study) -> None:
+    expect_kernel_agrees(study.task.measure_kernel, study.task.measure, "task.measure", states(study))
+    expect_kernel_agrees(study.task.output_kernel, study.task.output, "task.output", states(study))
+
+
+@check("nominal", "any leading axes")
+def _nominal_axes(study: Study) -> None:
+    x, u = states(study), inputs(study)
+    equal(np.shape(study.nominal.step(x[0], u[0])), np.shape(x[0]), "nominal.step", "a state")
+    expect(
+        np.isfinite(study.nominal.step(x, u)).all(), "nominal.step", "finite numbers near the start", "others"
+    )
+    expect_any_leading_axes(study.nominal.step, "nominal.step", x, u)
+    expect_arguments_left(study.nominal.step, "nominal.step", x, u)
+
+
+@check("nominal", "a model is drawn from the generator alone")
+def _nominal_draws(study: Study) -> None:
+    x, u = states(study), inputs(study)
+    before = study.nominal.step(x, u)
+    one, same = (study.nominal.draw(np.random.default_rng(3)).step(x, u) for _ in range(2))
+    equal(one, same, "nominal.draw", "the same model from the same generator", 0.0)
+    equal(study.nominal.step(x, u), before, "nominal.draw", "the model itself to stay as it is", 0.0)
+
+
+@check("nominal", "compiled functions give the same numbers")
+def _nominal_kernel(study: Study) -> None:
+    expect_kernel_agrees(
+        study.nominal.kernel, study.nominal.step, "nominal.step", states(study), inputs(study)
+    )
+
+
+@check("policy", "bounds")
+def _policy_bounds(study: Study) -> None:
+    lower, upper = study.policy.bounds
+    p = study.policy.n_parameters
+    equal((np.shape(lower), np.shape(upper)), ((p,), (p,)), "policy.bounds", f"two arrays ({p},)")
+    expect(np.isfinite([lower, upper]).all(), "policy.bounds", "finite numbers", (lower, upper))
+    expect((np.asarray(lower) < upper).all(), "policy.bounds", "lower below upper", (lower, upper))
+
+
+@check("policy", "inputs within their limits, with any leading axes")
+def _policy_acts(study: Study) -> None:
+    policy, x, thetas = study.policy, states(study), policies(study)
+    memory = np.zeros((POINTS, policy.memory_size))
+
+    def act(theta: Array, state: Array, before: Array) -> Array:
+        u, after = policy.act(theta, state, 0.0, before)
+        return np.concatenate([u, after], axis=-1)
+
+    u, after = policy.act(thetas, x, 0.0, memory)
+    m = len(study.task.inputs)
+    equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
+    equal(np.shape(after), memory.shape, "policy.act", f"a memory of shape {memory.shape}")
+    limit = study.task.input_limit
+    expect((np.abs(u) <= limit * (1 + 1e-12)).all(), "policy.act", f"inputs within {limit}", u)
+    expect_any_leading_axes(act, "policy.act", thetas, x, memory)
+    expect_arguments_left(act, "policy.act", thetas, x, memory)
+    expect_any_leading_axes(policy.outputs, "policy.outputs", x)
+
+
+@check("hardware", "an experiment that is as its contract says (one is made)")
+def _hardware_runs(study: Study) -> None:
+    start = study.task.start_mean
+    made = study.experiment(np.zeros(study.policy.n_parameters), np.random.default_rng(6), start)
+    moved = np.abs(made.states[0] - start).max()
+    expect(
+        moved == 0.0 or made.sensed or not study.hardware.sets_start,
+        "hardware.run",
+        "a first state that is the start, or sets_start = False",
+        made.states[0],
+    )
+    expect(
+        (np.abs(made.inputs) <= study.task.input_limit).all(), "hardware.run", "inputs in limits", "others"
+    )
