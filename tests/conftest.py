@@ -13,8 +13,10 @@ POINT_MASS = [f"{group.name}=point_mass" for group in sorted(OWN_CONF.iterdir())
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _compiled() -> None:
-    """Compile for all tests, so that processes that they start take it from the cache and say nothing."""
+def _compiled(request: pytest.FixtureRequest) -> None:
+    """Compile for slow tests, so that processes that they start take it from the cache and say nothing."""
+    if not any(item.get_closest_marker("slow") for item in request.session.items):
+        return
     for bias in ("gp", "none"):
         simbias.load(["tracking=none", f"bias={bias}"]).warm_up()
 

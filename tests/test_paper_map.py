@@ -1,4 +1,4 @@
-"""README's map from the paper to functions and tests is true."""
+"""The map from the paper to functions and tests is true."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import reduce
 import pytest
 from conftest import ROOT
 
-README = (ROOT / "README.md").read_text()
+README = (ROOT / "simbias" / "README.md").read_text()
 ROWS = re.findall(
     r"^\| ([^|]+) \| `(simbias[\w.]+)` \| `(tests/[\w/]+\.py)::(\w+)` \|$", README, re.MULTILINE
 )

@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pandas as pd
+import pytest
 from conftest import ROOT
 from sweeping import run
+
+pytestmark = pytest.mark.slow
 
 
 def study(name: str, *arguments: str, folder: Path) -> str:

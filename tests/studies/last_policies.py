@@ -17,18 +17,18 @@ import pandas as pd
 from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
 
-import simbias
+from simbias.config.services import tracking
 from simbias.sweep import tables
 from simbias.sweep.grid import Sweep, expand
 from simbias.tracking.trials import load_trial
 
 
-def tried(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
+def outcome_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
     """A trial's last policy, tried."""
     trial = load_trial(row["run_id"])
-    balanced = balanced_starts(trial.study, trial.iterations[-1].optimum.parameters)
-    told = {name: row[name] for name in (*axes, "repetition", "outcome")}
-    return told | {"balanced": balanced, "starts": STARTS}
+    balanced = balanced_starts(trial.study, trial.iterations[-1].parameters)
+    own = {name: row[name] for name in (*axes, "repetition", "outcome")}
+    return own | {"balanced": balanced, "starts": STARTS}
 
 
 def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
@@ -51,8 +51,8 @@ def main(name: str, path: Path) -> None:
     if sweep.report.columns is not None:
         sys.exit(f"{name} has cells side by side")
     axes = [axis.name for axis in sweep.axes]
-    trials = simbias.load([]).tracking.finished(sweep)
-    rows = Parallel(n_jobs=2)(delayed(tried)(row, axes) for row in trials.to_dict("records"))
+    trials = tracking(sweep.base).finished(sweep)
+    rows = Parallel(n_jobs=2)(delayed(outcome_of)(row, axes) for row in trials.to_dict("records"))
     policies = pd.DataFrame(rows)
     policies.to_csv(path, index=False, lineterminator="\n")
     print(table(sweep, trials, policies), end="")

@@ -39,13 +39,14 @@ def measure(seed: int, overrides: Sequence[str]) -> dict[str, Any]:
     iterations = list(study.run())
     seconds = time.perf_counter() - began
     first, last = iterations[0], iterations[-1]
+    assert last.learning is not None
     return {
         "seed": seed,
         "succeeded": last.succeeded,
         "experiments": last.total_experiments,
-        "samples": len(last.data),
-        "first_policy_balances": balanced_starts(study, first.optimum.parameters),
-        "last_policy_balances": balanced_starts(study, last.optimum.parameters),
+        "samples": len(last.learning.data),
+        "first_policy_balances": balanced_starts(study, first.parameters),
+        "last_policy_balances": balanced_starts(study, last.parameters),
         "starts": STARTS,
         "seconds": round(seconds, 1),
     }

@@ -59,7 +59,7 @@ class SavitzkyGolay:
 def rts(rollout: Rollout, nominal: Nominal, noise: Noise) -> Array:
     """Rauch-Tung-Striebel: the state z = (x, b) moves by x + f'(x, u) + b, and b by a random walk."""
     n, (measured, inputs) = rollout.states.shape[1], (rollout.states, rollout.inputs)
-    variances = np.maximum(np.repeat([noise.angle_variance, noise.velocity_variance], n // 2), 1e-10)
+    variances = np.maximum(noise.sensor_variance, 1e-10)
     R, Q = np.diag(variances), np.diag([*[1e-12] * n, *[1e-6 * DRIFT**2] * (n // 2), *[DRIFT**2] * (n // 2)])
     z, P = np.concatenate([measured[0], np.zeros(n)]), np.diag([*variances, *[1e-4] * n])
     filtered, predicted, slopes = [(z, P)], [], []
@@ -105,7 +105,7 @@ def experiments(study: Study, noise: Noise, policies: list[Array], seed: int) ->
         true = study.experiment(theta, np.random.default_rng([seed, index]))
         rng = np.random.default_rng([seed, index])
         study.task.draw_start(rng)
-        on_inputs, _ = noise.draw(rng, study.task.horizon, len(study.task.states), len(study.task.inputs))
+        on_inputs = noise.draw(rng).inputs
         assert true.measured is not None
         record = replace(true, states=true.measured, sensed=True)
         made.append(Experiment(record, replace(true, inputs=true.inputs + on_inputs[: true.frames])))
@@ -128,9 +128,11 @@ def relative(errors: Array, truth: Array) -> float:
 
 def measure(row: int, policies: list[Array]) -> list[dict[str, object]]:
     """All ways at one level of noise."""
-    noise = Noise(*ROWS[row])
-    values = [f"hardware.noise.{name}={value}" for name, value in vars(noise).items()]
+    names = ("torque_variance", "angle_variance", "velocity_variance")
+    variances = dict(zip(names, ROWS[row], strict=True))
+    values = [f"hardware.noise.{name}={value}" for name, value in variances.items()]
     study = simbias.load(["tracking=none", *values])
+    noise = Noise(study.task, variances)
     learned_from, others = (experiments(study, noise, policies * 2, seed) for seed in (1, 2))
     held_out = transitions(study, [other.truth for other in others], 1)
     found: list[dict[str, object]] = []
@@ -159,7 +161,7 @@ def measure(row: int, policies: list[Array]) -> list[dict[str, object]]:
 def main(folder: Path) -> None:
     """Measure every way at every row, print the table and write it as smoothing.csv."""
     study = simbias.load(["tracking=none"])
-    policies = [iteration.optimum.parameters for iteration in study.run()]
+    policies = [iteration.parameters for iteration in study.run()]
     table = [line for row in ROWS for line in measure(row, policies)]
     with (folder / "smoothing.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, table[0].keys(), lineterminator="\n")

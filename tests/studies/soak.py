@@ -1,0 +1,142 @@
+"""SIGKILLs at random instants, of single trials and of sweeps: is anything lost, made twice or left behind?
+
+`python tests/studies/soak.py FOLDER [--kills 30] [--seed 0]` writes FOLDER/soak.csv, a row for each campaign.
+The same command is started and its whole process group killed, again and again, until it is left alone. What
+the store holds then is compared with that of an undisturbed run, and the experiments that the hardware has
+begun with those that were kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the tests' own helpers
+
+from logged_hardware import LOG
+from mlflow import MlflowClient
+from sweeping import everything, finish, run, start, trial_by_trial
+
+SHORT = [
+    *("task.horizon=300", "optimizer.max_evaluations=30", "method.max_iterations=4", "cost.max_cost=1e-3"),
+    *("hardware=logged", "hardware.seconds=0.1", "tracking.pictures=true"),
+]
+SWEEP = "sweep: {trials: 3, axes: {bias: [gp, none]}}"
+COMMANDS = {"trial": SHORT, "sweep": ["+sweep=mine", *SHORT]}
+MOST = 4  # kills of a campaign, on average
+
+
+def begun(folder: Path) -> Counter[str]:
+    """How often an experiment from each start was begun."""
+    log = folder / LOG
+    return Counter(log.read_text().splitlines() if log.exists() else [])
+
+
+def leftovers() -> set[str]:
+    """Semaphores and temporary folders that a process may leave behind."""
+    places = (Path("/dev/shm"), Path(tempfile.gettempdir()))
+    names = ("sem.loky", "loky-", "joblib_memmapping", "simbias")
+    return {str(path) for place in places for path in place.glob("*") if path.name.startswith(names)}
+
+
+def prepared(folder: Path) -> Path:
+    """A folder with the configs of the campaign."""
+    for name, text in (
+        ("hardware/logged", "_target_: logged_hardware.Logged\nseconds: 0.2\n"),
+        ("sweeps/mine", SWEEP),
+    ):
+        path = folder / "conf" / f"{name}.yaml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
+
+
+def kept(kind: str, folder: Path) -> object:
+    """What the store holds in the end."""
+    if kind == "sweep":
+        return trial_by_trial(folder)
+    client = MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
+    experiment = client.get_experiment_by_name("simbias")
+    assert experiment is not None
+    (only,) = client.search_runs([experiment.experiment_id])
+    return everything(client, only)
+
+
+def undisturbed(kind: str) -> tuple[object, Counter[str], float]:
+    """The store, the experiments and the seconds of a run that is left alone."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = prepared(Path(name))
+        began = time.monotonic()
+        status, out, err = run("--config-dir", "conf", *COMMANDS[kind], folder=folder, timeout=300)
+        assert status == (1 if kind == "trial" else 0), out + err
+        return kept(kind, folder), begun(folder), time.monotonic() - began
+
+
+def campaign(
+    kind: str, kills: int, rng: random.Random, expected: tuple[object, Counter[str], float]
+) -> dict[str, object]:
+    """Kill the command so often, then leave it alone; what came of it."""
+    store, experiments, seconds = expected
+    with tempfile.TemporaryDirectory() as name:
+        folder = prepared(Path(name))
+        for _ in range(kills):
+            process = start("--config-dir", "conf", *COMMANDS[kind], folder=folder)
+            time.sleep(rng.uniform(0.0, 1.1 * seconds))
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            finish(process)
+        status, _, err = run("--config-dir", "conf", *COMMANDS[kind], folder=folder, timeout=300)
+        made = begun(folder)
+        return {
+            "kind": kind,
+            "kills": kills,
+            "status": status,
+            "as_undisturbed": kept(kind, folder) == store,
+            "experiments": sum(experiments.values()),
+            "begun_again": sum((made - experiments).values()),  # under way when killed: at most one a worker
+            "missing": sum((experiments - made).values()),
+            "strange": len(set(made) - set(experiments)),
+            "journals_left": (folder / "journals").exists(),
+            "said": json.dumps(err[-200:]),
+        }
+
+
+def main() -> None:
+    """Run the campaigns; print and write what came of them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--kills", type=int, default=30, help="of each kind (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0)
+    parsed = parser.parse_args()
+    rng, before = random.Random(parsed.seed), leftovers()
+    rows = []
+    for kind in COMMANDS:
+        expected, left = undisturbed(kind), parsed.kills
+        while left > 0:
+            kills = min(left, rng.randint(1, 2 * MOST - 1))
+            rows.append(campaign(kind, kills, rng, expected))
+            left -= kills
+            print(rows[-1], flush=True)
+    parsed.folder.mkdir(parents=True, exist_ok=True)
+    table = pd.DataFrame(rows)
+    table.to_csv(parsed.folder / "soak.csv", index=False)
+    left_behind = sorted(leftovers() - before)
+    print(f"left behind: {len(left_behind)} {left_behind[:5]}")
+    good = (
+        table["as_undisturbed"] & (table["missing"] == 0) & (table["strange"] == 0) & ~table["journals_left"]
+    )
+    sys.exit(0 if good.all() else 1)
+
+
+if __name__ == "__main__":
+    main()
