@@ -132,10 +132,10 @@ def _description(code: CodeType) -> Iterator[Any]:
 
 def _folder() -> Path:
     """Where compiled code is kept: where Numba is told to, beside this file, or in the user's cache."""
-    beside = Path(__file__).parent / "__pycache__"
+    here = Path(__file__).parent / "__pycache__"
     users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
-    told: Any = numba.config  # whose attributes no type checker knows
-    for parent in (*filter(None, [told.CACHE_DIR]), beside, users, tempfile.gettempdir()):
+    settings: Any = numba.config  # whose attributes no type checker knows
+    for parent in (*filter(None, [settings.CACHE_DIR]), here, users, tempfile.gettempdir()):
         folder = Path(parent) / "closed_loops"
         try:
             folder.mkdir(parents=True, exist_ok=True)

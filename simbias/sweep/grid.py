@@ -41,6 +41,14 @@ class Axis:
     keys: tuple[str, ...]
     values: tuple[tuple[Any, ...], ...]  # of each point, in the order of the keys
     labels: tuple[str, ...]  # of each point
+    texts: tuple[tuple[str, ...], ...]  # of each point, a text for each column of a table
+
+    @property
+    def numeric(self) -> bool:
+        """Whether its labels are its values, and these are numbers."""
+        numbers = (isinstance(value, int | float) for point in self.values for value in point)
+        own = all(label == joined(value) for label, value in zip(self.labels, self.values, strict=True))
+        return own and all(numbers)
 
     def settings(self, index: int) -> dict[str, Any]:
         """What a point sets."""
@@ -194,7 +202,8 @@ def _axis(name: str, spec: Any) -> Axis:
         raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
     if len(set(labels)) != len(labels):
         raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
-    return Axis(name, keys, values, labels)
+    texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
+    return Axis(name, keys, values, labels, tuple(map(tuple, texts)))
 
 
 def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:
@@ -245,7 +254,7 @@ def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[
 
 def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Variations) -> Iterator[Cell]:
     """Every combination of the axes' points."""
-    found: dict[str, tuple[str, ...]] = {}
+    known: dict[str, tuple[str, ...]] = {}
     for point in itertools.product(*(range(len(axis.values)) for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}
@@ -254,7 +263,7 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
             seeding |= {} if axis.name in common_seeds else axis.settings(index)
         composition = variations.composition(settings).trial
         labels = tuple(axis.labels[index] for axis, index in zip(axes, point, strict=True))
-        twin = found.setdefault(composition.cell, labels)
+        twin = known.setdefault(composition.cell, labels)
         if twin != labels:
             raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")
         identity = variations.composition(seeding).trial.cell if common_seeds else composition.cell

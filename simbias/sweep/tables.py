@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Callable, Mapping, Sequence
 from math import nan
 from typing import Any, NamedTuple
@@ -46,11 +45,11 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     none.
     """
     names = [axis.name for axis in sweep.axes]
-    found: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
+    trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
-        found[tuple(row[name] for name in names)].append(row)
+        trials_of[tuple(row[name] for name in names)].append(row)
     paper = sweep.report.paper
-    rows = [[*labels, *_measures(own), paper.get(labels, nan)] for labels, own in found.items()]
+    rows = [[*labels, *_measures(own), paper.get(labels, nan)] for labels, own in trials_of.items()]
     return pd.DataFrame(rows, columns=[*names, *MEASURES])
 
 
@@ -72,9 +71,9 @@ def _mean(values: Sequence[float]) -> float:
 
 def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
-    found = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
+    rows = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
     measures = sweep.report.measures
-    return arranged(sweep, measures, lambda labels: [TEXTS[name](found[labels]) for name in measures])
+    return arranged(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
 
 
 def arranged(
@@ -85,10 +84,10 @@ def arranged(
     down = [axis for axis in sweep.axes if axis is not aside]
     head = [name for axis in down for name in _heads(axis)]
     for label in aside.labels if aside else ("",):
-        head += [f"{_beside(aside, label)}: {measure}" if aside else measure for measure in measures]
+        head += [f"{_column_head(aside, label)}: {measure}" if aside else measure for measure in measures]
     body = []
     for point in itertools.product(*(range(len(axis.labels)) for axis in down)):
-        line = [text for axis, index in zip(down, point, strict=True) for text in _texts(axis, index)]
+        line = [text for axis, index in zip(down, point, strict=True) for text in axis.texts[index]]
         labels = {axis.name: axis.labels[index] for axis, index in zip(down, point, strict=True)}
         for label in aside.labels if aside else ("",):
             where = labels | ({aside.name: label} if aside else {})
@@ -97,25 +96,15 @@ def arranged(
     return Layout(head, body)
 
 
-def _labelled(axis: Axis) -> bool:
-    """Whether the labels of an axis are words of its own, or it has but one key."""
-    return len(axis.keys) == 1 or any(len(label.split("/")) != len(axis.keys) for label in axis.labels)
-
-
 def _heads(axis: Axis) -> list[str]:
-    """Heads of an axis' columns: its keys without their groups, in words."""
-    names = [axis.name] if _labelled(axis) else axis.keys
+    """Heads of an axis' columns: its name, or its keys without their groups, in words."""
+    names = axis.keys if len(axis.texts[0]) > 1 else [axis.name]
     return [name.split(".")[-1].replace("_", " ") for name in names]
 
 
-def _beside(axis: Axis, label: str) -> str:
+def _column_head(axis: Axis, label: str) -> str:
     """A label at the head of columns; a number says of what."""
-    return f"{'/'.join(_heads(axis))} {label}" if re.fullmatch(r"[-+.]?\d[-+/.e\d]*", label) else label
-
-
-def _texts(axis: Axis, index: int) -> list[str]:
-    """A point of an axis, a text for each of its columns."""
-    return [axis.labels[index]] if _labelled(axis) else axis.labels[index].split("/")
+    return f"{'/'.join(_heads(axis))} {label}" if axis.numeric else label
 
 
 def _number(value: float) -> str:
@@ -144,16 +133,16 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
 }
 
 
-def markdown(laid: Layout) -> str:
+def markdown(arrangement: Layout) -> str:
     """A layout as markdown."""
-    lines = [laid.head, ["--:"] * len(laid.head), *laid.body]
+    lines = [arrangement.head, ["--:"] * len(arrangement.head), *arrangement.body]
     return "\n".join("| " + " | ".join(texts) + " |" for texts in lines) + "\n"
 
 
-def plain(laid: Layout) -> str:
+def plain(arrangement: Layout) -> str:
     """A layout as aligned text, its heads on two lines."""
-    heads = [head.rpartition(": " if ": " in head else " ") for head in laid.head]
-    lines = [[head[0] for head in heads], [head[2] for head in heads], *laid.body]
+    heads = [head.rpartition(": " if ": " in head else " ") for head in arrangement.head]
+    lines = [[head[0] for head in heads], [head[2] for head in heads], *arrangement.body]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         "  ".join(text.rjust(width) for text, width in zip(texts, widths, strict=True)).rstrip()

@@ -105,9 +105,9 @@ class SweepConsole(SweepObserver):
 
     def _cell(self, labels: tuple[str, ...]) -> list[str]:
         """How far a cell is, and its mean so far."""
-        found = self._experiments.get(labels, [])
-        mean = f"{sum(found) / len(found):.1f}" if found else BLANK
-        return [f"{len(found)}/{self._sweep.repetitions} {mean:>5}"]
+        counts = self._experiments.get(labels, [])
+        mean = f"{sum(counts) / len(counts):.1f}" if counts else BLANK
+        return [f"{len(counts)}/{self._sweep.repetitions} {mean:>5}"]
 
     @contextmanager
     def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
@@ -130,8 +130,8 @@ class SweepConsole(SweepObserver):
 
     def conclude(self, trials: DataFrame, where: str | None) -> None:
         """The table, what it means, and how to look at the rest."""
-        laid = layout(cells(trials, self._sweep), self._sweep)
-        self._console.print(plain(laid), soft_wrap=True, markup=False)
+        arrangement = layout(cells(trials, self._sweep), self._sweep)
+        self._console.print(plain(arrangement), soft_wrap=True, markup=False)
         self._console.print(legend(self._sweep), soft_wrap=True, markup=False)
         raised = [row for row in trials.to_dict("records") if row["outcome"] == Outcome.ERROR]
         for row in raised[:SHOWN_ERRORS]:
@@ -162,12 +162,12 @@ class SweepConsole(SweepObserver):
         print(text, file=sys.stderr, flush=True)
 
 
-def _rich(laid: Layout) -> Table:
+def _rich(arrangement: Layout) -> Table:
     """A layout as rich shows it."""
     table = Table(box=None, pad_edge=False)
-    for head in laid.head:
+    for head in arrangement.head:
         table.add_column(Text(head), justify="right")
-    for line in laid.body:
+    for line in arrangement.body:
         table.add_row(*map(Text, line))
     return table
 

@@ -136,11 +136,11 @@ def tags(composition: Composition) -> dict[str, str]:
 
 def origin() -> dict[str, str]:
     """Where a run comes from: git commit, versions, user."""
-    found = {"mlflow.source.name": "simbias", "mlflow.source.type": "LOCAL"}
+    tags = {"mlflow.source.name": "simbias", "mlflow.source.type": "LOCAL"}
     with suppress(OSError, KeyError):  # a user without a name, as in some containers
-        found["mlflow.user"] = getpass.getuser()
+        tags["mlflow.user"] = getpass.getuser()
     versions = ", ".join(f"{package} {number}" for package, number in _versions().items())
-    return {**found, **_commit(), "versions": versions}
+    return {**tags, **_commit(), "versions": versions}
 
 
 @cache
@@ -165,9 +165,9 @@ def _git(*arguments: str) -> str:
 @cache
 def _versions() -> dict[str, str]:
     """Versions of Python, simbias and what it requires."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     with suppress(PackageNotFoundError):
         required = [line for line in requires("simbias") or [] if "extra ==" not in line]
         for package in ("simbias", *(re.split(r"[^\w\-.]", line)[0] for line in required)):
-            found[package] = version(package)
-    return found
+            versions[package] = version(package)
+    return versions

@@ -136,14 +136,14 @@ class MlflowSweep(TrackedSweep):
         from simbias.pictures.sweep.batches import Outcomes
 
         wanted = {f"{EXPERIMENTS}/{batch}.json": batch for batch in batches}
-        found = {}
+        kept = {}
         with tempfile.TemporaryDirectory() as folder:
             for file in self._client.list_artifacts(self.run_id, EXPERIMENTS) if wanted else []:
                 if file.path in wanted:
                     path = self._client.download_artifacts(self.run_id, file.path, folder)
                     with suppress(ValueError):
-                        found[wanted[file.path]] = Outcomes.from_json(Path(path).read_text())
-        return found
+                        kept[wanted[file.path]] = Outcomes.from_json(Path(path).read_text())
+        return kept
 
     def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
         """Keep a figure's files in figures/, and its caption in the note."""
@@ -179,8 +179,8 @@ class MlflowSweep(TrackedSweep):
         """The table, as markdown, CSV and MLflow's own kind."""
         client = self._client
         names = [axis.name for axis in self._sweep.axes]
-        laid = tables.layout(table, self._sweep)
-        client.log_text(self.run_id, tables.markdown(laid), "table.md")
+        arrangement = tables.layout(table, self._sweep)
+        client.log_text(self.run_id, tables.markdown(arrangement), "table.md")
         client.log_text(self.run_id, table.to_csv(index=False), "table.csv")
         if any(file.path == "table.json" for file in client.list_artifacts(self.run_id)):
             client.log_text(self.run_id, table.to_json(orient="split", index=False), "table.json")
@@ -190,11 +190,17 @@ class MlflowSweep(TrackedSweep):
     def _note(self, verdict: str) -> None:
         """Write the parent's description: how far it is, the table, how to go on."""
         trials = results.frame(list(self._rows.values()), self._sweep)
-        laid = tables.layout(tables.cells(trials, self._sweep), self._sweep)
+        arrangement = tables.layout(tables.cells(trials, self._sweep), self._sweep)
         link = pages.trials_page(self._experiment_id, self._sweep)
         done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."
         captions = [f"[{name}]({self._picture(name)}): {text}" for name, text in self._captions.items()]
-        parts = [done, tables.markdown(laid), tables.legend(self._sweep), *captions, f"`{self._again}`"]
+        parts = [
+            done,
+            tables.markdown(arrangement),
+            tables.legend(self._sweep),
+            *captions,
+            f"`{self._again}`",
+        ]
         self._client.set_tag(self.run_id, NOTE, "\n\n".join(parts))
         self._noted = time.monotonic()
 

@@ -46,13 +46,13 @@ def children(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[
 
 def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | None:
     """The parent run of a sweep, if it ever began."""
-    found = client.search_runs(
+    runs = client.search_runs(
         [experiment_id],
         f"tags.sweep = '{sweep.name}' and tags.hash = '{sweep.hash}'",
         order_by=["created ASC"],
         max_results=1,
     )
-    return found[0] if found else None
+    return runs[0] if runs else None
 
 
 def of_sweep(client: MlflowClient, experiment_id: str, parent: str, sweep: Sweep) -> pd.DataFrame:
@@ -90,11 +90,11 @@ def published(sweep: Sweep) -> pd.DataFrame:
     numbers = (*COUNTS, "seconds")
     types = {**dict.fromkeys(names, str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
-    found = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
-    lacking = {*names, *COLUMNS[:-1]} - set(found)
+    trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
+    lacking = {*names, *COLUMNS[:-1]} - set(trials)
     if lacking:
         raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")
-    return found[[*names, *COLUMNS[:-1]]]
+    return trials[[*names, *COLUMNS[:-1]]]
 
 
 def frame(rows: Sequence[Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:

@@ -95,17 +95,17 @@ def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> st
     """Find the experiment or create it, its files at `artifacts`."""
     from mlflow.exceptions import MlflowException
 
-    found = client.get_experiment_by_name(name)
-    if found is None:
+    known = client.get_experiment_by_name(name)
+    if known is None:
         try:
             return client.create_experiment(name, artifact_location=artifacts)
         except MlflowException:
-            found = client.get_experiment_by_name(name)
-            if found is None:  # else another process created it meanwhile
+            known = client.get_experiment_by_name(name)
+            if known is None:  # else another process created it meanwhile
                 raise
-    if found.lifecycle_stage != "active":
+    if known.lifecycle_stage != "active":
         raise ConfigError("tracking.experiment", f"{name} is deleted in the store; restore it")
-    return found.experiment_id
+    return known.experiment_id
 
 
 def _probe_database(uri: str) -> str | None:

@@ -94,12 +94,12 @@ def _composition(path: Path, run: Run) -> Composition:
 
 def _metrics(client: MlflowClient, run: Run) -> dict[int, dict[str, float]]:
     """The metrics of each iteration that are not in its files."""
-    found: dict[int, dict[str, float]] = defaultdict(dict)
+    metrics: dict[int, dict[str, float]] = defaultdict(dict)
     for name in sorted(run.data.metrics):
         if name.startswith(PER_ITERATION):
             for metric in client.get_metric_history(run.info.run_id, name):
-                found[metric.step][name] = metric.value
-    return found
+                metrics[metric.step][name] = metric.value
+    return metrics
 
 
 def _iterations(
