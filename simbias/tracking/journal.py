@@ -51,16 +51,10 @@ class Journal(Recorder):
         self.folder = folder
         self.pictures = pictures
         self._next = 0
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._lock = FileLock(folder / "lock")
-            self._lock.acquire(timeout=LOCK_SECONDS)
-            for file in folder.glob("*.part"):  # of a process that was killed while it wrote
-                file.unlink()
-        except Timeout as error:
-            raise ConfigError(str(folder), "another process is running this trial") from error
-        except OSError as error:
-            raise ConfigError(str(folder), f"cannot be written ({error.strerror})") from error
+        taken = ConfigError(str(folder), "another process is running this trial")
+        self._lock = acquired(folder / "lock", LOCK_SECONDS, taken)
+        for file in folder.glob("*.part"):  # of a process that was killed while it wrote
+            file.unlink()
 
     def recalling(self, study: Study) -> Study:
         """The study, its hardware and its optimizer kept here."""
@@ -173,6 +167,25 @@ class KeptOptimizer(Optimizer):
         fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
         self._journal.keep(SEARCH, lambda file: file.write(json.dumps(fields).encode()))
         return optimum
+
+
+def acquired(path: Path, timeout: float, taken: ConfigError) -> FileLock:
+    """The lock of this file, in a folder that is made if need be.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be written; `taken` if another process holds the lock for so many seconds.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path)
+        lock.acquire(timeout=timeout)
+    except Timeout as error:
+        raise taken from error
+    except OSError as error:
+        raise ConfigError(str(path.parent), f"cannot be written ({error.strerror})") from error
+    return lock
 
 
 def remove(folder: Path) -> None:

@@ -11,14 +11,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from filelock import FileLock, Timeout
-
 from simbias.commands import python
 from simbias.config.errors import ConfigError
 from simbias.records import Iteration, Rollout
 from simbias.tracking import fields, files, notes, pages
 from simbias.tracking.contract import TrackedSweep, TrackedTrial, Tracking
-from simbias.tracking.journal import Journal, remove
+from simbias.tracking.journal import Journal, acquired, remove
 from simbias.tracking.store import cause, connect, database, exists
 from simbias.trial import Outcome, TrialRecord
 
@@ -101,14 +99,8 @@ class Mlflow(Tracking):
 
         client, experiment_id = connect(self._uri, self._experiment)
         folder = self._folder()
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(folder / f"sweep_{sweep.hash}.lock")
-            lock.acquire(timeout=0)
-        except Timeout as error:
-            raise ConfigError("sweep", "another process is running this sweep into the same store") from error
-        except OSError as error:
-            raise ConfigError(str(folder), f"cannot be written ({error.strerror})") from error
+        taken = ConfigError("sweep", "another process is running this sweep into the same store")
+        lock = acquired(folder / f"sweep_{sweep.hash}.lock", 0.0, taken)
         try:
             pictures = IN_SWEEPS if self._pictures else ()
             return MlflowSweep(client, experiment_id, sweep, again, self._where, lock, folder, pictures)
