@@ -15,7 +15,7 @@ import numpy as np
 
 from simbias.records import Array
 from simbias.simulation.kernels import LANES
-from simbias.simulation.lanes import everywhere, exp, fused, loaded, stored
+from simbias.simulation.lanes import broadcast, everywhere, exp, fused, loaded, stored
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 
@@ -59,12 +59,12 @@ def product(panels, offset, columns, k):
     v0 = v1 = v2 = v3 = v4 = v5 = everywhere(np.float32(0.0))
     for j in range(columns):
         k_j = loaded(k, j)
-        v0 = fused(everywhere(panels[offset]), k_j, v0)
-        v1 = fused(everywhere(panels[offset + 1]), k_j, v1)
-        v2 = fused(everywhere(panels[offset + 2]), k_j, v2)
-        v3 = fused(everywhere(panels[offset + 3]), k_j, v3)
-        v4 = fused(everywhere(panels[offset + 4]), k_j, v4)
-        v5 = fused(everywhere(panels[offset + 5]), k_j, v5)
+        v0 = fused(broadcast(panels, offset), k_j, v0)
+        v1 = fused(broadcast(panels, offset + 1), k_j, v1)
+        v2 = fused(broadcast(panels, offset + 2), k_j, v2)
+        v3 = fused(broadcast(panels, offset + 3), k_j, v3)
+        v4 = fused(broadcast(panels, offset + 4), k_j, v4)
+        v5 = fused(broadcast(panels, offset + 5), k_j, v5)
         offset += PANEL
     return v0, v1, v2, v3, v4, v5
 

@@ -1,7 +1,7 @@
 """Numbers of sixteen rollouts that run in step, one in each lane of a vector register.
 
 A type for compiled functions: `loaded` and `stored` move a row of an array, `everywhere` fills all lanes with
-a number, and `+`, `-`, `*` act lane by lane. What a lane gives does not depend on the others. Without it, the
+a number, `broadcast` with an array's element, and `+`, `-`, `*` act lane by lane. What a lane gives does not depend on the others. Without it, the
 compiler keeps sums in memory, or vectorises them over the samples, and adds up at the end of each.
 """
 
@@ -108,15 +108,35 @@ def stored(context, array, index, lanes):
     return types.void(ROWS if array.ndim == 2 else LINE, int64, REGISTERS), generate
 
 
+def _in_every_lane(builder, value):
+    """A register filled with a number."""
+    one = builder.insert_element(_constant(_FLOATS, ir.Undefined), value, ir.IntType(32)(0))
+    return builder.shuffle_vector(one, _constant(_FLOATS, ir.Undefined), _constant(_INTEGERS, 0))
+
+
 @intrinsic
 def everywhere(context, value):
     """A number in every lane."""
 
     def generate(context, builder, signature, arguments):
-        one = builder.insert_element(_constant(_FLOATS, ir.Undefined), arguments[0], ir.IntType(32)(0))
-        return builder.shuffle_vector(one, _constant(_FLOATS, ir.Undefined), _constant(_INTEGERS, 0))
+        return _in_every_lane(builder, arguments[0])
 
     return REGISTERS(float32), generate
+
+
+@intrinsic
+def broadcast(context, array, index):
+    """An element of an array (k,), in every lane.
+
+    Python's indexing would ask first whether the index counts from the end, which takes longer than a product.
+    """
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        value = builder.load(builder.gep(data, [arguments[1]]))
+        return _in_every_lane(builder, value)
+
+    return REGISTERS(LINE, int64), generate
 
 
 @intrinsic
