@@ -219,12 +219,14 @@ class Simulator(Protocol):
     def rollouts(self, thetas: Array, starts: Array) -> Sequence[Rollout]:
         """Run each theta of (k, p) from its start of (k, n); much faster together than one by one."""
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array) -> Array:
-        """Costs (k,) of these rollouts; faster than the rollouts."""
+    def costs(self, cost: Cost, thetas: Array, starts: Array) -> tuple[Array, Indices]:
+        """Costs (k,) of these rollouts, and how many frames (k,) they have; faster than the rollouts."""
 
 
 class Objective(Protocol):
     """What a policy search minimises; deterministic. A plain function will do, `together` is faster."""
+
+    steps: int  # simulated so far, for searches that are limited by them
 
     def __call__(self, theta: Array) -> float:
         """Cost of theta (p,)."""
@@ -295,6 +297,8 @@ class Optimizer(ABC):
 
     max_evaluations: int  # N_in
     relative_tolerance: float  # epsilon
+    max_steps: int | None = None  # of simulation, after which a search ends
+    max_seconds: float | None = None  # likewise
 
     @abstractmethod
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
@@ -317,8 +321,9 @@ class Optimizer(ABC):
     ) -> Optimum:
         """Best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions pass through.
 
-        Only a search whose best cost is below `satisfactory` may end before its last evaluation because it
-        converges: among policies that fail, costs of Eq. 8 lie on plateaus that look like convergence.
+        It ends at the latest after `max_evaluations`, or once `max_steps` or `max_seconds` are used up. Only
+        a search whose best cost is below `satisfactory` may end earlier because it converges: among
+        policies that fail, costs of Eq. 8 lie on plateaus that look like convergence.
         The candidates (p,) are evaluated first, and a search that starts from a point starts from the best.
 
         Raises
@@ -328,7 +333,14 @@ class Optimizer(ABC):
             parameters.
         """
         evaluations = Evaluations(
-            objective, lower, upper, self.max_evaluations, self.relative_tolerance, satisfactory
+            objective,
+            lower,
+            upper,
+            self.max_evaluations,
+            self.relative_tolerance,
+            satisfactory,
+            self.max_steps,
+            self.max_seconds,
         )
         evaluations.try_first(candidates)
         stopped_by = evaluations.run(lambda running: self.search(running, rng))

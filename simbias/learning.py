@@ -71,6 +71,11 @@ class _Watched:
         if hasattr(objective, "together"):
             self.together = self._together
 
+    @property
+    def steps(self) -> int:
+        """Simulated so far."""
+        return getattr(self._objective, "steps", 0)
+
     def __call__(self, theta: Array) -> float:
         cost = self._objective(theta)
         self._tell(np.array([cost]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from copy import copy
 
@@ -11,6 +12,8 @@ import numpy as np
 from simbias.records import Array, Optimum
 
 EVALUATION_LIMIT = "the evaluation limit"
+STEP_LIMIT = "the limit of simulated steps"
+TIME_LIMIT = "the time limit"
 RELATIVE_TOLERANCE = "the relative tolerance"
 SATISFIED = "a satisfactory cost"
 ROUNDING = 1e-12  # of relative changes that say nothing: DIRECT often asks for points of equal cost
@@ -41,6 +44,10 @@ class Evaluations:
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z| (Section V).
     satisfactory
         Best cost below which that rule holds.
+    max_steps
+        Simulated steps after which the search ends, as the objective's `steps` counts them.
+    max_seconds
+        Wall time after which it ends.
 
     Raises
     ------
@@ -56,6 +63,8 @@ class Evaluations:
         limit: int,
         relative_tolerance: float,
         satisfactory: float = np.inf,
+        max_steps: int | None = None,
+        max_seconds: float | None = None,
     ) -> None:
         self.lower = np.array(lower, dtype=np.float64)
         self.upper = np.array(upper, dtype=np.float64)
@@ -69,6 +78,8 @@ class Evaluations:
         self._limit = limit
         self._relative_tolerance = relative_tolerance
         self.satisfactory = satisfactory
+        self._last_step = np.inf if max_steps is None else self._steps + max_steps
+        self._deadline = np.inf if max_seconds is None else time.monotonic() + max_seconds
         self._until_satisfied = False
         self._best_point: Array | None = None
         self.best_cost = np.inf
@@ -78,6 +89,31 @@ class Evaluations:
     def remaining(self) -> int:
         """How many more evaluations are allowed."""
         return self._limit - self.count
+
+    @property
+    def spent(self) -> str | None:
+        """Why no more should be evaluated, in words; None if some may."""
+        if not self.remaining:
+            return EVALUATION_LIMIT
+        if self._steps >= self._last_step:
+            return STEP_LIMIT
+        return TIME_LIMIT if time.monotonic() >= self._deadline else None
+
+    def _go_on(self) -> None:
+        """End the search if it has evaluated something and may not go on.
+
+        Raises
+        ------
+        SearchEnded
+            Then.
+        """
+        if self.count and (reason := self.spent) is not None:
+            raise SearchEnded(reason)
+
+    @property
+    def _steps(self) -> int:
+        """Steps that the objective has simulated, if it counts them."""
+        return getattr(self._objective, "steps", 0)
 
     @property
     def satisfied(self) -> bool:
@@ -100,12 +136,11 @@ class Evaluations:
         Raises
         ------
         SearchEnded
-            If the evaluations are used up, or the last improvement was within the tolerance.
+            If evaluations, steps or seconds are used up, or the last improvement was within the tolerance.
         ValueError
             If the cost is not finite.
         """
-        if not self.remaining:
-            raise SearchEnded(EVALUATION_LIMIT)
+        self._go_on()
         inside = self._inside(point)
         return self._judged(inside, float(self._objective(inside.copy())))
 
@@ -114,6 +149,7 @@ class Evaluations:
         affordable = [self._inside(point) for point in points[: self.remaining]]
         if self.together is None or len(affordable) < 2:
             return [self.evaluate(point) for point in points]
+        self._go_on()
         costs = self.together(np.array(affordable)).tolist()
         judged = [self._judged(point, cost) for point, cost in zip(affordable, costs, strict=True)]
         if len(affordable) < len(points):
@@ -147,17 +183,17 @@ class Evaluations:
 
     def run(self, search: Search) -> str:
         """Run a search on these; why it ended, in words."""
-        if not self.remaining:
-            return EVALUATION_LIMIT
         try:
+            self._go_on()
             return search(self)
         except SearchEnded as end:
             return str(end)
 
     def rehearsal(self, objective: Callable[[Array], float]) -> Evaluations:
-        """These evaluations as they stand, of another objective; they go on apart, until adopted."""
+        """These evaluations as they stand, of costs that are known; they go on apart, until adopted."""
         branch = copy(self)
         branch._objective = objective
+        branch._last_step = branch._deadline = np.inf
         return branch
 
     def exploration(self, limit: int) -> Evaluations:

@@ -13,12 +13,17 @@ def _constant(x, u, parameters):
     return parameters
 
 
+def zero(n: int) -> Kernel:
+    """No correction of n states."""
+    return Kernel(_constant, np.zeros(n))
+
+
 class ZeroBias(FittedBias):
     """g = 0, known for sure."""
 
     def __init__(self, n: int) -> None:
         self._n = n
-        self.kernel = Kernel(_constant, np.zeros(n))
+        self.kernel = zero(n)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) and variance (k, n): zeros."""

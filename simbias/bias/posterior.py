@@ -11,7 +11,7 @@ from scipy.linalg import solve_triangular
 from simbias.bias.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.bias.gp_kernel import correct, packed, packed_triangle
 from simbias.bias.inducing import Inducing, choose, view
-from simbias.bias.none import ZeroBias
+from simbias.bias.none import zero
 from simbias.interfaces import FittedBias, Kernel
 from simbias.records import Array, Transitions
 
@@ -124,7 +124,7 @@ def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array
 def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
     """The correction in single precision; without points there is none, which takes no time."""
     if not len(points):
-        return ZeroBias(W.shape[1]).kernel
+        return zero(W.shape[1])
     data = (
         points.astype(np.float32),
         packed_triangle(U),

@@ -11,13 +11,14 @@ from simbias.records import Array
 from simbias.simulation.closed_loop import Worlds, joined, simulator
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class CostOfOneRollout:
     """Z (Eq. 8) of a policy's rollout from one start."""
 
     simulator: Worlds
     cost: Cost
     start: Array  # (n,)
+    steps: int = 0  # simulated so far
 
     def __call__(self, theta: Array) -> float:
         """Z of theta (p,)."""
@@ -26,7 +27,10 @@ class CostOfOneRollout:
     def together(self, thetas: Array) -> Array:
         """Z (k,) of thetas (k, p)."""
         k = len(thetas)
-        return self.simulator.costs(self.cost, thetas, np.tile(self.start, (k, 1)), np.zeros(k, np.int64))
+        starts, worlds = np.tile(self.start, (k, 1)), np.zeros(k, np.int64)
+        costs, frames = self.simulator.costs(self.cost, thetas, starts, worlds)
+        self.steps += int(frames.sum())
+        return costs
 
 
 class NominalStart(Evaluation):

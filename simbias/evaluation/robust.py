@@ -39,6 +39,7 @@ class CostOfScenarios:
         self._cost = cost
         self._worst = worst  # of the costs, so many worst ones are averaged
         self._screening = screening
+        self.steps = 0
         self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
 
     def __call__(self, theta: Array) -> float:
@@ -65,7 +66,8 @@ class CostOfScenarios:
         """The cost of each theta of (k, p) in each of the worlds."""
         each = np.tile(worlds, len(thetas))
         repeated = np.repeat(thetas, len(worlds), axis=0)
-        costs = self._simulators.costs(self._cost, repeated, self._starts[each], each)
+        costs, frames = self._simulators.costs(self._cost, repeated, self._starts[each], each)
+        self.steps += int(frames.sum())
         return costs.reshape(len(thetas), len(worlds))
 
     def _aggregated(self, costs: Array) -> float:

@@ -29,6 +29,8 @@ class BipopCma(Optimizer):
         N_in; the search never makes more.
     relative_tolerance
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z|.
+    max_steps, max_seconds
+        Of simulation and of wall time, after which the search ends too.
     """
 
     def __init__(
@@ -38,9 +40,12 @@ class BipopCma(Optimizer):
         resolution: PositiveFloat,
         max_evaluations: PositiveInt,
         relative_tolerance: PositiveFloat,
+        max_steps: PositiveInt | None = None,
+        max_seconds: PositiveFloat | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance
+        self.max_steps, self.max_seconds = max_steps, max_seconds
         self._initial_deviation = initial_deviation
         self._population = population
         self._resolution = resolution

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from pydantic import PositiveFloat, PositiveInt
 
 from simbias.interfaces import Optimizer
 from simbias.optimizer.cma import RESOLUTION, Population, evolve
 from simbias.optimizer.nlopt import Algorithm, Nlopt
+from simbias.optimizer.sobol import Sobol
 from simbias.records import Array
 from simbias.search import Evaluations
 
 
 class Hybrid(Optimizer):
-    """NLopt explores the box until a cost is satisfactory, CMA-ES goes on from the best point that it found.
+    """A global search explores the box until a cost is satisfactory, CMA-ES goes on from its best point.
 
     Where not even that is satisfactory, both begin again, elsewhere if the exploration is random. Candidates
     of which one is satisfactory take the place of the first exploration.
@@ -21,9 +24,9 @@ class Hybrid(Optimizer):
     Parameters
     ----------
     exploration
-        NLopt's name of the global algorithm, as in `Nlopt`.
+        "sobol", or NLopt's name of a global algorithm, as in `Nlopt`.
     explorations
-        Evaluations that NLopt makes at most before CMA-ES takes over.
+        Evaluations that it makes at most before CMA-ES takes over.
     initial_deviation
         Standard deviation of CMA-ES's first generation, in units of the box's width.
     population
@@ -34,21 +37,30 @@ class Hybrid(Optimizer):
         N_in, of all stages; the search never makes more.
     relative_tolerance
         epsilon: the search ends when CMA-ES improves the best cost Z by less than epsilon |Z|.
+    max_steps, max_seconds
+        Of simulation and of wall time, after which the search ends too.
     """
 
     def __init__(
         self,
-        exploration: Algorithm,
+        exploration: Literal["sobol"] | Algorithm,
         explorations: PositiveInt,
         initial_deviation: PositiveFloat,
         population: Population | None,
         resolution: PositiveFloat,
         max_evaluations: PositiveInt,
         relative_tolerance: PositiveFloat,
+        max_steps: PositiveInt | None = None,
+        max_seconds: PositiveFloat | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance
-        self._explorer = Nlopt(exploration, max_evaluations, relative_tolerance)
+        self.max_steps, self.max_seconds = max_steps, max_seconds
+        self._explorer: Optimizer = (
+            Sobol(max_evaluations, relative_tolerance)
+            if exploration == "sobol"
+            else Nlopt(exploration, max_evaluations, relative_tolerance)
+        )
         self._explorations = explorations
         self._initial_deviation = initial_deviation
         self._population = population

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.records import Array
-from simbias.search import Evaluations, Search
+from simbias.search import Evaluations, Search, SearchEnded
 
 FIRST_GUESS = 1e6
 MOST = 32  # points evaluated together; of more, too many guesses are wrong
@@ -33,7 +33,7 @@ def look_ahead(search: Search, evaluations: Evaluations) -> str:
     guessed: dict[bytes, Array] = {}
     size = MOST
     while True:
-        rehearsal = Rehearsal(known, size)
+        rehearsal = Rehearsal(known, size, evaluations.spent if known else None)
         if (stopped_by := rehearsal.run(search, evaluations)) is not None:
             return stopped_by
         used = sum(point in rehearsal.asked for point in guessed)
@@ -46,11 +46,15 @@ def look_ahead(search: Search, evaluations: Evaluations) -> str:
 
 
 class Rehearsal:
-    """A run of a search on known costs, guesses in place of others, until it asked for `size` of those."""
+    """A run of a search on known costs, guesses in place of others, until it asked for `size` of those.
 
-    def __init__(self, known: dict[bytes, float], size: int) -> None:
+    Where the search's steps or seconds are spent, it ends with what is known.
+    """
+
+    def __init__(self, known: dict[bytes, float], size: int, spent: str | None) -> None:
         self._known = known
         self._size = size
+        self._spent = spent
         self._guess = max(known.values(), default=FIRST_GUESS)
         self.asked: set[bytes] = set()
         self.unknown: dict[bytes, Array] = {}
@@ -72,6 +76,8 @@ class Rehearsal:
         key = point.tobytes()
         self.asked.add(key)
         if key not in self._known:
+            if self._spent is not None:
+                raise SearchEnded(self._spent)
             self.unknown[key] = point.copy()
             if len(self.unknown) >= self._size:
                 raise AskedEnough

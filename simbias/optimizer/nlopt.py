@@ -47,6 +47,8 @@ class Nlopt(Optimizer):
     relative_tolerance
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z|. NLopt's own ftol_rel
         is not used: GN_ORIG_DIRECT*, GN_ESCH and GN_AGS ignore it, GN_MLSL* do but for their local searches.
+    max_steps, max_seconds
+        Of simulation and of wall time, after which the search ends too.
 
     Raises
     ------
@@ -55,13 +57,19 @@ class Nlopt(Optimizer):
     """
 
     def __init__(
-        self, algorithm: Algorithm, max_evaluations: PositiveInt, relative_tolerance: PositiveFloat
+        self,
+        algorithm: Algorithm,
+        max_evaluations: PositiveInt,
+        relative_tolerance: PositiveFloat,
+        max_steps: PositiveInt | None = None,
+        max_seconds: PositiveFloat | None = None,
     ) -> None:
         if algorithm not in get_args(Algorithm):
             raise ValueError(f"algorithm {algorithm!r} is none of {', '.join(get_args(Algorithm))}")
         self.max_evaluations = max_evaluations
         self._algorithm = algorithm
         self.relative_tolerance = relative_tolerance
+        self.max_steps, self.max_seconds = max_steps, max_seconds
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Search, looking ahead."""

@@ -23,14 +23,22 @@ class ScipyDirect(Optimizer):
     relative_tolerance
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z|. SciPy has no such
         test; its own, on the size of the best rectangle, are off.
+    max_steps, max_seconds
+        Of simulation and of wall time, after which the search ends too.
     """
 
     def __init__(
-        self, locally_biased: bool, max_evaluations: PositiveInt, relative_tolerance: PositiveFloat
+        self,
+        locally_biased: bool,
+        max_evaluations: PositiveInt,
+        relative_tolerance: PositiveFloat,
+        max_steps: PositiveInt | None = None,
+        max_seconds: PositiveFloat | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self._locally_biased = locally_biased
         self.relative_tolerance = relative_tolerance
+        self.max_steps, self.max_seconds = max_steps, max_seconds
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Search, looking ahead."""

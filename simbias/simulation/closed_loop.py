@@ -23,8 +23,8 @@ def simulator(model: Model, disturbance: Disturbance | None = None) -> Simulator
 class Worlds(Protocol):
     """Simulators of one task that are run together."""
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices) -> Array:
-        """Costs (k,) of each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices) -> tuple[Array, Indices]:
+        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its world of (k,)."""
 
     def rollouts(self, thetas: Array, starts: Array, worlds: Indices) -> Sequence[Rollout]:
         """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
@@ -70,13 +70,13 @@ class Apart:
 
     simulators: Sequence[Simulator]
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices) -> Array:
-        """Costs (k,) of each theta of (k, p) from its start of (k, n) in its world of (k,)."""
-        costs = np.empty(len(thetas))
+    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices) -> tuple[Array, Indices]:
+        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+        costs, frames = np.empty(len(thetas)), np.empty(len(thetas), np.int64)
         for world, simulator in enumerate(self.simulators):
             own = worlds == world
-            costs[own] = simulator.costs(cost, thetas[own], starts[own])
-        return costs
+            costs[own], frames[own] = simulator.costs(cost, thetas[own], starts[own])
+        return costs, frames
 
     def rollouts(self, thetas: Array, starts: Array, worlds: Indices) -> list[Rollout]:
         """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""

@@ -17,7 +17,7 @@ from simbias.interfaces import Cost, Kernel, Model, Task
 from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.fused import Composition, compiled_loop
 from simbias.simulation.kernels import LANES
-from simbias.simulation.plain import record
+from simbias.simulation.plain import costs_of, record
 
 RECORDED = 256  # rollouts recorded at once: their records take memory
 
@@ -91,12 +91,15 @@ class CompiledSimulator:
             rollouts += [record(task.criteria, *one) for one in each]
         return rollouts
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None) -> Array:
-        """Costs (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
+    def costs(
+        self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None
+    ) -> tuple[Array, Indices]:
+        """Costs and frames (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
         if cost.kernel is None:
-            return np.array([cost.of(rollout) for rollout in self.rollouts(thetas, starts, worlds)])
+            return costs_of(cost, self.rollouts(thetas, starts, worlds))
         made = self._run(cost.kernel, cost.totals, thetas, starts, worlds)
-        return cost.of_totals(made.totals, np.where(made.violated < 0, 0, self.task.horizon - made.frames))
+        lost = np.where(made.violated < 0, 0, self.task.horizon - made.frames)
+        return cost.of_totals(made.totals, lost), made.frames
 
     def _run(
         self, total: Kernel | None, totals: int, thetas: Array, starts: Array, worlds: Indices | None

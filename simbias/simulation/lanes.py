@@ -1,8 +1,9 @@
 """Numbers of sixteen rollouts that run in step, one in each lane of a vector register.
 
 A type for compiled functions: `loaded` and `stored` move a row of an array, `everywhere` fills all lanes with
-a number, `broadcast` with an array's element, and `+`, `-`, `*` act lane by lane. What a lane gives does not depend on the others. Without it, the
-compiler keeps sums in memory, or vectorises them over the samples, and adds up at the end of each.
+a number, `broadcast` with an element of an array, and `+`, `-`, `*` act lane by lane. What a lane gives does
+not depend on the others. Without it, the compiler keeps sums in memory, or vectorises them over the samples,
+and adds up at the end of each.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def everywhere(context, value):
 def broadcast(context, array, index):
     """An element of an array (k,), in every lane.
 
-    Python's indexing would ask first whether the index counts from the end, which takes longer than a product.
+    Python's indexing first asks whether the index counts from the end, which takes longer than a product.
     """
 
     def generate(context, builder, signature, arguments):

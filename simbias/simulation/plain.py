@@ -36,9 +36,11 @@ class PlainSimulator:
             rollouts += self._together(thetas[some], starts[some], worlds[some])
         return rollouts
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None) -> Array:
-        """Costs (k,) of these rollouts."""
-        return np.array([cost.of(rollout) for rollout in self.rollouts(thetas, starts, worlds)])
+    def costs(
+        self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None
+    ) -> tuple[Array, Indices]:
+        """Costs (k,) of these rollouts, and their frames (k,)."""
+        return costs_of(cost, self.rollouts(thetas, starts, worlds))
 
     def _together(self, thetas: Array, starts: Array, worlds: Indices) -> list[Rollout]:
         """All of them, frame by frame."""
@@ -90,6 +92,12 @@ class PlainSimulator:
     def _record(self, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
         """The record of a rollout."""
         return record(self.models[0].task.criteria, states, inputs, int(frames), int(violated))
+
+
+def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
+    """Costs (k,) of rollouts, and their frames (k,)."""
+    frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
+    return np.array([cost.of(rollout) for rollout in rollouts]), frames
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:

@@ -144,6 +144,7 @@ class KeptOptimizer(Optimizer):
         self._journal = journal
         self.max_evaluations = optimizer.max_evaluations
         self.relative_tolerance = optimizer.relative_tolerance
+        self.max_steps, self.max_seconds = optimizer.max_steps, optimizer.max_seconds
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Search as the optimizer does."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 
@@ -113,3 +115,9 @@ def test_defaults_are_table_1() -> None:
     assert config["optimizer"]["max_evaluations"] == 1000
     assert config["optimizer"]["relative_tolerance"] == 1e-6
     assert config["policy"]["bound"] == 10
+
+
+def test_an_error_comes_back_from_a_worker() -> None:
+    error = pickle.loads(pickle.dumps(ConfigError("bias.d", "must be greater than 0")))
+    assert isinstance(error, ConfigError)
+    assert (error.key, str(error)) == ("bias.d", "bias.d: must be greater than 0")

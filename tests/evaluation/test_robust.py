@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 import simbias
 from simbias.evaluation.robust import CostOfScenarios, Robust, Scenario
 from simbias.interfaces import Cost, SlowWarning
-from simbias.records import Array, Rollout
+from simbias.records import Array, Indices, Rollout
+from simbias.simulation.plain import costs_of
 from simbias.study import Study
 
 NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
@@ -41,8 +42,8 @@ class FakeSimulator:
     def rollouts(self, thetas: Array, starts: Array) -> list[Rollout]:
         return [self.rollout(theta, start) for theta, start in zip(thetas, starts, strict=True)]
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array) -> Array:
-        return np.array([cost.of(rollout) for rollout in self.rollouts(thetas, starts)])
+    def costs(self, cost: Cost, thetas: Array, starts: Array) -> tuple[Array, Indices]:
+        return costs_of(cost, self.rollouts(thetas, starts))
 
 
 class RolloutsOwn:

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 import simbias
 from simbias.optimizer.lookahead import MOST, look_ahead
 from simbias.records import Array, Optimum
-from simbias.search import Evaluations
+from simbias.search import STEP_LIMIT, TIME_LIMIT, Evaluations
 
+STEPS = 100
 SEARCHES = ["nlopt_direct", "nlopt_crs", "scipy_direct", "cma", "bipop_cma", "hybrid"]
 
 
@@ -25,6 +26,11 @@ class Counting:
     def cost(self, x: Array) -> float:
         return float(np.sum((x - self._shift) ** 2) + 3 * np.sum(np.sin(3 * x) ** 2))
 
+    @property
+    def steps(self) -> int:
+        """As if each point took STEPS of simulation."""
+        return STEPS * sum(self.calls)
+
     def together(self, points: Array) -> Array:
         self.calls.append(len(points))
         return np.array([self.cost(point) for point in points])
@@ -34,9 +40,9 @@ class Counting:
         return self.cost(x)
 
 
-def minimize(name: str, objective, limit: int, seed: int) -> Optimum:
+def minimize(name: str, objective, limit: int, seed: int, *overrides: str) -> Optimum:
     optimizer = simbias.load(
-        ["tracking=none", f"optimizer={name}", f"optimizer.max_evaluations={limit}"]
+        ["tracking=none", f"optimizer={name}", f"optimizer.max_evaluations={limit}", *overrides]
     ).optimizer
     return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), np.random.default_rng(seed))
 
@@ -81,3 +87,26 @@ def test_a_search_that_changes_its_mind_is_noticed() -> None:
     evaluations = Evaluations(Counting(), np.zeros(3), np.ones(3), limit=100, relative_tolerance=1e-6)
     with pytest.raises(RuntimeError, match="other points when it is given the same costs"):
         look_ahead(capricious, evaluations)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+@settings(max_examples=10, deadline=None)
+@given(points=st.integers(1, 200), seed=st.integers(0, 99))
+def test_a_search_ends_with_its_steps(name: str, points: int, seed: int) -> None:
+    """After the batch in which they are used up; its best point is the best of all that it counts."""
+    objective = Counting()
+    optimum = minimize(name, objective, 100_000, seed, f"optimizer.max_steps={STEPS * points}")
+    assert objective.steps < STEPS * points + STEPS * MOST
+    assert optimum.evaluations <= sum(objective.calls)
+    assert optimum.cost == objective.cost(optimum.parameters)
+    assert optimum.stopped_by == STEP_LIMIT if objective.steps >= STEPS * points else True
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_search_ends_in_time(name: str) -> None:
+    objective = Counting()
+    optimum = minimize(
+        name, objective, 100_000, 0, "optimizer.max_seconds=1e-9", "optimizer.relative_tolerance=1e-300"
+    )
+    assert optimum.stopped_by == TIME_LIMIT
+    assert len(objective.calls) == 1

@@ -174,7 +174,8 @@ def test_none_to_run_is_no_rollout(study: Study) -> None:
     """As when the screening of an evaluation has left no policy."""
     for loop in both(study, ZeroBias(6)):
         assert loop.rollouts(np.empty((0, 5)), np.empty((0, 6))) == []
-        assert loop.costs(study.cost, np.empty((0, 5)), np.empty((0, 6))).shape == (0,)
+        costs, frames = loop.costs(study.cost, np.empty((0, 5)), np.empty((0, 6)))
+        assert costs.shape == frames.shape == (0,)
 
 
 @pytest.mark.slow
@@ -186,8 +187,10 @@ def test_costs_are_those_of_the_rollouts(study: Study) -> None:
     for bias in (ZeroBias(6), learned(study)):
         for disturbance in (None, noise):
             loop, _ = both(study, bias, disturbance)
-            costs = [study.cost.of(rollout) for rollout in loop.rollouts(thetas, starts)]
-            np.testing.assert_allclose(loop.costs(study.cost, thetas, starts), costs, rtol=1e-12)
+            rollouts = loop.rollouts(thetas, starts)
+            costs, frames = loop.costs(study.cost, thetas, starts)
+            np.testing.assert_allclose(costs, [study.cost.of(rollout) for rollout in rollouts], rtol=1e-12)
+            np.testing.assert_array_equal(frames, [rollout.frames for rollout in rollouts])
 
 
 def test_threads_change_no_bit(study: Study) -> None:
@@ -199,7 +202,7 @@ def test_threads_change_no_bit(study: Study) -> None:
     try:
         for threads in (1, 2):
             set_num_threads(min(threads, before))
-            numbers.append(loop.costs(study.cost, thetas, starts))
+            numbers.append(loop.costs(study.cost, thetas, starts)[0])
     finally:
         set_num_threads(before)
     np.testing.assert_array_equal(*numbers)
