@@ -1,0 +1,47 @@
+"""Quasi-random search: the points of a Sobol' sequence."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import PositiveFloat, PositiveInt
+from scipy.stats import qmc
+
+from simbias.interfaces import Optimizer
+from simbias.search import Evaluations
+
+TOGETHER = 16  # points evaluated at once: a power of two keeps the sequence balanced
+
+
+class Sobol(Optimizer):
+    """Evaluates a scrambled Sobol' sequence (A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", 1998).
+
+    A baseline for what a search learns from its costs, and a first stage whose points never wait for another.
+
+    Parameters
+    ----------
+    max_evaluations
+        N_in; the search never makes more.
+    relative_tolerance
+        epsilon: the search ends when the best cost Z improves by less than epsilon |Z|.
+    max_steps, max_seconds
+        Of simulation and of wall time, after which the search ends too.
+    """
+
+    def __init__(
+        self,
+        max_evaluations: PositiveInt,
+        relative_tolerance: PositiveFloat,
+        max_steps: PositiveInt | None = None,
+        max_seconds: PositiveFloat | None = None,
+    ) -> None:
+        self.max_evaluations = max_evaluations
+        self.relative_tolerance = relative_tolerance
+        self.max_steps, self.max_seconds = max_steps, max_seconds
+
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """Evaluate one point after the other, wherever the best one is."""
+        sequence = qmc.Sobol(len(evaluations.lower), scramble=True, rng=rng)
+        width = evaluations.upper - evaluations.lower
+        while True:
+            points = evaluations.lower + width * sequence.random(TOGETHER)
+            evaluations.evaluate_all(list(points))
