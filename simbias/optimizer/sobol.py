@@ -13,9 +13,10 @@ TOGETHER = 16  # points evaluated at once: a power of two keeps the sequence bal
 
 
 class Sobol(Optimizer):
-    """Evaluates a scrambled Sobol' sequence (A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", 1998).
+    """Evaluates a scrambled Sobol' sequence (A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points").
 
-    A baseline for what a search learns from its costs, and a first stage whose points never wait for another.
+    A baseline: what a search gains by learning from its costs. As a first stage, its points never wait for
+    each other.
 
     Parameters
     ----------

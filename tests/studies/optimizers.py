@@ -25,9 +25,9 @@ from joblib import Parallel, delayed
 from scipy.stats import binomtest
 
 import simbias
-from simbias.interfaces import Cost, Objective
+from simbias.interfaces import Objective
 from simbias.optimizer.nlopt import Algorithm
-from simbias.records import Array, Rollout
+from simbias.records import Array
 from simbias.sweep.tables import BLANK
 
 GOOD = 10.0  # a cost Z below which a search has found a good policy
@@ -49,49 +49,39 @@ OPTIMIZERS: Mapping[str, list[str]] = {
     **{name: ["optimizer=nlopt_direct", f"optimizer.algorithm={name}"] for name in DIRECTS},
     "scipy DIRECT": ["optimizer=scipy_direct"],
     "scipy DIRECT_L": ["optimizer=scipy_direct", "optimizer.locally_biased=true"],
-    **{name: [f"optimizer={name}"] for name in ("nlopt_crs", "cma", "bipop_cma", "hybrid")},
+    **{name: [f"optimizer={name}"] for name in ("sobol", "nlopt_crs", "cma", "bipop_cma", "hybrid")},
+    "cma, population 16": ["optimizer=cma", "optimizer.population=16"],
+    "bipop_cma, population 8": ["optimizer=bipop_cma", "optimizer.population=8"],
+    "hybrid, population 8": ["optimizer=hybrid", "optimizer.population=8"],
+    "hybrid, MLSL first": ["optimizer=hybrid", "optimizer.exploration=GN_MLSL_LDS"],
+    "hybrid, MLSL first, population 8": [
+        "optimizer=hybrid",
+        "optimizer.exploration=GN_MLSL_LDS",
+        "optimizer.population=8",
+    ],
 }
-
-
-class BudgetSpent(Exception):  # noqa: N818 (no error: the study ends a search by it)
-    """The search has simulated all steps that it may."""
-
-
-@dataclass(eq=False)
-class Counted(Cost):
-    """A cost that counts the steps of the rollouts that it judges."""
-
-    cost: Cost
-    steps: int = 0
-
-    def __post_init__(self) -> None:
-        self.max_cost = self.cost.max_cost
-
-    def of(self, rollout: Rollout) -> float:
-        """Z of a rollout."""
-        self.steps += rollout.frames
-        return self.cost.of(rollout)
 
 
 @dataclass(eq=False)
 class Watched:
-    """An objective, policy by policy, up to a number of steps; it keeps how the best cost came down."""
+    """An objective, policy by policy; it keeps how the best cost came down."""
 
     objective: Objective
-    cost: Counted
-    budget: int
     evaluations: int = 0
     best: float = np.inf
     improvements: list[tuple[int, int, float]] = field(default_factory=list)  # evaluations, steps, best cost
 
+    @property
+    def steps(self) -> int:
+        """Simulated so far."""
+        return self.objective.steps
+
     def __call__(self, theta: Array) -> float:
-        if self.cost.steps >= self.budget:
-            raise BudgetSpent
         cost = self.objective(theta)
         self.evaluations += 1
         if cost < self.best:
             self.best = cost
-            self.improvements.append((self.evaluations, self.cost.steps, cost))
+            self.improvements.append((self.evaluations, self.steps, cost))
         return cost
 
     def reached(self, cost: float) -> tuple[int | None, int | None]:
@@ -105,17 +95,12 @@ class Watched:
 
 def search(name: str, overrides: list[str], seed: int, budget: int) -> dict[str, Any]:
     """One search, as a row of searches.csv."""
-    study = simbias.load([*STUDY, *overrides, f"optimizer.max_evaluations={MOST}"])
-    cost = Counted(study.cost)
+    limits = [f"optimizer.max_evaluations={MOST}", f"optimizer.max_steps={budget}"]
+    study = simbias.load([*STUDY, *overrides, *limits])
     scenario_rng, rng = np.random.default_rng(seed).spawn(2)
-    watched = Watched(study.evaluation.objective(study.model(), cost, scenario_rng), cost, budget)
+    watched = Watched(study.evaluation.objective(study.model(), study.cost, scenario_rng))
     began = time.perf_counter()
-    try:
-        stopped_by = study.optimizer.minimize(
-            watched, *study.policy.bounds, rng, satisfactory=study.cost.max_cost
-        ).stopped_by
-    except BudgetSpent:
-        stopped_by = "the budget of steps"
+    optimum = study.optimizer.minimize(watched, *study.policy.bounds, rng, satisfactory=study.cost.max_cost)
     balanced, good = watched.reached(study.cost.max_cost), watched.reached(GOOD)
     return {
         "optimizer": name,
@@ -124,12 +109,12 @@ def search(name: str, overrides: list[str], seed: int, budget: int) -> dict[str,
         "best_cost": watched.best,
         "best_cost_of_1000": watched.best_of_first(EVALUATIONS),
         "evaluations": watched.evaluations,
-        "steps": cost.steps,
+        "steps": watched.steps,
         "evaluations_until_balanced": balanced[0],
         "steps_until_balanced": balanced[1],
         "evaluations_until_good": good[0],
         "steps_until_good": good[1],
-        "stopped_by": stopped_by,
+        "stopped_by": optimum.stopped_by,
         "seconds": round(time.perf_counter() - began, 1),
     }
 
