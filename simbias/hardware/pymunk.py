@@ -65,7 +65,6 @@ class PymunkBongoboard(Hardware):
         self._iterations = iterations
         self._overlap = overlap
         self._detachment = detachment
-        self._limits = np.array([criterion.limit for criterion in task.criteria])
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment with theta (p,) from start (6,); its cost is not set."""
@@ -116,8 +115,10 @@ class PymunkBongoboard(Hardware):
 
     def _failure(self, x: Array, world: World) -> str | None:
         """Name of the criterion of Section IV-C that x (6,) violates; contacts (1, 2) are the engine's."""
-        measures = self._task.measure(x)
+        measures = self._task.measure(x).tolist()
         depth, gap = world.contact()
         measures[:2] = depth, gap - self._detachment
-        within = measures <= self._limits
-        return None if within.all() else self._task.criteria[int(within.argmin())].name
+        for measure, criterion in zip(measures, self._task.criteria, strict=True):  # quicker than in NumPy
+            if not measure <= criterion.limit:
+                return criterion.name
+        return None

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import final
 
 import numpy as np
 from pydantic import PositiveFloat
 
-from simbias.interfaces import Kernel, Policy, Task
+from simbias.interfaces import Controller, Kernel, Policy, Task
 from simbias.records import Array
 
 
@@ -27,6 +28,7 @@ def _law(inputs: int, first: int = 0) -> Callable:
     return control
 
 
+@final
 class OutputFeedback(Policy):
     """u = H z (Eq. 9), its gains searched as h-hat (Eq. 10) within +-`bound` (Table I)."""
 
@@ -48,6 +50,10 @@ class OutputFeedback(Policy):
         u = (self.gains(theta) @ self.outputs(x)[..., None])[..., 0]
         return np.clip(u, -limit, limit), memory
 
+    def controller(self, theta: Array, time_step: float) -> Controller:
+        """The law with its gains computed once."""
+        return _Loop(self, theta, self._task.input_limit)
+
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
         return self._task.output(x)
@@ -57,3 +63,16 @@ class OutputFeedback(Policy):
         gains = self.gains(thetas).reshape(len(thetas), self.n_parameters)
         limits = np.broadcast_to(self._task.input_limit, (len(thetas), len(self._task.inputs)))
         return Kernel(self._control, np.concatenate([limits, gains], axis=1))
+
+
+class _Loop(Controller):
+    """u = H z (Eq. 9), frame by frame."""
+
+    def __init__(self, policy: OutputFeedback, theta: Array, limit: Array) -> None:
+        self._outputs = policy.outputs
+        self._gains = policy.gains(theta)
+        self._limit = limit
+
+    def __call__(self, x: Array) -> Array:
+        """Input u (m,) at the state x (n,)."""
+        return np.minimum(np.maximum(self._gains @ self._outputs(x), -self._limit), self._limit)
