@@ -50,14 +50,14 @@ OPTIMIZERS: Mapping[str, list[str]] = {
     "scipy DIRECT": ["optimizer=scipy_direct"],
     "scipy DIRECT_L": ["optimizer=scipy_direct", "optimizer.locally_biased=true"],
     **{name: [f"optimizer={name}"] for name in ("sobol", "nlopt_crs", "cma", "bipop_cma", "hybrid")},
-    "cma, population 16": ["optimizer=cma", "optimizer.population=16"],
+    "cma, population 8": ["optimizer=cma", "optimizer.population=8"],
     "bipop_cma, population 8": ["optimizer=bipop_cma", "optimizer.population=8"],
-    "hybrid, population 8": ["optimizer=hybrid", "optimizer.population=8"],
+    "hybrid, population 16": ["optimizer=hybrid", "optimizer.population=16"],
     "hybrid, MLSL first": ["optimizer=hybrid", "optimizer.exploration=GN_MLSL_LDS"],
-    "hybrid, MLSL first, population 8": [
+    "hybrid, MLSL first, population 16": [
         "optimizer=hybrid",
         "optimizer.exploration=GN_MLSL_LDS",
-        "optimizer.population=8",
+        "optimizer.population=16",
     ],
 }
 

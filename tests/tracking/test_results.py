@@ -7,6 +7,7 @@ import optimizers
 import pandas as pd
 import pytest
 from conftest import ROOT
+from paired import paired
 from side_by_side import side_by_side
 
 from simbias.config import ConfigError
@@ -16,6 +17,13 @@ from simbias.tracking import results
 
 RESULTS = ROOT / "sweeps" / "results"
 README = RESULTS / "README.md"
+PAIRED = {
+    "ablation": ("variant", "noise"),
+    "learners": ("bias",),
+    "learning": ("variant",),
+    "record": ("hardware.record", "method"),
+    "feet": ("variant",),
+}
 PUBLISHED = sorted(path.parent for path in RESULTS.glob("*/trials.csv"))
 
 
@@ -28,6 +36,24 @@ def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> No
     table = tables.layout(tables.cells(trials, sweep), sweep)
     _, _, *body = (folder / "table.md").read_text().strip().splitlines()
     assert tables.markdown(table).splitlines()[2:] == body
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
+def test_published_trials_are_those_that_the_sweep_would_run(folder: Path) -> None:
+    """An option that is added with its old behaviour as the default changes no seed."""
+    sweep = expand([f"+sweep={folder.name}"])
+    trials = results.published(sweep)
+    planned = [(trial.hash, trial.repetition, trial.seed) for trial in sweep.trials]
+    assert list(zip(trials["hash"], trials["repetition"], trials["seed"], strict=True)) == planned
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "axes"), PAIRED.items(), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_published_pairs_are_those_of_the_published_trials(name: str, axes: tuple[str, ...]) -> None:
+    assert (RESULTS / name / "paired.md").read_text() == paired(name, *axes)
 
 
 @pytest.mark.slow
