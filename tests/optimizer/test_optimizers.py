@@ -51,6 +51,7 @@ EVERY += [
     pytest.param(lambda **changes: shipped("scipy_direct")(locally_biased=True, **changes), id="scipy_l")
 ]
 REFINING = [name for name in SHIPPED if name != "sobol"]  # whose improvements get ever smaller
+refining = pytest.mark.parametrize("make", [shipped(name) for name in REFINING], ids=REFINING)
 each_shipped = pytest.mark.parametrize("make", [shipped(name) for name in SHIPPED], ids=SHIPPED)
 every = pytest.mark.parametrize("make", EVERY)
 
@@ -264,7 +265,7 @@ def test_box_must_be_finite_and_not_empty(make: Make, lower: list[float], upper:
         minimize(make(), lambda x: 0.0, lower, upper)
 
 
-@pytest.mark.parametrize("make", [shipped(name) for name in REFINING], ids=REFINING)
+@refining
 def test_relative_tolerance_stops(make: Make) -> None:
     coarse, fine = (
         minimize(make(max_evaluations=5000, relative_tolerance=tolerance), branin, [-5.0, 0.0], [10.0, 15.0])
@@ -282,7 +283,7 @@ def test_direct_does_not_end_where_nothing_improves(name: str) -> None:
     assert (flat.cost, flat.evaluations, flat.stopped_by) == (7.0, 100, EVALUATION_LIMIT)
 
 
-@each_shipped
+@refining
 def test_only_a_small_improvement_ends_it(make: Make) -> None:
     watched = Watched(branin)
     optimum = minimize(make(relative_tolerance=1e-3), watched, [-5.0, 0.0], [10.0, 15.0])
