@@ -113,6 +113,7 @@ def _rows(c: Composition) -> list[str]:
         "policy": c.policy_parameters,
         "nominal": c.nominal_parameters,
         "totals": c.totals,
+        "before": c.totals,
         "memory": c.memory,
     }
     ends = np.cumsum(list(sizes.values())).tolist()
@@ -142,9 +143,10 @@ def _settled(c: Composition) -> list[str]:
         x_next, command = "y[{0}] + d[{0}]", "u"
     lines = [f"x_new = {_tuple(x_next, c.states)}", *_puts("x", "x_new", c.states)]
     if c.total:
-        lines.append(f"before = {_tuple('totals[{}, lane]', c.totals)}")
-        lines.append(f"after = total(x_new, {command}, cost_data, before)")
-        lines += [f"totals[{i}, lane] = before[{i}] if stop else after[{i}]" for i in range(c.totals)]
+        lines.append(f"sums = {_tuple('totals[{}, lane]', c.totals)}")
+        lines += _puts("before", "sums", c.totals)  # a rollout that ends here ends with these
+        lines.append(f"after = total(x_new, {command}, cost_data, sums)")
+        lines += _puts("totals", "after", c.totals)
     return lines
 
 

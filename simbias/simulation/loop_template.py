@@ -67,13 +67,12 @@ def closed_loop(
                     count -= 1
                     frames[b], violated[b] = frame[lane], criterion[lane]
                     for i in range({totals}):
-                        final_totals[b, i] = totals[i, lane]
+                        final_totals[b, i] = before[i, lane]
 """
 
 CORRECT_ALL_LANES = """
         correct(x, force, bias_parameters, correction)
         for lane in range({LANES}):
-            stop = stopping[lane] == 1
             {settle}"""
 
 RECORD = """

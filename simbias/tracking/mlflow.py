@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 PICTURES = "pictures"  # folder of the artifacts
 BATCH = 100  # parameters that MLflow takes at once
-METRICS = 1000  # metrics that MLflow takes at once
+METRICS = 800  # metrics at once: MLflow takes 1000 of metrics, parameters and tags
 SPARING = "MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false"  # a fifth of the memory, and sooner up
 ITERATIONS = "experiments/iterations"  # the metric that tells how many iterations are kept
+_Metric = tuple[str, float, int, float]  # name, value, step, s since the epoch
 FINISHED = "FINISHED"  # a run whose trial came to its end, and is kept in whole
 STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITING: "SCHEDULED"}
 
@@ -160,6 +161,16 @@ class FinishedTrial(TrackedTrial):
         return load_trial(self.run_id, self._uri)
 
 
+@dataclass
+class _Pending:
+    """What is to be written into a run: few large writes take a fraction of the time of many small ones."""
+
+    files: list[tuple[str, Callable[[Path], object]]] = field(default_factory=list)  # name, what writes it
+    parameters: dict[str, str] = field(default_factory=dict)
+    metrics: list[list[_Metric]] = field(default_factory=list)  # those of a list are kept together
+    tags: dict[str, str] = field(default_factory=dict)
+
+
 class MlflowTrial(TrackedTrial):
     """A run that is being written."""
 
@@ -172,6 +183,7 @@ class MlflowTrial(TrackedTrial):
         self._client = client
         self._study = study
         self._journal = journal
+        self._pending = _Pending()
         self._rows: list[notes.Row] = []
         self._logged = int(run.data.metrics.get(ITERATIONS, 0))
         self._time = self._last_time(run)  # s since the epoch, up to the last iteration
@@ -195,19 +207,18 @@ class MlflowTrial(TrackedTrial):
 
     def _begin(self, run: Run) -> None:
         """Write what is known before the first iteration, unless an earlier process did."""
-        from mlflow.entities import Param
         from omegaconf import OmegaConf
 
         composition = self._study.composition
         parameters = fields.parameters(composition)
-        missing = [Param(key, value) for key, value in parameters.items() if key not in run.data.params]
+        missing = {key: value for key, value in parameters.items() if key not in run.data.params}
         if len(missing) == len(parameters):
             config = OmegaConf.to_yaml(OmegaConf.create(fields.shown_config(composition.config)))
-            self._client.log_text(self.run_id, config, "config.yaml")
-        for start in range(0, len(missing), BATCH):
-            self._client.log_batch(self.run_id, params=missing[start : start + BATCH])
+            self._pending.files.append(("config.yaml", partial(_write_text, config)))
+        self._pending.parameters |= missing
         if self._journal:  # it begins now, and has not run elsewhere
             self._note(notes.running(self._rows))
+            self._flush()
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept in the journal."""
@@ -217,24 +228,26 @@ class MlflowTrial(TrackedTrial):
         """Keep an iteration, unless an earlier process did."""
         self._write([iteration])
         self._note(notes.running(self._rows))
+        self._flush()
 
     def ended(self, record: TrialRecord) -> None:
         """End the run: FINISHED, with or without success; KILLED if interrupted; FAILED after an error.
 
         The journal is needed no longer once the run is FINISHED.
         """
+        pending = self._pending
         if record.reason:
-            self._client.set_tag(self.run_id, "error", record.reason)
+            pending.tags["error"] = record.reason
         if record.traceback:
-            self._client.log_text(self.run_id, record.traceback, "error.txt")
-        if record.unfinished:
-            self._keep(self._experiment_files(len(record.iterations), record.unfinished))
+            pending.files.append(("error.txt", partial(_write_text, record.traceback)))
+        pending.files += self._experiment_files(len(record.iterations), record.unfinished)
         self._time = record.started + record.seconds
         whole = replace(record, seconds=self._seconds + record.seconds)
         numbers = fields.trial_metrics(whole).items()
-        self._log_metrics([(name, value, 0, self._time) for name, value in numbers])
+        pending.metrics.append([(name, value, 0, self._time) for name, value in numbers])
         self._note(notes.verdict(self._rows, record))
-        self._client.set_tag(self.run_id, "outcome", record.outcome)
+        pending.tags["outcome"] = record.outcome
+        self._flush()
         ended = int(1000 * self._time)
         self._client.set_terminated(self.run_id, STATUS.get(record.outcome, FINISHED), end_time=ended)
         if self._journal is None:
@@ -246,30 +259,30 @@ class MlflowTrial(TrackedTrial):
 
     def illustrated(self, pictures: Mapping[str, bytes]) -> None:
         """Keep pictures in pictures/."""
-        self._keep(
-            (f"{PICTURES}/{name}", partial(_write_bytes, content)) for name, content in pictures.items()
-        )
+        self._illustrate(pictures)
+        self._flush()
 
     def keep(self, record: TrialRecord) -> None:
         """Keep a trial that ran elsewhere, all at once."""
         self._write(record.iterations)
-        self.illustrated(record.pictures)
+        self._illustrate(record.pictures)
         self.ended(record)
 
+    def _illustrate(self, pictures: Mapping[str, bytes]) -> None:
+        """Keep pictures when all is written."""
+        for name, content in pictures.items():
+            self._pending.files.append((f"{PICTURES}/{name}", partial(_write_bytes, content)))
+
     def _write(self, iterations: Sequence[Iteration]) -> None:
-        """Keep iterations: their files, then their metrics; who finds these finds all."""
+        """Keep iterations when all is written, unless an earlier process did."""
         self._rows.extend(notes.row(self._study, iteration) for iteration in iterations)
-        fresh = [iteration for iteration in iterations if iteration.index >= self._logged]
-        self._keep(file for iteration in fresh for file in self._files(iteration))
-        metrics: list[tuple[str, float, int, float]] = []
-        for iteration in fresh:
+        for iteration in iterations:
+            if iteration.index < self._logged:
+                continue
             self._time += sum(iteration.seconds.values())
             own = [(*each, iteration.index, self._time) for each in fields.metrics(iteration).items()]
-            if len(metrics) + len(own) > METRICS:  # an iteration's metrics are there all or none
-                self._log_metrics(metrics)
-                metrics = []
-            metrics += own
-        self._log_metrics(metrics)
+            self._pending.files += self._files(iteration)
+            self._pending.metrics.append(own)
 
     def _files(self, iteration: Iteration) -> Iterator[tuple[str, Callable[[Path], object]]]:
         """Names of an iteration's files and what writes them."""
@@ -288,27 +301,55 @@ class MlflowTrial(TrackedTrial):
         for number, rollout in enumerate(experiments):
             yield files.experiment_name(index, number), partial(files.save_rollout, rollout=rollout)
 
-    def _log_metrics(self, metrics: Sequence[tuple[str, float, int, float]]) -> None:
-        """Log metrics (name, value, step, s since the epoch), all or none unless they are too many."""
-        from mlflow.entities import Metric
-
-        entities = [Metric(name, value, int(1000 * time), step) for name, value, step, time in metrics]
-        for start in range(0, len(entities), METRICS):
-            self._client.log_batch(self.run_id, metrics=entities[start : start + METRICS])
-
     def _note(self, verdict: str) -> None:
-        """Write the run's description."""
-        self._client.set_tag(self.run_id, NOTE, notes.note(self._study, self._rows, verdict))
+        """Keep the run's description when all is written."""
+        self._pending.tags[NOTE] = notes.note(self._study, self._rows, verdict)
 
-    def _keep(self, named: Iterable[tuple[str, Callable[[Path], object]]]) -> None:
+    def _flush(self) -> None:
+        """Write all that is pending: files first, so that who finds metrics finds all."""
+        from mlflow.entities import Metric, Param, RunTag
+
+        pending, self._pending = self._pending, _Pending()
+        self._keep(pending.files)
+        parameters = [Param(key, value) for key, value in pending.parameters.items()]
+        for start in range(BATCH, len(parameters), BATCH):
+            self._client.log_batch(self.run_id, params=parameters[start : start + BATCH])
+        metrics = [
+            [Metric(name, value, int(1000 * time), step) for name, value, step, time in batch]
+            for batch in _batches(pending.metrics)
+        ]
+        for batch in metrics[:-1]:
+            self._client.log_batch(self.run_id, metrics=batch)
+        tags = [RunTag(key, value) for key, value in pending.tags.items()]
+        self._client.log_batch(self.run_id, metrics=metrics[-1], params=parameters[:BATCH], tags=tags)
+
+    def _keep(self, named: Sequence[tuple[str, Callable[[Path], object]]]) -> None:
         """Keep files, by their names and what writes them."""
+        if not named:
+            return
         with tempfile.TemporaryDirectory() as folder:
             for name, write in named:
                 path = Path(folder, name)
                 path.parent.mkdir(exist_ok=True)
                 write(path)
-            if any(Path(folder).iterdir()):
-                self._client.log_artifacts(self.run_id, folder)
+            self._client.log_artifacts(self.run_id, folder)
+
+
+def _batches(lists: Sequence[Sequence[_Metric]]) -> list[list[_Metric]]:
+    """Lists of metrics, put together as far as MLflow takes them at once; those of a list stay together."""
+    batches: list[list[_Metric]] = [[]]
+    for metrics in lists:
+        for start in range(0, len(metrics), METRICS):
+            part = metrics[start : start + METRICS]
+            if len(batches[-1]) + len(part) > METRICS:
+                batches.append([])
+            batches[-1] += part
+    return batches
+
+
+def _write_text(text: str, path: Path) -> None:
+    """Write a file."""
+    path.write_text(text)
 
 
 def _write_bytes(content: bytes, path: Path) -> None:
