@@ -184,7 +184,7 @@ def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
     """
     from hydra.core.config_store import ConfigStore
     from omegaconf import OmegaConf
-    from yaml import YAMLError  # type: ignore[import-untyped]
+    from yaml import YAMLError
 
     store = ConfigStore.instance()
     store.repo.pop("sweep", None)  # those of another config_dir

@@ -207,13 +207,11 @@ class MlflowTrial(TrackedTrial):
 
     def _begin(self, run: Run) -> None:
         """Write what is known before the first iteration, unless an earlier process did."""
-        from omegaconf import OmegaConf
-
         composition = self._study.composition
         parameters = fields.parameters(composition)
         missing = {key: value for key, value in parameters.items() if key not in run.data.params}
         if len(missing) == len(parameters):
-            config = OmegaConf.to_yaml(OmegaConf.create(fields.shown_config(composition.config)))
+            config = fields.config_yaml(composition.config)
             self._pending.files.append(("config.yaml", partial(_write_text, config)))
         self._pending.parameters |= missing
         if self._journal:  # it begins now, and has not run elsewhere

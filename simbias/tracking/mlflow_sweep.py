@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
-from omegaconf import OmegaConf
 from pandas import DataFrame
 
 from simbias.sweep import tables
@@ -77,7 +76,7 @@ class MlflowSweep(TrackedSweep):
         tags = {**fields.origin(), "hash": self._sweep.hash, "sweep": self._sweep.name}
         name = f"sweep {self._sweep.name}"
         run_id = self._client.create_run(self._experiment_id, run_name=name, tags=tags).info.run_id
-        config = OmegaConf.to_yaml(OmegaConf.create(fields.shown_config(self._sweep.base.config)))
+        config = fields.config_yaml(self._sweep.base.config)
         self._client.log_text(run_id, config, "sweep.yaml")
         return run_id
 

@@ -8,9 +8,10 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import yaml
 from threadpoolctl import threadpool_limits
 
 from simbias.config import Composition, ConfigError
@@ -83,10 +84,7 @@ def _download(client: MlflowClient, run_id: str, folder: Path) -> None:
 
 def _composition(path: Path, run: Run) -> Composition:
     """What the trial was composed of, but for the store."""
-    from omegaconf import OmegaConf
-
-    loaded: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    config = {**loaded, "tracking": NO_TRACKING}
+    config = {**yaml.safe_load(path.read_text()), "tracking": NO_TRACKING}
     values = {key for key, value in config.items() if not isinstance(value, Mapping)}
     choices = {name: text for name, text in run.data.params.items() if "." not in name and name not in values}
     return Composition(config, {**choices, "tracking": "none"})
