@@ -32,6 +32,7 @@ VALUE_LENGTH = 6000
 
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
 SECONDS = "trial/seconds"  # the metric that tells how long a trial took
+TRIAL_METRICS = ("trial/experiments", "trial/iterations", SECONDS)
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 
 
@@ -119,12 +120,9 @@ def _learning_metrics(learning: Learning) -> dict[str, float]:
 
 def trial_metrics(record: TrialRecord) -> dict[str, float]:
     """A trial in numbers: what a sweep's table takes from it."""
-    numbers = {
-        "trial/experiments": record.experiments_until_success,
-        "trial/iterations": record.iterations_until_success,
-        SECONDS: record.seconds,
-    }
-    return {name: value for name, value in numbers.items() if not isnan(value)}
+    numbers = (record.experiments_until_success, record.iterations_until_success, record.seconds)
+    named = zip(TRIAL_METRICS, numbers, strict=True)
+    return {name: value for name, value in named if not isnan(value)}
 
 
 def sweep_metrics(trials: DataFrame) -> dict[str, float]:

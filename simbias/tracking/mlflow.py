@@ -112,6 +112,7 @@ class Mlflow(Tracking):
     def finished(self, sweep: Sweep) -> DataFrame:
         """The finished trials of a sweep; a store that is not there is not made."""
         from simbias.tracking import results
+        from simbias.tracking.nested import nested_runs
 
         if not exists(self._uri):
             return results.frame([], sweep)
@@ -119,7 +120,7 @@ class Mlflow(Tracking):
         parent = results.find_sweep(client, experiment_id, sweep)
         if parent is None:
             return results.frame([], sweep)
-        trials = results.of_sweep(client, experiment_id, parent.info.run_id, sweep)
+        trials = results.of_sweep(nested_runs(client, experiment_id, parent.info.run_id), sweep)
         return trials[trials["outcome"] != Outcome.ERROR]
 
     def _folder(self) -> Path:

@@ -17,11 +17,11 @@ from simbias.tracking import fields, pages, results
 from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
 from simbias.tracking.mlflow import FINISHED, NOTE, MlflowTrial
+from simbias.tracking.nested import nested_runs
 from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
-    from mlflow.entities import Run
 
     from simbias.pictures.sweep.batches import Outcomes
     from simbias.study import Study
@@ -61,8 +61,9 @@ class MlflowSweep(TrackedSweep):
         self.run_id = self._begin()
         client.set_experiment_tag(experiment_id, *pages.trials_view(sweep, self.run_id))
         self.where = where(experiment_id, self.run_id)
-        self._unfinished = self._runs_to_go_on_with()
-        done = self.results()
+        runs = nested_runs(client, experiment_id, self.run_id)
+        self._unfinished = {run.tags.get("hash"): run.run_id for run in runs if run.status != FINISHED}
+        done = results.of_sweep(runs, sweep)
         self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
         self._note("**Running**")
@@ -80,11 +81,6 @@ class MlflowSweep(TrackedSweep):
         self._client.log_text(run_id, config, "sweep.yaml")
         return run_id
 
-    def _runs_to_go_on_with(self) -> dict[str, Run]:
-        """The runs of trials that did not come to their end, by hash."""
-        runs = list(results.children(self._client, self._experiment_id, self.run_id))
-        return {run.data.tags["hash"]: run for run in runs if run.info.status != FINISHED}
-
     def journal(self, trial: Trial) -> Path:
         """The folder beside the store in which a worker keeps a trial."""
         return self._journals / trial.hash
@@ -94,8 +90,9 @@ class MlflowSweep(TrackedSweep):
 
         The trial's journal is needed no longer once its run is FINISHED.
         """
-        run = self._unfinished.get(trial.hash)
-        if run is None:
+        if trial.hash in self._unfinished:
+            run = self._client.get_run(self._unfinished[trial.hash])
+        else:
             axes = zip(self._sweep.axes, trial.cell.labels, strict=True)
             tags = {
                 **fields.tags(study.composition),
@@ -112,13 +109,15 @@ class MlflowSweep(TrackedSweep):
             remove(self.journal(trial))
         if record.outcome in results.TOLD:
             numbers = fields.trial_metrics(record)
-            self._rows[trial.hash] = results.row(trial, self._sweep, record.outcome, numbers, record.reason)
+            self._rows[trial.hash] = results.row(
+                trial, self._sweep, record.outcome, numbers, record.reason, run.info.run_id
+            )
         if time.monotonic() - self._noted > NOTE_SECONDS:
             self._note("**Running**")
 
     def results(self) -> DataFrame:
-        """The trials that are in the store."""
-        return results.of_sweep(self._client, self._experiment_id, self.run_id, self._sweep)
+        """The trials that are in the store: nobody else writes them while this sweep runs."""
+        return results.ordered(self._rows, self._sweep)
 
     def load(self, run_id: str) -> RecordedTrial:
         """A trial, read back."""
@@ -154,7 +153,6 @@ class MlflowSweep(TrackedSweep):
         """End the parent run: FINISHED, KILLED if interrupted, FAILED after an error, here or in a trial."""
         try:
             trials = self.results()
-            self._rows = {row["hash"]: row for row in trials.to_dict("records")}
             self._client.log_text(self.run_id, results.rows(trials), "trials.csv")
             self._write(tables.cells(trials, self._sweep))
             for name, value in fields.sweep_metrics(trials).items():
@@ -188,7 +186,7 @@ class MlflowSweep(TrackedSweep):
 
     def _note(self, verdict: str) -> None:
         """Write the parent's description: how far it is, the table, how to go on."""
-        trials = results.frame(list(self._rows.values()), self._sweep)
+        trials = self.results()
         arrangement = tables.layout(tables.cells(trials, self._sweep), self._sweep)
         link = pages.trials_page(self._experiment_id, self._sweep)
         done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."

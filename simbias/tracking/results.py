@@ -8,14 +8,13 @@ until success; without it all that the method may make, 2 x N_out = 20 by Table 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import nan
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from simbias.config.composition import ConfigError, shipped
-from simbias.tracking.fields import PARENT
 from simbias.trial import Outcome
 
 if TYPE_CHECKING:
@@ -23,25 +22,13 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
     from simbias.sweep.grid import Sweep, Trial
+    from simbias.tracking.nested import NestedRun
 
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 ENDED = ("FINISHED", "FAILED")  # states of runs that tables tell of,
 TOLD = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # and their outcomes
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", "raised", "run_id")
-
-
-def children(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[Run]:
-    """The runs of a sweep's trials, in any state, oldest first."""
-    token: str | None = None
-    while True:
-        page = client.search_runs(
-            [experiment_id], f"tags.`{PARENT}` = '{parent}'", order_by=["created ASC"], page_token=token
-        )
-        yield from page
-        token = page.token
-        if not token:
-            return
 
 
 def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | None:
@@ -55,19 +42,23 @@ def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | 
     return runs[0] if runs else None
 
 
-def of_sweep(client: MlflowClient, experiment_id: str, parent: str, sweep: Sweep) -> pd.DataFrame:
+def of_sweep(runs: Iterable[NestedRun], sweep: Sweep) -> pd.DataFrame:
     """The trials that came to an end or raised, in the sweep's order; none twice, none that it has not."""
     planned = {trial.hash: trial for trial in sweep.trials}
     rows: dict[str, dict[str, Any]] = {}
-    for run in children(client, experiment_id, parent):
-        tags = run.data.tags
-        trial, outcome = planned.get(tags.get("hash", "")), tags.get("outcome")
-        if trial is None or run.info.status not in ENDED or outcome not in TOLD:
+    for run in runs:
+        trial, outcome = planned.get(run.tags.get("hash", "")), run.tags.get("outcome")
+        if trial is None or run.status not in ENDED or outcome not in TOLD:
             continue
         if trial.hash not in rows or rows[trial.hash]["outcome"] == Outcome.ERROR:
-            raised, run_id = tags.get("error", ""), run.info.run_id
-            rows[trial.hash] = row(trial, sweep, str(outcome), run.data.metrics, raised, run_id)
-    return frame([rows[identity] for identity in planned if identity in rows], sweep)
+            raised = run.tags.get("error", "")
+            rows[trial.hash] = row(trial, sweep, str(outcome), run.metrics, raised, run.run_id)
+    return ordered(rows, sweep)
+
+
+def ordered(rows: Mapping[str, Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
+    """Rows of trials, by hash, in the sweep's order."""
+    return frame([rows[trial.hash] for trial in sweep.trials if trial.hash in rows], sweep)
 
 
 def rows(trials: pd.DataFrame) -> str:
