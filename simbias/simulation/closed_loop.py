@@ -58,7 +58,7 @@ def _say_what_is_slow(model: Model) -> None:
     }
     missing = ", ".join(name for name, kernel in kernels.items() if kernel is None)
     message = (
-        f"simulated in NumPy, 10 to 100 times slower than compiled, as these have no kernel: {missing}; "
+        f"simulated in NumPy, up to 300 times slower than compiled, as these have no kernel: {missing}; "
         "simbias/simulation/kernels.py tells how to write one"
     )
     warnings.warn(message, SlowWarning, stacklevel=3)

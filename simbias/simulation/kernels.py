@@ -47,5 +47,13 @@ def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array
     with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
         if all(vector.ndim == 1 for vector in vectors):  # as a robot's control loop asks
             return np.array(function(*map(tuple, vectors), tuple(parameters)))
-        columns = function(*(tuple(np.moveaxis(vector, -1, 0)) for vector in vectors), tuple(parameters))
-        return np.stack(np.broadcast_arrays(*columns), axis=-1)
+        columns = function(*map(_columns, vectors), tuple(parameters))
+    rows = np.empty((*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns)))
+    for index, column in enumerate(columns):
+        rows[..., index] = column
+    return rows
+
+
+def _columns(vectors: Array) -> tuple[Array, ...]:
+    """The components (...) of vectors (..., n)."""
+    return tuple(vectors[..., index] for index in range(vectors.shape[-1]))
