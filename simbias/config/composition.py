@@ -27,26 +27,35 @@ class Composition:
     choices: Mapping[str, str]  # group -> chosen option
 
     @cached_property
+    def essence(self) -> Mapping[str, Any]:
+        """What affects a trial's result (`simbias.config.identity`)."""
+        from simbias.config.identity import essence  # lazily: --help needs no components
+
+        return essence(self.config, NOT_HASHED)
+
+    @cached_property
     def hash(self) -> str:
-        """Identity of a trial: a hash of what affects its result (`simbias.config.identity`)."""
-        return self._digest(NOT_HASHED)
+        """Identity of a trial: a hash of what affects its result."""
+        return self.hash_with({})
 
     @cached_property
     def cell(self) -> str:
         """Identity of what repeated trials share: a hash of all but the seed."""
-        return self._digest((*NOT_HASHED, "seed"))
+        from simbias.config.identity import digest
+
+        return digest({key: value for key, value in self.essence.items() if key != "seed"})
+
+    def hash_with(self, changes: Mapping[str, Any]) -> str:
+        """Identity of a trial with other values outside of components, as of its seed."""
+        from simbias.config.identity import digest
+
+        return digest({**self.essence, **changes})
 
     @property
     def trial(self) -> Composition:
         """What concerns a single trial."""
         config = {key: value for key, value in self.config.items() if key not in OF_SWEEPS}
         return Composition(config, {k: v for k, v in self.choices.items() if k not in OF_SWEEPS})
-
-    def _digest(self, left_out: Sequence[str]) -> str:
-        """A hash of the config, some groups left out."""
-        from simbias.config.identity import digest  # lazily: --help needs no components
-
-        return digest(self.config, left_out)
 
 
 def shipped(folder: str) -> Path:

@@ -24,8 +24,8 @@ SCHEME = 2  # of identities: raised when all of them change
 DIGITS = 12  # hexadecimal
 
 
-def digest(config: Mapping[str, Any], left_out: Sequence[str]) -> str:
-    """A hash of what a config says of a trial, some groups left out.
+def essence(config: Mapping[str, Any], left_out: Sequence[str]) -> dict[str, Any]:
+    """What a config says of a trial, some groups left out, in plain containers.
 
     Raises
     ------
@@ -33,10 +33,12 @@ def digest(config: Mapping[str, Any], left_out: Sequence[str]) -> str:
         If a component cannot be found, or a value has the wrong type or range.
     """
     relevant = {key: value for key, value in config.items() if key not in left_out}
-    parts = {
-        key: _component(value, key) if _is_component(value) else value for key, value in relevant.items()
-    }
-    text = json.dumps({"scheme": SCHEME, **parts}, sort_keys=True, default=str)
+    return {key: _component(value, key) if _is_component(value) else value for key, value in relevant.items()}
+
+
+def digest(essence: Mapping[str, Any]) -> str:
+    """A hash of it."""
+    text = json.dumps({"scheme": SCHEME, **essence}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 

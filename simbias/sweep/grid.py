@@ -89,7 +89,7 @@ class Trial:
     @cached_property
     def hash(self) -> str:
         """The trial's identity, as of a study of its own."""
-        return self.composition.hash
+        return self.cell.composition.hash_with({"seed": self.seed})
 
     @property
     def name(self) -> str:
