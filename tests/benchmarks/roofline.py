@@ -1,9 +1,9 @@
 """How near a simulated step is to what the processor can do.
 
-`python tests/benchmarks/roofline.py` prints a table. Operations are counted by running kernels on symbols; what
-is computed twice from the same numbers counts once. The peak is that of fused products and sums in registers,
-measured in the same run on the same thread, so that a busy machine changes the shares little; sums without
-products could reach half of it.
+`python tests/benchmarks/roofline.py` prints a table. Operations are counted by running kernels on symbols;
+what is computed twice from the same numbers counts once. The peak is that of fused products and sums in
+registers, measured in the same run on the same thread, so that a busy machine changes the shares little;
+sums without products could reach half of it.
 """
 
 from __future__ import annotations
