@@ -25,6 +25,7 @@ values that people change most (--cfg job shows all):
   method.max_iterations=10             N_out; method.experiments=2 in each
   optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
   task.horizon=5000                    T, frames of task.time_step=0.001 s
+  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
   tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
 
 examples:
@@ -103,7 +104,8 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run one trial in the terminal, or go on with it."""
     from simbias.config.build import build
     from simbias.config.services import engine, tracking
-    from simbias.terminal.trial import TrialConsole, preparing, slowness_in_one_line
+    from simbias.messages import with_type
+    from simbias.terminal.trial import TrialConsole, preparing, slowness_in_one_line, traceback_file
     from simbias.trial import Outcome, run_trial
 
     engine(composition)  # a single trial needs none, but a bad one is bad input
@@ -116,12 +118,17 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
         if (before := tracked.finished()) is not None:
             console.recall(before.iterations, tracked.where)
             return SUCCEEDED if before.iterations[-1].succeeded else FAILED
-        record = run_trial(study, tracked, console)
+        try:
+            record = run_trial(study, tracked, console)
+        except Exception as error:  # of the store: what a component raises is in the record
+            print(f"simbias: {with_type(error)} (go on with:  {_command(parsed)})", file=sys.stderr)
+            return FAILED
     if record.outcome.final:
         console.conclude(record, tracked.where)
         return SUCCEEDED if record.outcome is Outcome.SUCCEEDED else FAILED
     kept = f"{record.experiments} hardware experiments are kept" if tracked.where else "nothing is kept"
-    print(f"simbias: {record.reason} ({kept}; go on with:  {_command(parsed)})", file=sys.stderr)
+    trace = f"; traceback in {file}" if (file := traceback_file(record)) else ""
+    print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {_command(parsed)})", file=sys.stderr)
     return WAITING if record.outcome is Outcome.WAITING else FAILED
 
 

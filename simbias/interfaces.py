@@ -245,7 +245,9 @@ class Hardware(ABC):
         """One experiment with theta (p,); cost and parameters of the rollout are not set.
 
         It begins at the start (n,), or as near to it as the robot can: the rollout's first state says where.
-        `policy.controller(theta, time_step)` computes the input of each frame.
+        `policy.controller(theta, time_step)` computes the input of each frame. Whatever else than the errors
+        below it raises, and whatever it returns that is no rollout of the task, ends the trial in one line,
+        and what it returned is kept; the same command goes on once it is mended (`simbias.experiments`).
 
         Raises
         ------
@@ -253,6 +255,13 @@ class Hardware(ABC):
             If the experiment could not be carried out.
         Waiting
             If its result is not there yet. The same experiment is asked for again at the next start.
+        """
+
+    def stop(self) -> None:  # noqa: B027  (few need it)
+        """Bring the system to rest: an experiment took longer than `experiment_timeout`, or was interrupted.
+
+        It is called from another thread while `run` still runs, and only with a time-out; `run` should end
+        soon afterwards, what it returns or raises is of no interest. By default nothing happens.
         """
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from simbias.checks import checked
 from simbias.config.composition import Composition
+from simbias.experiments import Conducted
 from simbias.interfaces import (
     Bias,
     Cost,
@@ -77,6 +77,7 @@ class Study:
     method: Method
     seed: int
     composition: Composition  # what the components were built from
+    experiment_timeout: float | None = None  # s of wall time for each hardware experiment
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -123,14 +124,20 @@ class Study:
         Raises
         ------
         HardwareError
-            If the experiment could not be carried out, or its rollout is not what the contract asks for.
+            If the experiment could not be carried out, did not end in time, or its rollout is not what the
+            contract asks for.
         Waiting
             If its result is not there yet.
         """
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
-        rollout = checked(self.hardware.run(self.policy, theta, begin, rng), self.hardware, self.task)
-        return self._judged(rollout, theta)
+        return self._judged(self.conducted().run(self.policy, theta, begin, rng), theta)
+
+    def conducted(self) -> Conducted:
+        """The hardware, its experiments bounded in time and checked."""
+        if isinstance(self.hardware, Conducted):
+            return self.hardware
+        return Conducted(self.hardware, self.task, self.experiment_timeout)
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -11,6 +10,7 @@ from enum import StrEnum
 from threadpoolctl import threadpool_limits
 
 from simbias.interfaces import Waiting
+from simbias.messages import one_line, with_trace, with_type
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
 
@@ -39,6 +39,7 @@ class TrialRecord:
     unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that did not end
     reason: str = ""  # what raised or waits: an error's type and message, or the sentence of Waiting
     traceback: str = ""
+    traceback_file: str = ""  # that has it, as long as the trial has not come to its end
     max_experiments: int = 0  # that the method may make
     max_iterations: int = 0
     started: float = 0.0  # s since the epoch
@@ -80,6 +81,10 @@ class Recorder:
     def iterated(self, iteration: Iteration) -> None:
         """Keep an iteration."""
 
+    def explained(self, traceback: str) -> str:
+        """Keep where in the code a trial ended with an error; the file that has it, if one has."""
+        return ""
+
     def ended(self, record: TrialRecord) -> None:
         """Keep how the trial ended, or why it stopped."""
 
@@ -110,10 +115,10 @@ def run_trial(
             succeeded = bool(run.iterations) and run.iterations[-1].succeeded
             record = run.record(Outcome.SUCCEEDED if succeeded else Outcome.NOT_SUCCEEDED)
         except Waiting as reason:
-            record = run.record(Outcome.WAITING, _one_line(reason))
+            record = run.record(Outcome.WAITING, one_line(reason))
         except (Exception, SystemExit) as error:
-            text = ": ".join(filter(None, [type(error).__name__, _one_line(error)]))
-            record = run.record(Outcome.ERROR, text, traceback.format_exc())
+            record = run.record(Outcome.ERROR, with_type(error), with_trace(error))
+            record = replace(record, traceback_file=recorder.explained(record.traceback))
         except BaseException:
             recorder.ended(run.record(Outcome.INTERRUPTED))
             raise
@@ -165,14 +170,6 @@ class _Run(Observer):
             started=self._started,
             seconds=time.perf_counter() - self._clock,
         )
-
-
-def _one_line(error: BaseException) -> str:
-    """An error's message, not too long; some errors cannot even say what they are."""
-    try:
-        return " ".join(str(error).split())[:500].encode(errors="backslashreplace").decode()
-    except Exception:
-        return "(its message cannot be read)"
 
 
 def _drawn(study: Study, record: TrialRecord, names: Sequence[str]) -> Mapping[str, bytes]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Required, get_type_hints
+from typing import NotRequired, Required, get_type_hints
 
-from pydantic import NonNegativeInt
+from pydantic import NonNegativeInt, PositiveFloat
 
 from simbias.config.components import construct, validated
 from simbias.config.composition import OF_SWEEPS, Composition
@@ -12,7 +12,8 @@ from simbias.config.errors import ConfigError
 from simbias.interfaces import Task
 from simbias.study import Study
 
-NO_COMPONENTS = ("seed", "composition")
+NO_COMPONENTS = ("seed", "experiment_timeout", "composition")
+VALUES = {"seed": Required[NonNegativeInt], "experiment_timeout": NotRequired[PositiveFloat | None]}
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
 
@@ -33,11 +34,11 @@ def build(composition: Composition) -> Study:
     for key in (*contracts, "seed"):
         if key not in config:
             raise ConfigError(key, "missing")
-    seed = validated({"seed": config["seed"]}, {"seed": Required[NonNegativeInt]}, "")["seed"]
+    values = validated({key: config[key] for key in VALUES if key in config}, VALUES, "")
     task = construct(config["task"], Task, "task")
     components = {
         group: construct(config[group], contract, group, task=task)
         for group, contract in contracts.items()
         if group != "task"
     }
-    return Study(task=task, **components, seed=seed, composition=composition)
+    return Study(task=task, **components, **values, composition=composition)

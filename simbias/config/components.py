@@ -12,6 +12,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.errors import ConfigError
+from simbias.messages import one_line
 
 TARGET = "_target_"  # the key that names a component's class
 
@@ -34,8 +35,8 @@ def construct(config: Any, contract: type, key: str, **provided: Any) -> Any:
     arguments = constructor_arguments(component, config, key, frozenset(provided))
     try:
         return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
-    except Exception as error:
-        raise ConfigError(key, " ".join(str(error).split()) or type(error).__name__) from error
+    except (Exception, SystemExit) as error:
+        raise ConfigError(key, one_line(error) or type(error).__name__) from error
 
 
 def component_class(config: Any, key: str) -> Any:

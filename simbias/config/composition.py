@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-NOT_HASHED = ("tracking", *OF_SWEEPS)  # groups that do not affect a trial's result
+NOT_HASHED = ("tracking", "experiment_timeout", *OF_SWEEPS)  # keys that do not affect a trial's result
 
 
 @dataclass(frozen=True)

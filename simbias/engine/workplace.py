@@ -1,7 +1,8 @@
-"""What a process leaves on the disk for its workers, and what dead ones left."""
+"""What a process has on the disk for a while, for itself and its workers, and what dead ones left."""
 
 from __future__ import annotations
 
+import atexit
 import os
 import shutil
 import sys
@@ -27,10 +28,16 @@ def workplace() -> Path:
 
 @cache
 def _folder() -> TemporaryDirectory:
-    """The folder, whose last reference dies with the process."""
+    """The folder, which is removed at the process' end."""
     folder = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-")
+    atexit.register(folder.cleanup)  # else Python warns of what it removes itself
     _lock(os.open(Path(folder.name, LOCK), os.O_CREAT | os.O_WRONLY))  # open as long as the process lives
     return folder
+
+
+def temporary_folder() -> TemporaryDirectory:
+    """A folder for a while, within that of this process: what a kill leaves of it, a later start removes."""
+    return TemporaryDirectory(dir=workplace())
 
 
 def tidy() -> None:

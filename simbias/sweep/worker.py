@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from simbias.config import Composition
 from simbias.config.build import build
 from simbias.interfaces import SlowWarning
+from simbias.messages import with_type
 from simbias.records import Iteration
 from simbias.tracking.journal import Journal
 from simbias.trial import Outcome, Recorder, TrialRecord, run_trial
@@ -33,8 +34,8 @@ def run_plan(plan: Plan) -> TrialRecord:
         try:
             study = build(Composition(plan.config, plan.choices))
             recorder = Journal(Path(plan.journal), plan.pictures) if plan.journal else Recorder()
-        except Exception as error:
-            return lost(f"{type(error).__name__}: {error}")
+        except (Exception, SystemExit) as error:
+            return lost(with_type(error))
         record = run_trial(study, recorder)
     return replace(record, iterations=tuple(map(_light, record.iterations)))
 

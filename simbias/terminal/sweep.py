@@ -23,6 +23,7 @@ from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arranged, cells, layout, legend, plain
+from simbias.terminal.trial import traceback_file
 from simbias.trial import Outcome, TrialRecord
 
 SHOWN_ERRORS = 5
@@ -87,8 +88,15 @@ class SweepConsole(SweepObserver):
         if not record.outcome.final or not self._console.is_terminal:
             done = f"[{len(self._outcomes)}/{self._total}]"
             outcome = record.reason or f"{record.outcome} after {record.experiments} experiments"
+            if file := self._traceback_file(record):
+                outcome += f" (traceback in {file})"
             line = f"{done} {trial.name}: {outcome}, {record.seconds:.1f} s; {self._state()}"
             self._console.print(line, soft_wrap=True, markup=False)
+
+    def _traceback_file(self, record: TrialRecord) -> str:
+        """The file with a record's traceback, of which no more are made than anyone reads."""
+        few = self._outcomes.count(Outcome.ERROR) <= SHOWN_ERRORS
+        return traceback_file(record) if few else record.traceback_file
 
     def _state(self) -> str:
         """Rate, time left and failures so far."""

@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from tempfile import NamedTemporaryFile
 from typing import TextIO
 
 from numba.core.event import Event, Listener, install_listener
@@ -17,6 +18,7 @@ from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
 from simbias.trial import Outcome, TrialRecord
 
+TRACEBACK = "simbias-error-"  # of files that are kept for a person
 COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
 
 
@@ -128,6 +130,18 @@ class TrialConsole(Observer):
         """How to look at the trial."""
         if where:
             self._console.print(f"Look at it:  {where}", soft_wrap=True)
+
+
+def traceback_file(record: TrialRecord) -> str:
+    """The file with a record's traceback: that of its journal, else a new temporary one; "" without any."""
+    if not record.traceback or record.traceback_file:
+        return record.traceback_file
+    try:
+        with NamedTemporaryFile("w", prefix=TRACEBACK, suffix=".txt", delete=False) as file:
+            file.write(record.traceback)
+    except OSError:
+        return ""
+    return file.name
 
 
 def _counted(count: int, noun: str) -> str:

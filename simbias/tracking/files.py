@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import re
+import sys
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simbias.interfaces import Policy, Quantity, Task
+from simbias.messages import printable, value
 from simbias.records import Iteration, Rollout, Transitions
 
+TEXTS = "UST"  # kinds of NumPy's types that are no numbers
 SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
 
 
@@ -48,6 +54,70 @@ def load_rollout(path: Path) -> Rollout:
         arrays = {name: file[name] for name in file.files}
     scalars = {name: arrays.pop(name).item() for name in SCALARS if name in arrays}
     return Rollout(**arrays, **scalars)
+
+
+def save_arrays(file: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays as compressed npz, without pickle."""
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:  # savez cannot take every name
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, array, allow_pickle=False)
+
+
+def raw_parts(returned: Any) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """The parts by name of whatever a hardware returned: those that are numbers, and the others as text.
+
+    Parts are the fields of an object, the items of a mapping or of a list that is no array; else there is
+    one, `returned`.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    texts: dict[str, str] = {}
+    for name, part in _parts(returned).items():
+        try:
+            array = np.asarray(part)
+            if array.dtype.hasobject or array.dtype.kind in TEXTS:
+                raise TypeError("no numbers")
+        except Exception:
+            texts[name] = _text(part)
+        else:
+            arrays[name] = array
+    return arrays, texts
+
+
+def _parts(returned: Any) -> dict[str, Any]:
+    """The parts of an object, by names that a file may have."""
+    named: Iterable[tuple[Any, Any]] = [("returned", returned)]
+    if not _is_array(returned):
+        if isinstance(returned, Mapping):
+            named = returned.items()
+        elif isinstance(returned, list | tuple):
+            named = enumerate(returned)
+        elif getattr(returned, "__dict__", None):
+            named = vars(returned).items()
+    parts: dict[str, Any] = {}
+    for name, part in named:
+        key = re.sub(r"\W", "_", name if isinstance(name, str) else value(name))
+        while key in parts:
+            key += "_"
+        parts[key] = part
+    return parts
+
+
+def _is_array(thing: Any) -> bool:
+    """Whether NumPy makes one array of numbers of it."""
+    try:
+        return not np.asarray(thing).dtype.hasobject
+    except Exception:
+        return False
+
+
+def _text(thing: Any) -> str:
+    """A thing in words, every number of it in full."""
+    try:
+        with np.printoptions(threshold=sys.maxsize, precision=17):
+            return printable(repr(thing))
+    except Exception:
+        return f"a {type(thing).__name__} that cannot be shown"
 
 
 def save_transitions(path: Path, transitions: Transitions, task: Task) -> None:

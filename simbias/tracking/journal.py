@@ -2,10 +2,13 @@
 
 A folder holds one file for each, numbered in the order in which they ended: `0000_search.json`,
 `0001_experiment.npz`, ... A trial that is started again recalls them in this order, and goes on from there.
+What a hardware returned that breaks its contract is kept beside them and never recalled: what is numbers in
+`refused_0000.npz`, the rest in `refused_0000.txt`. The last process' traceback is in `error.txt`.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -13,21 +16,24 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from filelock import FileLock, Timeout
 
-from simbias.checks import checked
 from simbias.config.errors import ConfigError
+from simbias.experiments import Conducted
 from simbias.interfaces import Hardware, Optimizer, Policy, Task
+from simbias.messages import one_line
 from simbias.records import Array, Optimum, Rollout
 from simbias.search import Evaluations
 from simbias.study import Study
-from simbias.tracking.files import load_rollout, save_rollout
+from simbias.tracking.files import load_rollout, raw_parts, save_arrays, save_rollout
 from simbias.trial import Recorder, TrialRecord
 
 SEARCH, EXPERIMENT = "search.json", "experiment.npz"
+PART = ".part"  # suffix of what is being written
+ERROR, REFUSED = "error.txt", "refused_"
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
 
 
@@ -53,18 +59,30 @@ class Journal(Recorder):
         self._next = 0
         taken = ConfigError(str(folder), "another process is running this trial")
         self._lock = acquired(folder / "lock", LOCK_SECONDS, taken)
-        for file in folder.glob("*.part"):  # of a process that was killed while it wrote
+        for file in folder.glob(f"*{PART}"):  # of a process that was killed while it wrote
             file.unlink()
 
     def recalling(self, study: Study) -> Study:
         """The study, its hardware and its optimizer kept here."""
         self._next = 0
-        hardware = KeptHardware(study.hardware, study.task, self)
+        hardware = KeptHardware(study.hardware, study.task, study.experiment_timeout, self)
         optimizer = KeptOptimizer(study.optimizer, self)
         return replace(study, hardware=hardware, optimizer=optimizer)
 
+    def explained(self, traceback: str) -> str:
+        """Keep a traceback until the trial is gone on with; its file, unless that cannot be written."""
+        path = self.folder / ERROR
+        try:
+            write_whole(path, lambda file: file.write(traceback.encode()))
+        except OSError:  # which must not hide what raised
+            return ""
+        return str(path)
+
     def ended(self, record: TrialRecord) -> None:
         """Let another process go on with the trial."""
+        if not record.traceback:
+            with suppress(OSError):
+                (self.folder / ERROR).unlink(missing_ok=True)
         self.release()
 
     def release(self) -> None:
@@ -98,6 +116,18 @@ class Journal(Recorder):
         write_whole(self.folder / self._name(kind), write)
         self._next += 1
 
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> Sequence[Path]:
+        """Keep what is no rollout: its files, which no trial recalls."""
+        stems = (f"{REFUSED}{number:04d}" for number in itertools.count())
+        stem = next(stem for stem in stems if not any(self.folder.glob(f"{stem}.*")))
+        arrays, texts = raw_parts(returned)
+        arrays |= {"asked_parameters": theta, "asked_start": start}
+        numbers, text = self.folder / f"{stem}.npz", self.folder / f"{stem}.txt"
+        write_whole(numbers, lambda file: save_arrays(file, arrays))
+        lines = [why, *(f"{name}: {words}" for name, words in texts.items())]
+        write_whole(text, lambda file: file.write("\n".join([*lines, ""]).encode()))
+        return numbers, text
+
     def changed(self, path: Path) -> ConfigError:
         """What to say of an entry that does not fit the trial."""
         return ConfigError(
@@ -110,19 +140,17 @@ class Journal(Recorder):
         return f"{self._next:04d}_{kind}"
 
 
-class KeptHardware(Hardware):
+class KeptHardware(Conducted):
     """A hardware each of whose experiments is on disk before anyone sees it, and made but once."""
 
-    def __init__(self, hardware: Hardware, task: Task, journal: Journal) -> None:
-        self._hardware = hardware
-        self._task = task
+    def __init__(self, hardware: Hardware, task: Task, timeout: float | None, journal: Journal) -> None:
+        super().__init__(hardware, task, timeout)
         self._journal = journal
-        self.sets_start = hardware.sets_start
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment, or the one that was made in its place before.
 
-        What breaks the contract is refused, not kept: it would be recalled for ever.
+        What breaks the contract is no entry: it would be recalled for ever.
         """
         path = self._journal.recall(EXPERIMENT)
         if path is not None:
@@ -130,10 +158,17 @@ class KeptHardware(Hardware):
             if not np.array_equal(rollout.parameters, theta):
                 raise self._journal.changed(path)
             return rollout
-        made = checked(self._hardware.run(policy, theta, start, rng), self._hardware, self._task)
-        rollout = replace(made, parameters=theta)
+        rollout = replace(super().run(policy, theta, start, rng), parameters=theta)
         self._journal.keep(EXPERIMENT, lambda file: save_rollout(file, rollout))
         return rollout
+
+    def refused(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        """Keep it in the journal."""
+        try:
+            paths = self._journal.refuse(returned, theta, start, why)
+        except Exception as error:  # which must not hide what was wrong
+            return f"; it could not be kept ({one_line(error)})"
+        return f"; it is kept in {paths[0]} and {paths[1].suffix}"
 
 
 class KeptOptimizer(Optimizer):
@@ -170,6 +205,11 @@ class KeptOptimizer(Optimizer):
         return optimum
 
 
+def refused(folder: Path) -> list[Path]:
+    """The files of what was refused in a journal."""
+    return sorted(path for path in folder.glob(f"{REFUSED}*") if path.suffix != PART)
+
+
 def acquired(path: Path, timeout: float, taken: ConfigError) -> FileLock:
     """The lock of this file, in a folder that is made if need be.
 
@@ -204,7 +244,7 @@ def remove_empty(folder: Path) -> None:
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
-    part = path.with_name(f"{path.name}.part")
+    part = path.with_name(f"{path.name}{PART}")
     with part.open("wb") as file:
         write(file)
         file.flush()

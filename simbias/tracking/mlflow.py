@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
-import tempfile
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -13,10 +14,12 @@ from typing import TYPE_CHECKING
 
 from simbias.commands import python
 from simbias.config.errors import ConfigError
+from simbias.engine import workplace
 from simbias.records import Iteration, Rollout
 from simbias.tracking import fields, files, notes, pages
+from simbias.tracking.artifacts import remove_file, remove_uploads
 from simbias.tracking.contract import TrackedSweep, TrackedTrial, Tracking
-from simbias.tracking.journal import Journal, acquired, remove
+from simbias.tracking.journal import ERROR, Journal, acquired, refused, remove
 from simbias.tracking.store import cause, connect, database, exists
 from simbias.trial import Outcome, TrialRecord
 
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 
 NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 PICTURES = "pictures"  # folder of the artifacts
+REFUSED = "refused"  # likewise: what hardware returned that was no rollout
+PICTURES_SECONDS = 60.0  # in which one picture of a trial that has ended is copied
 BATCH = 100  # parameters that MLflow takes at once
 METRICS = 800  # metrics at once: MLflow takes 1000 of metrics, parameters and tags
 SPARING = "MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false"  # a fifth of the memory, and sooner up
@@ -75,11 +80,13 @@ class Mlflow(Tracking):
         """
         from simbias.pictures.trial.gallery import ALL
 
+        workplace.tidy()
         client, experiment_id = connect(self._uri, self._experiment)
         before = _earlier(client, experiment_id, study.hash)
         folder = self._folder() / study.hash
         if before is not None and before.info.status == FINISHED:
             remove(folder)  # who ended the trial may have been killed before it did
+            remove_uploads(before, PICTURES_SECONDS)
             run_id = before.info.run_id
             return FinishedTrial(self._uri, run_id, self._where(experiment_id, run_id))
         journal = Journal(folder, ALL if self._pictures else ())
@@ -88,7 +95,7 @@ class Mlflow(Tracking):
                 name, tags = notes.run_name(study), fields.tags(study.composition)
                 before = client.create_run(experiment_id, run_name=name, tags=tags)
             where = self._where(experiment_id, before.info.run_id)
-            return MlflowTrial(client, before, study, where, journal)
+            return MlflowTrial(client, before, study, where, folder, journal)
         except BaseException:
             journal.release()
             raise
@@ -98,6 +105,7 @@ class Mlflow(Tracking):
         from simbias.pictures.trial.gallery import IN_SWEEPS
         from simbias.tracking.mlflow_sweep import MlflowSweep
 
+        workplace.tidy()
         client, experiment_id = connect(self._uri, self._experiment)
         folder = self._folder()
         taken = ConfigError("sweep", "another process is running this sweep into the same store")
@@ -176,14 +184,21 @@ class MlflowTrial(TrackedTrial):
     """A run that is being written."""
 
     def __init__(
-        self, client: MlflowClient, run: Run, study: Study, where: str | None, journal: Journal | None = None
+        self,
+        client: MlflowClient,
+        run: Run,
+        study: Study,
+        where: str | None,
+        folder: Path | None,
+        journal: Journal | None = None,
     ) -> None:
         self.where = where
         self.run_id = run.info.run_id
         self.pictures = journal.pictures if journal else ()
         self._client = client
         self._study = study
-        self._journal = journal
+        self._folder = folder  # of the journal
+        self._journal = journal  # if the trial runs here
         self._pending = _Pending()
         self._rows: list[notes.Row] = []
         self._logged = int(run.data.metrics.get(ITERATIONS, 0))
@@ -191,6 +206,9 @@ class MlflowTrial(TrackedTrial):
         self._seconds = run.data.metrics.get(fields.SECONDS, 0.0)  # that earlier processes took
         if run.info.status != "RUNNING":  # it was ended early, and goes on
             client.update_run(self.run_id, status="RUNNING")
+        remove_uploads(run)
+        if "error" in run.data.tags:
+            remove_file(run, ERROR)
         for tag in {"error", "outcome"} & run.data.tags.keys():
             client.delete_tag(self.run_id, tag)
         try:
@@ -229,16 +247,35 @@ class MlflowTrial(TrackedTrial):
         self._note(notes.running(self._rows))
         self._flush()
 
+    def explained(self, traceback: str) -> str:
+        """Keep a traceback in the journal."""
+        return self._journal.explained(traceback) if self._journal else ""
+
     def ended(self, record: TrialRecord) -> None:
         """End the run: FINISHED, with or without success; KILLED if interrupted; FAILED after an error.
 
         The journal is needed no longer once the run is FINISHED.
         """
+        with self._not_running_for_ever():
+            self._end(record)
+        if self._journal is None:
+            return
+        if record.outcome.final:
+            self._journal.discard()
+        else:
+            self._journal.ended(record)
+
+    def _end(self, record: TrialRecord) -> None:
+        """Write how the trial ended."""
         pending = self._pending
         if record.reason:
             pending.tags["error"] = record.reason
         if record.traceback:
-            pending.files.append(("error.txt", partial(_write_text, record.traceback)))
+            pending.files.append((ERROR, partial(_write_text, record.traceback)))
+        if self._folder:
+            pending.files += [
+                (f"{REFUSED}/{path.name}", partial(_copy, path)) for path in refused(self._folder)
+            ]
         pending.files += self._experiment_files(len(record.iterations), record.unfinished)
         self._time = record.started + record.seconds
         whole = replace(record, seconds=self._seconds + record.seconds)
@@ -249,12 +286,6 @@ class MlflowTrial(TrackedTrial):
         self._flush()
         ended = int(1000 * self._time)
         self._client.set_terminated(self.run_id, STATUS.get(record.outcome, FINISHED), end_time=ended)
-        if self._journal is None:
-            return
-        if record.outcome.final:
-            self._journal.discard()
-        else:
-            self._journal.ended(record)
 
     def illustrated(self, pictures: Mapping[str, bytes]) -> None:
         """Keep pictures in pictures/."""
@@ -263,9 +294,22 @@ class MlflowTrial(TrackedTrial):
 
     def keep(self, record: TrialRecord) -> None:
         """Keep a trial that ran elsewhere, all at once."""
-        self._write(record.iterations)
-        self._illustrate(record.pictures)
-        self.ended(record)
+        with self._not_running_for_ever():
+            self._write(record.iterations)
+            self._illustrate(record.pictures)
+            self._end(record)
+
+    @contextmanager
+    def _not_running_for_ever(self) -> Iterator[None]:
+        """A run that cannot be ended as it should is FAILED, and its trial free for another process."""
+        try:
+            yield
+        except Exception:
+            with suppress(Exception):  # the store may be out of reach
+                self._client.set_terminated(self.run_id, STATUS[Outcome.ERROR])
+            if self._journal:
+                self._journal.release()
+            raise
 
     def _illustrate(self, pictures: Mapping[str, bytes]) -> None:
         """Keep pictures when all is written."""
@@ -326,7 +370,7 @@ class MlflowTrial(TrackedTrial):
         """Keep files, by their names and what writes them."""
         if not named:
             return
-        with tempfile.TemporaryDirectory() as folder:
+        with workplace.temporary_folder() as folder:
             for name, write in named:
                 path = Path(folder, name)
                 path.parent.mkdir(exist_ok=True)
@@ -349,6 +393,11 @@ def _batches(lists: Sequence[Sequence[_Metric]]) -> list[list[_Metric]]:
 def _write_text(text: str, path: Path) -> None:
     """Write a file."""
     path.write_text(text)
+
+
+def _copy(source: Path, path: Path) -> None:
+    """Copy a file."""
+    shutil.copyfile(source, path)
 
 
 def _write_bytes(content: bytes, path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -12,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock
 from pandas import DataFrame
 
+from simbias.engine.workplace import temporary_folder
 from simbias.sweep import tables
 from simbias.tracking import fields, pages, results
+from simbias.tracking.artifacts import log_text, remove_uploads
 from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
 from simbias.tracking.mlflow import FINISHED, NOTE, MlflowTrial
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep, Trial
     from simbias.tracking.trials import RecordedTrial
 
+CONFIG = "sweep.yaml"  # what all trials share
 FIGURES = "figures"  # folder of the parent's artifacts
 EXPERIMENTS = f"{FIGURES}/experiments"  # outcomes of batches
 NOTE_SECONDS = 5.0  # the parent's note is at most so old while trials end
@@ -72,14 +74,21 @@ class MlflowSweep(TrackedSweep):
         """The parent run: that of an earlier process, or a new one."""
         parent = results.find_sweep(self._client, self._experiment_id, self._sweep)
         if parent is not None:
+            remove_uploads(parent)
             self._client.update_run(parent.info.run_id, status="RUNNING")
-            return parent.info.run_id
-        tags = {**fields.origin(), "hash": self._sweep.hash, "sweep": self._sweep.name}
-        name = f"sweep {self._sweep.name}"
-        run_id = self._client.create_run(self._experiment_id, run_name=name, tags=tags).info.run_id
-        config = fields.config_yaml(self._sweep.base.config)
-        self._client.log_text(run_id, config, "sweep.yaml")
+        else:
+            tags = {**fields.origin(), "hash": self._sweep.hash, "sweep": self._sweep.name}
+            name = f"sweep {self._sweep.name}"
+            parent = self._client.create_run(self._experiment_id, run_name=name, tags=tags)
+        run_id = parent.info.run_id
+        if not self._has(run_id, CONFIG):  # an earlier process may have been killed before it wrote it
+            config = fields.config_yaml(self._sweep.base.config)
+            log_text(self._client, run_id, config, CONFIG)
         return run_id
+
+    def _has(self, run_id: str, name: str) -> bool:
+        """Whether a file is among those of a run."""
+        return any(file.path == name for file in self._client.list_artifacts(run_id))
 
     def journal(self, trial: Trial) -> Path:
         """The folder beside the store in which a worker keeps a trial."""
@@ -104,7 +113,7 @@ class MlflowSweep(TrackedSweep):
             run = self._client.create_run(
                 self._experiment_id, start_time=started, tags=tags, run_name=trial.name
             )
-        MlflowTrial(self._client, run, study, self.where).keep(record)
+        MlflowTrial(self._client, run, study, self.where, self.journal(trial)).keep(record)
         if record.outcome.final:
             remove(self.journal(trial))
         if record.outcome in results.TOLD:
@@ -127,7 +136,7 @@ class MlflowSweep(TrackedSweep):
 
     def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
         """Keep outcomes as figures/experiments/<batch>.json."""
-        self._client.log_text(self.run_id, outcomes.as_json(), f"{EXPERIMENTS}/{batch}.json")
+        log_text(self._client, self.run_id, outcomes.as_json(), f"{EXPERIMENTS}/{batch}.json")
 
     def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
         """The outcomes that are in the store; what a killed process left half written is not."""
@@ -135,7 +144,7 @@ class MlflowSweep(TrackedSweep):
 
         wanted = {f"{EXPERIMENTS}/{batch}.json": batch for batch in batches}
         kept = {}
-        with tempfile.TemporaryDirectory() as folder:
+        with temporary_folder() as folder:
             for file in self._client.list_artifacts(self.run_id, EXPERIMENTS) if wanted else []:
                 if file.path in wanted:
                     path = self._client.download_artifacts(self.run_id, file.path, folder)
@@ -153,7 +162,7 @@ class MlflowSweep(TrackedSweep):
         """End the parent run: FINISHED, KILLED if interrupted, FAILED after an error, here or in a trial."""
         try:
             trials = self.results()
-            self._client.log_text(self.run_id, results.rows(trials), "trials.csv")
+            log_text(self._client, self.run_id, results.rows(trials), "trials.csv")
             self._write(tables.cells(trials, self._sweep))
             for name, value in fields.sweep_metrics(trials).items():
                 self._client.log_metric(self.run_id, name, value, step=len(trials))
@@ -177,10 +186,10 @@ class MlflowSweep(TrackedSweep):
         client = self._client
         names = [axis.name for axis in self._sweep.axes]
         arrangement = tables.layout(table, self._sweep)
-        client.log_text(self.run_id, tables.markdown(arrangement), "table.md")
-        client.log_text(self.run_id, table.to_csv(index=False), "table.csv")
-        if any(file.path == "table.json" for file in client.list_artifacts(self.run_id)):
-            client.log_text(self.run_id, table.to_json(orient="split", index=False), "table.json")
+        log_text(client, self.run_id, tables.markdown(arrangement), "table.md")
+        log_text(client, self.run_id, table.to_csv(index=False), "table.csv")
+        if self._has(self.run_id, "table.json"):
+            log_text(client, self.run_id, table.to_json(orient="split", index=False), "table.json")
         else:  # what is there, log_table would extend
             client.log_table(self.run_id, table.astype(dict.fromkeys(names, object)), "table.json")
 

@@ -137,9 +137,10 @@ def _create(path: Path) -> None:
 
     MLflow takes seconds for its tables, and can never use a database again that it was killed in meanwhile.
     """
-    for part in path.parent.glob(f".{path.name}.*{PART}"):
-        if not _alive(int(part.name.split(".")[-2])):
-            part.unlink()
+    number = re.compile(rf"\.{re.escape(path.name)}\.(\d+){re.escape(PART)}")
+    for part in path.parent.iterdir():  # also what SQLite has beside them, as a journal
+        if (match := number.match(part.name)) and not _alive(int(match[1])):
+            part.unlink(missing_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     _client(f"sqlite:///{part}").search_experiments(max_results=1)
     part.replace(path)

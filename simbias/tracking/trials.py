@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.config import Composition, ConfigError
 from simbias.config.build import build
+from simbias.engine.workplace import temporary_folder
 from simbias.records import Iteration, Learning, Optimum, Rollout, Search
 from simbias.study import Study
 from simbias.tracking.files import (
@@ -62,7 +62,7 @@ def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
         raise ConfigError(run_id, "is a sweep; each of its trials is a run of its own")
     if "hash" not in run.data.tags:
         raise ConfigError(run_id, "is no run of simbias")
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         try:
             _download(client, run_id, Path(folder))
             study = build(_composition(Path(folder, "config.yaml"), run))

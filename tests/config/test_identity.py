@@ -59,6 +59,7 @@ def test_an_option_added_with_its_old_behaviour_as_default_changes_no_trial(
         "tracking.experiment=other",
         "engine=sequential",
         "engine.n_jobs=7",
+        "experiment_timeout=3",
         "preset=paper",
     ],
 )

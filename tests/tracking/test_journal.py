@@ -36,7 +36,7 @@ ROBUST = [
 ]
 
 
-class Stop(BaseException):
+class Stop(KeyboardInterrupt):
     """As a kill: nothing of the trial hears of it."""
 
 
@@ -200,15 +200,18 @@ class SpeechlessError(Exception):
         raise ValueError
 
 
+INSTEAD = "HardwareError: Breaking.run: expected a Rollout, got"
+
+
 @pytest.mark.parametrize(
     ("error", "reason"),
     [
         (HardwareError("no power"), "HardwareError: no power"),
-        (ZeroDivisionError(), "ZeroDivisionError"),
-        (SystemExit(3), "SystemExit: 3"),
-        (RecursionError("deep\nand deeper"), "RecursionError: deep and deeper"),
-        (SpeechlessError(), "SpeechlessError: (its message cannot be read)"),
-        (OSError("\udcff"), "OSError: \\udcff"),
+        (ZeroDivisionError(), f"{INSTEAD} ZeroDivisionError"),
+        (SystemExit(3), f"{INSTEAD} SystemExit: 3"),
+        (RecursionError("deep\nand deeper"), f"{INSTEAD} RecursionError: deep and deeper"),
+        (SpeechlessError(), f"{INSTEAD} SpeechlessError: (its message cannot be read)"),
+        (OSError("\udcff"), f"{INSTEAD} OSError: \\udcff"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
 )
@@ -216,6 +219,7 @@ def test_what_a_component_raises_is_told_in_the_record(error: BaseException, rea
     record = run_trial(replace(study(SHORT), hardware=Breaking(error)))
     assert (record.outcome, record.reason) == (Outcome.ERROR, reason)
     assert "Traceback" in record.traceback
+    assert record.traceback.encode()
     assert (record.experiments, np.isnan(record.experiments_until_success)) == (0, True)
 
 
@@ -246,3 +250,81 @@ def test_what_breaks_the_contract_is_refused_and_not_kept(tmp_path: Path) -> Non
     assert record.reason.startswith("HardwareError: Broken.run: states: expected the shape (2, 6)")
     assert [path.name for path in tmp_path.glob("0*")] == ["0000_search.json"]
     assert_equal(timeless(run_trial(study(SHORT), Journal(tmp_path))), timeless(run_trial(study(SHORT))))
+
+
+class Returning(Hardware):
+    def __init__(self, returned: object) -> None:
+        self._returned = returned
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        return self._returned  # type: ignore[return-value]
+
+
+class Odd:
+    def __init__(self) -> None:
+        self.angles = [1, 2, 3]
+        self.camera = {"left"}
+
+    def __repr__(self) -> str:
+        raise ValueError
+
+
+LONG = np.arange(3000.0) / 7.0
+
+
+@pytest.mark.parametrize(
+    ("returned", "arrays", "texts"),
+    [
+        (None, {}, {"returned": "None"}),
+        (LONG, {"returned": LONG}, {}),
+        ([[1, 2], [3, 4]], {"returned": [[1, 2], [3, 4]]}, {}),
+        ([LONG, "caf\udce9", {}], {"0": LONG}, {"1": r"'caf\udce9'", "2": "{}"}),
+        ({"a b": 1.5, "a/b": 2j, "file": [1, [2]]}, {"a_b": 1.5, "a_b_": 2j}, {"file": "[1, [2]]"}),
+        (Odd(), {"angles": [1, 2, 3]}, {"camera": "{'left'}"}),
+        ([Odd()], {}, {"0": "a Odd that cannot be shown"}),
+        (np.array([LONG, None], dtype=object), {}, {"returned": "4.2842857142857144e+02"}),
+    ],
+    ids=["None", "array", "list", "tuple", "mapping", "object", "speechless", "objects"],
+)
+def test_all_that_a_hardware_returned_is_kept(
+    tmp_path: Path, returned: object, arrays: dict[str, object], texts: dict[str, str]
+) -> None:
+    """Numbers as such, without pickle; the rest in words."""
+    record = run_trial(replace(study(SHORT), hardware=Returning(returned)), Journal(tmp_path))
+    assert record.outcome is Outcome.ERROR
+    assert record.reason.endswith(f"; it is kept in {tmp_path / 'refused_0000.npz'} and .txt")
+    with np.load(tmp_path / "refused_0000.npz", allow_pickle=False) as file:
+        kept = {name: file[name] for name in file.files}
+    assert (kept.pop("asked_parameters").shape, kept.pop("asked_start").shape) == ((5,), (6,))
+    assert kept.keys() == arrays.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(kept[name], array)  # type: ignore[arg-type]
+    first, *lines = (tmp_path / "refused_0000.txt").read_text().splitlines()
+    assert first.startswith("Returning.run: expected a Rollout, got ")
+    for name, text in texts.items():
+        assert any(line.startswith(f"{name}: ") for line in lines)
+        assert text in "\n".join(lines)
+    assert not [name for name in arrays if any(line.startswith(f"{name}: ") for line in lines)]
+
+
+def test_what_cannot_be_kept_hides_no_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    journal = Journal(tmp_path)
+    monkeypatch.setattr(journal, "refuse", full)
+    record = run_trial(replace(study(SHORT), hardware=Returning(None)), journal)
+    assert record.reason.startswith(
+        "HardwareError: Returning.run: expected a Rollout, got NoneType; it could "
+    )
+    assert record.reason.endswith("No space left on device)")
+
+
+def test_a_traceback_is_kept_until_the_trial_goes_on(tmp_path: Path) -> None:
+    record = run_trial(replace(study(SHORT), hardware=Breaking(OSError("caf\udce9"))), Journal(tmp_path))
+    assert record.traceback_file == str(tmp_path / "error.txt")
+    assert (tmp_path / "error.txt").read_text() == record.traceback
+    assert r"OSError: caf\udce9" in record.traceback
+    assert "test_journal.py" in record.traceback
+    assert run_trial(study(SHORT), Journal(tmp_path)).traceback_file == ""
+    assert not (tmp_path / "error.txt").exists()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simbias.engine.contract import Engine, WorkerLostError
+from simbias.engine.workplace import temporary_folder
 from simbias.interfaces import HardwareError, Waiting
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.sweep.batches import Batch, Outcomes, run_batch
@@ -55,7 +55,7 @@ def make_figures(
             batches = figure.experiments(trials)
             outcomes = _outcomes(name, batches, engine, tracked, observer, interruption)
             picture = figure.draw(trials, outcomes)
-        with tempfile.TemporaryDirectory() as folder, interruption.deferred():
+        with temporary_folder() as folder, interruption.deferred():
             files = picture.write(Path(folder), name)
             tracked.publish(name, picture.caption, files)
             observer.drawn(name, picture.caption, _copy(files, sweep.figures_to))

@@ -1,0 +1,132 @@
+"""Experiments on a hardware, whatever the hardware does: raise, return what is no rollout, or never end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextvars import copy_context
+from typing import Any
+
+import numpy as np
+
+from simbias.checks import checked
+from simbias.interfaces import Hardware, HardwareError, Policy, Task, Waiting
+from simbias.messages import with_type
+from simbias.records import Array, Rollout
+
+STOP_SECONDS = 5.0  # that `Hardware.stop` has, and then again the experiment that it stops
+MESSAGE_LENGTH = 250  # of what a hardware raises
+
+
+class Conducted(Hardware):
+    """A hardware whose every experiment ends in a rollout that keeps the contract, or in one line.
+
+    Parameters
+    ----------
+    hardware
+        Whatever it does.
+    task
+        Whose rollouts it should return.
+    timeout
+        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own; where
+        it takes longer, the hardware is asked to stop, and what it still does is of no interest. Code that
+        never returns to Python's interpreter cannot be stopped so.
+    """
+
+    def __init__(self, hardware: Hardware, task: Task, timeout: float | None = None) -> None:
+        self._hardware = hardware
+        self._task = task
+        self._timeout = timeout
+        self.sets_start = hardware.sets_start
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment.
+
+        Raises
+        ------
+        HardwareError
+            If it could not be carried out, whatever the hardware raised; did not end in time; or its rollout
+            is not what the contract asks for.
+        Waiting
+            If its result is not there yet.
+        """
+        returned = self._returned(lambda: self._hardware.run(policy, theta, start, rng))
+        try:
+            return checked(returned, self._hardware, self._task)
+        except HardwareError as error:
+            raise HardwareError(f"{error}{self.refused(returned, theta, start, str(error))}") from error
+
+    def refused(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        """Keep what breaks the contract; where it is, in words that follow those of the error."""
+        return ""
+
+    def _returned(self, experiment: Callable[[], Any]) -> Any:
+        """What the hardware returns, not yet checked."""
+        try:
+            return experiment() if self._timeout is None else self._in_time(experiment, self._timeout)
+        except (HardwareError, Waiting, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
+            got = with_type(error, MESSAGE_LENGTH)
+            raise HardwareError(f"{self._name}.run: expected a Rollout, got {got}") from error
+
+    def _in_time(self, experiment: Callable[[], Any], seconds: float) -> Any:
+        """What an experiment returns within so many seconds."""
+        call = _Call(experiment)
+        try:
+            in_time = call.ended(seconds)
+        except BaseException:  # interrupted
+            self._stop(call)
+            raise
+        if not in_time:
+            raise HardwareError(
+                f"{self._name}.run: expected an end within {seconds:g} s (experiment_timeout), got none; "
+                f"{self._name}.stop {self._stop(call)}"
+            )
+        return call.result()
+
+    def _stop(self, experiment: _Call) -> str:
+        """Ask the hardware to stop; how that went."""
+        stop = _Call(self._hardware.stop)
+        if not stop.ended(STOP_SECONDS):
+            return f"did not end within {STOP_SECONDS:g} s either"
+        try:
+            stop.result()
+        except BaseException as error:
+            return f"raised {with_type(error, MESSAGE_LENGTH)}"
+        ended = experiment.ended(STOP_SECONDS)
+        return "was called, and it ended" if ended else "was called, but it still runs"
+
+    @property
+    def _name(self) -> str:
+        """The component."""
+        return type(self._hardware).__name__
+
+
+class _Call:
+    """A call in a thread, which ends with the process at the latest, and what came of it."""
+
+    def __init__(self, function: Callable[[], Any]) -> None:
+        self._function = function
+        self._result: Any = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        """In the thread."""
+        try:
+            self._result = self._function()
+        except BaseException as error:
+            self._error = error
+
+    def ended(self, seconds: float) -> bool:
+        """Whether it has ended, after so many seconds or sooner."""
+        self._thread.join(min(seconds, threading.TIMEOUT_MAX))
+        return not self._thread.is_alive()
+
+    def result(self) -> Any:
+        """What it returned; what it raised is raised."""
+        if self._error is not None:
+            raise self._error
+        return self._result
