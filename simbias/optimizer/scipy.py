@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import PositiveFloat, PositiveInt
 from scipy.optimize import Bounds, direct
 
+from simbias.config.numbers import EvaluationCount, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
 from simbias.optimizer.lookahead import look_ahead
 from simbias.search import Evaluations
@@ -30,10 +30,10 @@ class ScipyDirect(Optimizer):
     def __init__(
         self,
         locally_biased: bool,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self._locally_biased = locally_biased
