@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Required, get_type_hints
 
-from pydantic import NonNegativeInt
-
 from simbias.config.components import construct, validated
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.errors import ConfigError
+from simbias.config.memory import check_memory
+from simbias.config.numbers import Seed
 from simbias.interfaces import Task
 from simbias.study import Study
 
@@ -22,7 +22,8 @@ def build(composition: Composition) -> Study:
     Raises
     ------
     ConfigError
-        If a key is unknown or missing, a value has the wrong type or range, or a constructor refuses.
+        If a key is unknown or missing, a value has the wrong type or range, a constructor refuses, or the
+        study does not fit into memory.
     """
     composition = composition.trial
     config = composition.config
@@ -33,11 +34,14 @@ def build(composition: Composition) -> Study:
     for key in (*contracts, "seed"):
         if key not in config:
             raise ConfigError(key, "missing")
-    seed = validated({"seed": config["seed"]}, {"seed": Required[NonNegativeInt]}, "")["seed"]
-    task = construct(config["task"], Task, "task")
+    seed = validated({"seed": config["seed"]}, {"seed": Required[Seed]}, "")["seed"]
+    allowed = composition.allowed
+    task = construct(config["task"], Task, "task", allowed)
     components = {
-        group: construct(config[group], contract, group, task=task)
+        group: construct(config[group], contract, group, allowed, task=task)
         for group, contract in contracts.items()
         if group != "task"
     }
-    return Study(task=task, **components, seed=seed, composition=composition)
+    study = Study(task=task, **components, seed=seed, composition=composition)
+    check_memory(study)
+    return study

@@ -24,6 +24,7 @@ class Plan(NamedTuple):
     choices: Mapping[str, str]
     journal: str | None = None  # the folder in which it is kept while it runs
     pictures: tuple[str, ...] = ()  # to draw at its end
+    allowed: tuple[str, ...] = ()  # modules of which the config may name classes
 
 
 def run_plan(plan: Plan) -> TrialRecord:
@@ -31,7 +32,7 @@ def run_plan(plan: Plan) -> TrialRecord:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
         try:
-            study = build(Composition(plan.config, plan.choices))
+            study = build(Composition(plan.config, plan.choices, plan.allowed))
             recorder = Journal(Path(plan.journal), plan.pictures) if plan.journal else Recorder()
         except Exception as error:
             return lost(f"{type(error).__name__}: {error}")
