@@ -17,7 +17,8 @@ from simbias.sweep import tables
 from simbias.tracking import fields, pages, results
 from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
-from simbias.tracking.mlflow import FINISHED, NOTE, MlflowTrial
+from simbias.tracking.mlflow import NOTE, MlflowTrial
+from simbias.tracking.rows import is_finished
 from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
@@ -84,7 +85,8 @@ class MlflowSweep(TrackedSweep):
     def _runs_to_go_on_with(self) -> dict[str, Run]:
         """The runs of trials that did not come to their end, by hash."""
         runs = list(results.children(self._client, self._experiment_id, self.run_id))
-        return {run.data.tags["hash"]: run for run in runs if run.info.status != FINISHED}
+        unfinished = [run for run in runs if not is_finished(run)]
+        return {run.data.tags["hash"]: run for run in unfinished if "hash" in run.data.tags}
 
     def journal(self, trial: Trial) -> Path:
         """The folder beside the store in which a worker keeps a trial."""
@@ -125,7 +127,8 @@ class MlflowSweep(TrackedSweep):
         """A trial, read back."""
         from simbias.tracking.trials import load_trial
 
-        return load_trial(run_id, self._client.tracking_uri)
+        allowed = {name for cell in self._sweep.cells for name in cell.composition.allowed}
+        return load_trial(run_id, self._client.tracking_uri, allow=sorted(allowed))
 
     def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
         """Keep outcomes as figures/experiments/<batch>.json."""

@@ -16,6 +16,7 @@ import pandas as pd
 
 from simbias.config.composition import ConfigError, shipped
 from simbias.tracking.fields import PARENT
+from simbias.tracking.rows import FINISHED, is_whole
 from simbias.trial import Outcome
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
-ENDED = ("FINISHED", "FAILED")  # states of runs that tables tell of,
+ENDED = (FINISHED, "FAILED")  # states of runs that tables tell of,
 TOLD = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # and their outcomes
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", "raised", "run_id")
 
@@ -45,14 +46,9 @@ def children(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[
 
 
 def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | None:
-    """The parent run of a sweep, if it ever began."""
-    runs = client.search_runs(
-        [experiment_id],
-        f"tags.sweep = '{sweep.name}' and tags.hash = '{sweep.hash}'",
-        order_by=["created ASC"],
-        max_results=1,
-    )
-    return runs[0] if runs else None
+    """The parent run of a sweep, if it ever began; its hash is also of its name, which may have quotes."""
+    runs = client.search_runs([experiment_id], f"tags.hash = '{sweep.hash}'", order_by=["created ASC"])
+    return next((run for run in runs if "sweep" in run.data.tags), None)
 
 
 def of_sweep(client: MlflowClient, experiment_id: str, parent: str, sweep: Sweep) -> pd.DataFrame:
@@ -62,7 +58,7 @@ def of_sweep(client: MlflowClient, experiment_id: str, parent: str, sweep: Sweep
     for run in children(client, experiment_id, parent):
         tags = run.data.tags
         trial, outcome = planned.get(tags.get("hash", "")), tags.get("outcome")
-        if trial is None or run.info.status not in ENDED or outcome not in TOLD:
+        if not is_whole(run) or trial is None or run.info.status not in ENDED or outcome not in TOLD:
             continue
         if trial.hash not in rows or rows[trial.hash]["outcome"] == Outcome.ERROR:
             raised, run_id = tags.get("error", ""), run.info.run_id
