@@ -16,10 +16,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 
-def load(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> Study:
+def load(
+    overrides: Sequence[str] = (), config_dir: Path | str | None = None, allow: Sequence[str] = ()
+) -> Study:
     """Compose a study with the same overrides as on the command line.
 
     >>> study = load(["bias=none", "hardware.noise.torque_variance=0.1", "seed=3"])
+
+    Components of your own are beside `config_dir`, or in modules that `allow` names.
 
     Raises
     ------
@@ -29,11 +33,16 @@ def load(overrides: Sequence[str] = (), config_dir: Path | str | None = None) ->
     from simbias.config import compose  # lazily: the command line's --help needs no components
     from simbias.config.build import build
 
-    return build(compose(overrides, config_dir))
+    return build(compose(overrides, config_dir, allow))
 
 
-def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
-    """Read a trial back from a store: its study and its iterations.
+def load_trial(
+    run_id: str,
+    uri: str = "sqlite:///mlflow.db",
+    config_dir: Path | str | None = None,
+    allow: Sequence[str] = (),
+) -> RecordedTrial:
+    """Read a trial back from a store: its study and its iterations; components of your own as for `load`.
 
     Raises
     ------
@@ -42,11 +51,14 @@ def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
     """
     from simbias.tracking import trials
 
-    return trials.load_trial(run_id, uri)
+    return trials.load_trial(run_id, uri, config_dir, allow)
 
 
 def run_sweep(
-    overrides: Sequence[str], config_dir: Path | str | None = None, observer: SweepObserver | None = None
+    overrides: Sequence[str],
+    config_dir: Path | str | None = None,
+    observer: SweepObserver | None = None,
+    allow: Sequence[str] = (),
 ) -> DataFrame:
     """Run a sweep, or go on with it; return its trials, a row for each.
 
@@ -59,4 +71,4 @@ def run_sweep(
     """
     from simbias.sweep import running
 
-    return running.run(overrides, config_dir, observer)
+    return running.run(overrides, config_dir, observer, allow)

@@ -65,8 +65,8 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
     if parsed.overrides[:1] == [CHECK]:
         from simbias.terminal.check import check
 
-        return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir) else FAILED
-    composition = compose(parsed.overrides, parsed.config_dir)
+        return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir, parsed.allow) else FAILED
+    composition = compose(parsed.overrides, parsed.config_dir, parsed.allow)
     if parsed.cfg:
         print(_as_yaml(composition), end="")
         return SUCCEEDED
@@ -88,6 +88,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
     parser.add_argument(
         "--config-dir", metavar="DIR", help="a folder with groups, options and sweeps/ of your own"
+    )
+    parser.add_argument(
+        "--allow",
+        metavar="MODULE",
+        action="append",
+        default=[],
+        help="a module or package whose classes a config may name, beside those next to DIR; may be repeated",
     )
     parser.add_argument("--version", action="version", version=f"simbias {__version__}")
     return parser
@@ -142,7 +149,7 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
 
     trials_engine, store = engine(composition), tracking(composition)
     with preparing(), slowness_in_one_line():
-        sweep, study = prepare(parsed.overrides, parsed.config_dir)
+        sweep, study = prepare(parsed.overrides, parsed.config_dir, parsed.allow)
     if sweep.dry_run:
         dry_run(sweep, study, store.finished(sweep), trials_engine)
         return SUCCEEDED
@@ -168,7 +175,8 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
 def _command(parsed: argparse.Namespace) -> str:
     """The command line, to be typed again."""
     config_dir = ["--config-dir", parsed.config_dir] if parsed.config_dir else []
-    return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *parsed.overrides])}"
+    allow = [word for module in parsed.allow for word in ("--allow", module)]
+    return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *allow, *parsed.overrides])}"
 
 
 if __name__ == "__main__":

@@ -296,6 +296,8 @@ class Cost(ABC):
 class Evaluation(ABC):
     """How the cost of a policy is predicted in simulation."""
 
+    noisy_rollouts: int = 0  # of each policy, whose noise is kept as long as a search goes on
+
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
         """The predicted cost as a function of theta; what it samples is drawn once, from rng."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import warnings
 
-from pydantic import PositiveFloat
-
 from simbias.bias.covariance import Hyperparameters, hyperparameters
 from simbias.bias.inducing import Inducing
 from simbias.bias.likelihood import Learning, learned
 from simbias.bias.posterior import exact, sparse
+from simbias.config.numbers import Positive, Scale
 from simbias.interfaces import Bias, FittedBias, SlowWarning, Task
 from simbias.records import Transitions
 
@@ -43,11 +42,11 @@ class GaussianProcess(Bias):
     def __init__(
         self,
         task: Task,
-        length_scale: PositiveFloat | list[PositiveFloat] = 1.0,
-        signal_variance: PositiveFloat = 1.0,
-        noise_variance: PositiveFloat = 0.018315638888734182,  # e^-4
-        d: PositiveFloat = 1.0,
-        input_scale: list[PositiveFloat] | None = None,
+        length_scale: Scale | list[Scale] = 1.0,
+        signal_variance: Scale = 1.0,
+        noise_variance: Scale = 0.018315638888734182,  # e^-4
+        d: Positive = 1.0,
+        input_scale: list[Scale] | None = None,
         learning: Learning | None = None,
         inducing: Inducing | None = None,
     ) -> None:

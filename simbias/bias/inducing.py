@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, PositiveInt
+from pydantic import Field
 from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, stable_cholesky
+from simbias.config.numbers import Count
 from simbias.records import Array
 
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
@@ -24,7 +25,7 @@ class Inducing:
     seen through the first of them.
     """
 
-    points: PositiveInt = 200  # at most
+    points: Count = 200  # at most
     tolerance: Tolerance = 1e-4  # no more, once all other points are known to this part of alpha^2
     variance_tolerance: Tolerance = 1e-3  # likewise, of those for the variance; at least `tolerance`
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import NonNegativeFloat, PositiveInt
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
 
 from simbias.bias.covariance import Hyperparameters, correlation, output_scale
+from simbias.config.numbers import Count, Spread
 from simbias.records import Array, Transitions
 
 LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
@@ -19,10 +19,10 @@ LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's singl
 class Learning:
     """Standard deviations of the priors of the hyper-parameters' logarithms; 0 keeps the median."""
 
-    length_scale: NonNegativeFloat = 1.0  # 1 takes a factor e for one standard deviation
-    signal_variance: NonNegativeFloat = 1.0
-    noise_ratio: NonNegativeFloat = 1.0  # of noise to signal variance
-    points: PositiveInt = 200  # at most, evenly spaced in the data
+    length_scale: Spread = 1.0  # 1 takes a factor e for one standard deviation
+    signal_variance: Spread = 1.0
+    noise_ratio: Spread = 1.0  # of noise to signal variance
+    points: Count = 200  # at most, evenly spaced in the data
 
 
 def learned(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:

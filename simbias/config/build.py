@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from typing import NotRequired, Required, get_type_hints
 
-from pydantic import NonNegativeInt, PositiveFloat
+from pydantic import PositiveFloat
 
 from simbias.config.components import construct, validated
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.errors import ConfigError
+from simbias.config.memory import check_memory
+from simbias.config.numbers import Seed
 from simbias.interfaces import Task
 from simbias.study import Study
 
 NO_COMPONENTS = ("seed", "experiment_timeout", "composition")
-VALUES = {"seed": Required[NonNegativeInt], "experiment_timeout": NotRequired[PositiveFloat | None]}
+VALUES = {"seed": Required[Seed], "experiment_timeout": NotRequired[PositiveFloat | None]}
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
 
@@ -23,7 +25,8 @@ def build(composition: Composition) -> Study:
     Raises
     ------
     ConfigError
-        If a key is unknown or missing, a value has the wrong type or range, or a constructor refuses.
+        If a key is unknown or missing, a value has the wrong type or range, a constructor refuses, or the
+        study does not fit into memory.
     """
     composition = composition.trial
     config = composition.config
@@ -35,10 +38,13 @@ def build(composition: Composition) -> Study:
         if key not in config:
             raise ConfigError(key, "missing")
     values = validated({key: config[key] for key in VALUES if key in config}, VALUES, "")
-    task = construct(config["task"], Task, "task")
+    allowed = composition.allowed
+    task = construct(config["task"], Task, "task", allowed)
     components = {
-        group: construct(config[group], contract, group, task=task)
+        group: construct(config[group], contract, group, allowed, task=task)
         for group, contract in contracts.items()
         if group != "task"
     }
-    return Study(task=task, **components, **values, composition=composition)
+    study = Study(task=task, **components, **values, composition=composition)
+    check_memory(study)
+    return study

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
-from simbias.config.errors import ConfigError
-from simbias.messages import one_line
-
-TARGET = "_target_"  # the key that names a component's class
+from simbias.config.allowed import TARGET, check_allowed
+from simbias.config.errors import ConfigError, quoted, words
 
 
-def construct(config: Any, contract: type, key: str, **provided: Any) -> Any:
+def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = (), **provided: Any) -> Any:
     """Construct what `_target_` names; `provided` are arguments that it gets if it has them.
+
+    `allowed` are prefixes of modules that may be imported beside simbias's own.
 
     Raises
     ------
     ConfigError
         Naming `key` and the argument.
     """
-    component = component_class(config, key)
+    component = component_class(config, key, allowed)
     if not issubclass(component, contract):
         raise ConfigError(f"{key}.{TARGET}", f"{config[TARGET]} is not a {contract.__name__}")
     parameters = constructor_parameters(component)
@@ -36,25 +37,31 @@ def construct(config: Any, contract: type, key: str, **provided: Any) -> Any:
     try:
         return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
     except (Exception, SystemExit) as error:
-        raise ConfigError(key, one_line(error) or type(error).__name__) from error
+        raise ConfigError(key, words(error)) from error
 
 
-def component_class(config: Any, key: str) -> Any:
-    """The class that `_target_` names.
+def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
+    """The class that `_target_` names, in a module that may be imported.
 
     Raises
     ------
     ConfigError
-        If there is no such class.
+        If its module may not be imported, or there is no such class.
     """
     if not isinstance(config, Mapping) or TARGET not in config:
-        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {config!r}")
+        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {quoted(config)}")
     target = config[TARGET]
     module_name, _, name = str(target).rpartition(".")
+    if not module_name:
+        raise ConfigError(f"{key}.{TARGET}", f"must be module.Class, got {quoted(target)}")
+    check_allowed(module_name, f"{key}.{TARGET}", allowed)
     try:
         component = getattr(importlib.import_module(module_name), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{key}.{TARGET}", f"cannot import {target!r} ({error})") from error
+    except Exception as error:  # a module of one's own may raise anything
+        kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
+        raise ConfigError(
+            f"{key}.{TARGET}", f"cannot import {quoted(target)} ({kind}{words(error)})"
+        ) from error
     if not inspect.isclass(component):
         raise ConfigError(f"{key}.{TARGET}", f"{target} is not a class")
     return component
@@ -128,5 +135,5 @@ def _in_one_line(error: ValidationError, key: str) -> ConfigError:
         return ConfigError(where, "no such key")
     if first["type"] == "missing":
         return ConfigError(where, "missing")
-    problem = first["msg"].removeprefix("Input ").removeprefix("List ").replace("should", "must", 1)
-    return ConfigError(where, f"{problem}, got {first['input']!r}")
+    problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)
+    return ConfigError(where, f"{problem}, got {quoted(first['input'])}")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from simbias.config.errors import ConfigError
+from simbias.config.allowed import beside, prefixes
+from simbias.config.errors import ConfigError, words
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
@@ -25,13 +26,14 @@ class Composition:
 
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
+    allowed: tuple[str, ...] = field(default=(), compare=False)  # modules of which it may name classes
 
     @cached_property
     def essence(self) -> Mapping[str, Any]:
         """What affects a trial's result (`simbias.config.identity`)."""
         from simbias.config.identity import essence  # lazily: --help needs no components
 
-        return essence(self.config, NOT_HASHED)
+        return essence(self.config, NOT_HASHED, self.allowed)
 
     @cached_property
     def hash(self) -> str:
@@ -55,7 +57,8 @@ class Composition:
     def trial(self) -> Composition:
         """What concerns a single trial."""
         config = {key: value for key, value in self.config.items() if key not in OF_SWEEPS}
-        return Composition(config, {k: v for k, v in self.choices.items() if k not in OF_SWEEPS})
+        choices = {key: option for key, option in self.choices.items() if key not in OF_SWEEPS}
+        return replace(self, config=config, choices=choices)
 
 
 def shipped(folder: str) -> Path:
@@ -73,25 +76,34 @@ def options() -> dict[str, list[str]]:
     defaults = OmegaConf.load(root / "config.yaml").defaults
     chosen = {group: option for entry in defaults if entry != "_self_" for group, option in entry.items()}
     return {
-        group: [option, *sorted(f.stem for f in (root / group).glob("*.yaml") if f.stem != option)]
+        group: [option, *sorted({f.stem for f in _files(root / group)} - {option})]
         for group, option in chosen.items()
     }
 
 
 def sweeps() -> list[str]:
     """The shipped sweeps."""
-    return sorted(file.stem for file in shipped("sweeps").glob("*.yaml"))
+    return sorted(file.stem for file in _files(shipped("sweeps")))
 
 
-def compose(overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> Composition:
+def _files(folder: Path) -> list[Path]:
+    """The configs of a folder by name, but for what is no file, or has a name that cannot be written."""
+    return sorted(file for file in folder.glob("*.yaml") if file.is_file() and file.stem.isprintable())
+
+
+def compose(
+    overrides: Sequence[str] = (), config_dir: Path | str | None = None, allow: Sequence[str] = ()
+) -> Composition:
     """Compose the config as Hydra does; `config_dir` is searched for groups, options and sweeps too.
+
+    It may name classes of simbias, of modules beside `config_dir` and of those that `allow` names.
 
     Raises
     ------
     ConfigError
         If an override names an unknown key or option, or cannot be parsed or resolved.
     """
-    return Variations(overrides, config_dir).composition({})
+    return Variations(overrides, config_dir, allow).composition({})
 
 
 class _Composed(NamedTuple):
@@ -107,12 +119,19 @@ class Variations:
     Hydra composes once for each choice of options; values are merged, which takes a tenth of the time.
     """
 
-    def __init__(self, overrides: Sequence[str] = (), config_dir: Path | str | None = None) -> None:
+    def __init__(
+        self,
+        overrides: Sequence[str] = (),
+        config_dir: Path | str | None = None,
+        allow: Sequence[str] = (),
+    ) -> None:
         self._overrides = list(overrides)
         self._config_dir = config_dir
         self._composed: dict[tuple[str, ...], _Composed] = {}
         if config_dir is not None and not Path(config_dir).is_dir():
             raise ConfigError("--config-dir", f"no such folder: {config_dir}")
+        self._folders = [Path(config_dir)] if config_dir is not None else _searched(overrides)
+        self._allowed = prefixes(self._folders, allow)
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
         """The composition with options (`bias`) and values (`bias.d`) set.
@@ -125,6 +144,7 @@ class Variations:
         from hydra.errors import HydraException
         from omegaconf import OmegaConf
         from omegaconf.errors import OmegaConfBaseException
+        from yaml import YAMLError
 
         try:
             with warnings.catch_warnings():
@@ -137,9 +157,13 @@ class Variations:
                     if key not in groups:
                         OmegaConf.update(config, key, value)
                 plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-            return Composition(plain, composed.choices)
-        except (HydraException, OmegaConfBaseException, UserWarning, ValueError) as error:
+        except ConfigError:
+            raise
+        except (HydraException, OmegaConfBaseException, UserWarning) as error:
             raise _in_one_line(error) from error
+        except (YAMLError, OSError, ValueError, RecursionError) as error:  # of a file or a value
+            raise ConfigError(" ".join(self._overrides), _of_a_file(error)) from error
+        return Composition(plain, composed.choices, (*self._allowed, *beside(plain, self._folders)))
 
     def _compose(self, options: tuple[str, ...]) -> _Composed:
         """Hydra's work: once for each choice of options."""
@@ -149,7 +173,9 @@ class Variations:
         if options not in self._composed:
             overrides = [*self._overrides, *options]
             if self._config_dir is not None:
-                overrides.append(f"hydra.searchpath=[file://{Path(self._config_dir).resolve()}]")
+                overrides.append(
+                    f"hydra.searchpath=[{_quoted(f'file://{Path(self._config_dir).resolve()}')}]"
+                )
             sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
             if sweeps:
                 _register_sweeps(self._config_dir, sweeps[-1])
@@ -179,6 +205,12 @@ def overridden(overrides: Sequence[str]) -> list[str]:
         raise _in_one_line(error) from error
 
 
+def _quoted(text: str) -> str:
+    """Text as a value of an override, whatever is in it."""
+    escaped = text.replace("'", "\\'")
+    return f"'{escaped}'"
+
+
 def _parsed(overrides: Sequence[str]) -> list[Override]:
     """The overrides as Hydra parses them."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -192,20 +224,47 @@ def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
     A file that cannot be read is passed over, unless it is the wanted one.
     """
     from hydra.core.config_store import ConfigStore
-    from omegaconf import OmegaConf
-    from yaml import YAMLError
+    from omegaconf import DictConfig, OmegaConf
 
     store = ConfigStore.instance()
     store.repo.pop("sweep", None)  # those of another config_dir
     for folder in (shipped("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
-        for file in sorted(folder.glob("*.yaml")):
+        for file in _files(folder):
             try:
                 node = OmegaConf.load(file)
-            except (YAMLError, OSError, UnicodeError) as error:
+            except Exception as error:  # OmegaConf's, YAML's or the system's
                 if file.stem != wanted:
                     continue
-                raise ConfigError(str(file), " ".join(str(error).split())) from error
+                raise ConfigError(str(file), _of_a_file(error)) from error
+            if not isinstance(node, DictConfig):
+                if file.stem != wanted:
+                    continue
+                raise ConfigError(str(file), "must be a mapping")
             store.store(group="sweep", name=file.stem, node=node, package="_global_")
+
+
+def _searched(overrides: Sequence[str]) -> list[Path]:
+    """The folders that overrides of hydra.searchpath name."""
+    from hydra.errors import HydraException
+
+    named = [override for override in overrides if override.lstrip("+").startswith("hydra.searchpath=")]
+    try:
+        values = [each.value() for each in _parsed(named)]
+    except (HydraException, ValueError, RecursionError):  # which is told when they are composed
+        return []
+    paths = [str(path) for value in values if isinstance(value, list) for path in value]
+    return [Path(path.removeprefix("file://")) for path in paths if path.startswith("file://")]
+
+
+def _of_a_file(error: Exception) -> str:
+    """What is wrong with a file or a value, in words."""
+    if isinstance(error, RecursionError):
+        return "values nested too deeply, or a defaults list that leads back to itself"
+    return (
+        f"{error.strerror}: {error.filename}"
+        if isinstance(error, OSError) and error.strerror
+        else words(error)
+    )
 
 
 def _in_one_line(error: Exception) -> ConfigError:
@@ -216,8 +275,6 @@ def _in_one_line(error: Exception) -> ConfigError:
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
         return ConfigError(f"{group}={option}", f"no such option; {group} has {', '.join(error.options)}")
-    if isinstance(error, ConfigError):
-        return error
     cause = error.__cause__
     if isinstance(error, ConfigAttributeError | ConfigKeyError):
         return ConfigError(error.full_key or "", "no such key; --cfg job shows them all, --help the groups")

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any
 
+from simbias.config.allowed import TARGET
 from simbias.config.components import (
-    TARGET,
     component_class,
     constructor_arguments,
     constructor_parameters,
@@ -24,8 +24,10 @@ SCHEME = 2  # of identities: raised when all of them change
 DIGITS = 12  # hexadecimal
 
 
-def essence(config: Mapping[str, Any], left_out: Sequence[str]) -> dict[str, Any]:
-    """What a config says of a trial, some groups left out, in plain containers.
+def essence(
+    config: Mapping[str, Any], left_out: Sequence[str], allowed: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What a config says of a trial, some groups left out, in plain containers; `allowed` as of `construct`.
 
     Raises
     ------
@@ -33,7 +35,10 @@ def essence(config: Mapping[str, Any], left_out: Sequence[str]) -> dict[str, Any
         If a component cannot be found, or a value has the wrong type or range.
     """
     relevant = {key: value for key, value in config.items() if key not in left_out}
-    return {key: _component(value, key) if _is_component(value) else value for key, value in relevant.items()}
+    return {
+        key: _component(value, key, allowed) if _is_component(value) else value
+        for key, value in relevant.items()
+    }
 
 
 def digest(essence: Mapping[str, Any]) -> str:
@@ -47,9 +52,9 @@ def _is_component(config: Any) -> bool:
     return isinstance(config, Mapping) and TARGET in config
 
 
-def _component(config: Mapping[str, Any], key: str) -> dict[str, Any]:
+def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
     """The class, its version beyond the first, and the arguments that are not its defaults."""
-    component = component_class(config, key)
+    component = component_class(config, key, allowed)
     provided = frozenset({"task"}) if key != "task" else frozenset[str]()
     arguments = constructor_arguments(component, config, key, provided)
     defaults = {

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import NonNegativeFloat, PositiveFloat
 
+from simbias.config.numbers import NonNegative, Positive
 from simbias.interfaces import Cost, Kernel, Task
 from simbias.records import Array, Indices, Rollout
 
@@ -26,10 +26,10 @@ class Quadratic(Cost):
     def __init__(
         self,
         task: Task,
-        failure_weight: PositiveFloat,
-        state_weights: list[NonNegativeFloat],
-        input_weights: list[NonNegativeFloat],
-        max_cost: PositiveFloat,
+        failure_weight: Positive,
+        state_weights: list[NonNegative],
+        input_weights: list[NonNegative],
+        max_cost: Positive,
     ) -> None:
         for name, weights, quantities in (
             ("state_weights", state_weights, task.states),

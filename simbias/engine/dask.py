@@ -15,9 +15,10 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from pydantic import FilePath, PositiveInt
+from pydantic import FilePath
 
 from simbias.config import ConfigError
+from simbias.config.numbers import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
 
@@ -59,7 +60,7 @@ class Dask(Engine):
     """
 
     def __init__(
-        self, address: str | None = None, n_jobs: PositiveInt = 2, tls: Certificates | None = None
+        self, address: str | None = None, n_jobs: Workers = 2, tls: Certificates | None = None
     ) -> None:
         self._address = address
         self._tls = tls if tls and tls.ca_file else None

@@ -13,8 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import Any
 
-from pydantic import PositiveInt
-
+from simbias.config.numbers import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
 
@@ -40,7 +39,7 @@ class Loky(Engine):
         Worker processes; with 1, trials run in this one.
     """
 
-    def __init__(self, n_jobs: PositiveInt = 2) -> None:
+    def __init__(self, n_jobs: Workers = 2) -> None:
         self.n_jobs = n_jobs
 
     def run(

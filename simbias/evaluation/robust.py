@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field, PositiveInt
 
+from simbias.config.numbers import Count, Share
 from simbias.interfaces import Cost, Evaluation, Model, Objective, Simulator, Task
 from simbias.records import Array, Indices
 from simbias.simulation.closed_loop import joined, simulator
@@ -93,18 +93,19 @@ class Robust(Evaluation):
     def __init__(
         self,
         task: Task,
-        rollouts: PositiveInt = 8,
+        rollouts: Count = 8,
         noise: Variances = QUIET,
         aggregate: Aggregate = "mean",
-        tail: Annotated[float, Field(gt=0, le=1)] = 0.25,
+        tail: Share = 0.25,
         sample_starts: bool = True,
         sample_nominal: bool = False,
         sample_bias: bool = False,
-        screening: PositiveInt = 2,
+        screening: Count = 2,
     ) -> None:
         self._task = task
         self._rollouts = rollouts
         self._noise = Noise(task, noise)
+        self.noisy_rollouts = 0 if self._noise.is_silent else rollouts
         self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
         self._sample_starts = sample_starts
         self._sample_nominal = sample_nominal

@@ -6,8 +6,9 @@ import math
 from typing import Annotated, Literal, final
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field
 
+from simbias.config.numbers import Count
 from simbias.hardware.pymunk_world import Feet, World
 from simbias.interfaces import Hardware, HardwareError, Policy
 from simbias.records import Array, Rollout
@@ -15,6 +16,7 @@ from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.task.bongoboard import Bongoboard
 
 Record = Literal["true_state", "measured"]
+Gap = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
 
 BLOW_UP = "physics_engine_blew_up"
 _ABSURD = 1e3  # rad, rad/s: no body gets there within a frame but by numerical instability
@@ -49,13 +51,13 @@ class PymunkBongoboard(Hardware):
     def __init__(
         self,
         task: Bongoboard,
-        inertia_error: Annotated[float, Field(gt=-1)] = 0.0,
+        inertia_error: Annotated[float, Field(ge=-0.99, le=100)] = 0.0,
         feet: Feet = "plate",
         noise: Variances = QUIET,
         record: Record = "true_state",
-        iterations: PositiveInt = 50,
-        overlap: PositiveFloat = 1e-4,
-        detachment: PositiveFloat = 1e-3,
+        iterations: Count = 50,
+        overlap: Gap = 1e-4,
+        detachment: Gap = 1e-3,
     ) -> None:
         self._task = task
         self._scale = 1.0 + inertia_error

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
+from simbias.config.numbers import Count, CountOrZero, Positive
 from simbias.learning import Stopwatch, experiment, search
 from simbias.records import Array, Iteration, Learning
 from simbias.study import Method, Observer, Study
@@ -40,12 +40,12 @@ class Algorithm1(Method):
 
     def __init__(
         self,
-        max_iterations: PositiveInt = 10,
-        experiments: PositiveInt = 2,
+        max_iterations: Count = 10,
+        experiments: Count = 2,
         keep_data: bool = False,
         stop_at_failure: bool = False,
-        retry_search: NonNegativeInt = 0,
-        satisfactory_cost: PositiveFloat | None = None,
+        retry_search: CountOrZero = 0,
+        satisfactory_cost: Positive | None = None,
         warm_start: bool = False,
     ) -> None:
         self.max_iterations = max_iterations

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from pydantic import NonNegativeFloat
 
+from simbias.config.numbers import MassOrZero, Spread
 from simbias.interfaces import Kernel, Nominal
 from simbias.nominal.bongoboard_equations import accelerations, coefficients, energy, step
 from simbias.records import Array
@@ -20,8 +20,8 @@ from simbias.task.bongoboard import Bongoboard, Robot
 class Uncertainty:
     """How well the parameters are known."""
 
-    masses: NonNegativeFloat = 0.0  # standard deviation of the logarithm of each mass and inertia
-    foot_mass: NonNegativeFloat = 0.0  # kg; the feet weigh anything from 0 to this
+    masses: Spread = 0.0  # standard deviation of the logarithm of each mass and inertia
+    foot_mass: MassOrZero = 0.0  # kg; the feet weigh anything from 0 to this
 
 
 _CERTAIN = Uncertainty()
@@ -38,7 +38,7 @@ class LagrangianBongoboard(Nominal):
     kernel: Kernel
 
     def __init__(
-        self, task: Bongoboard, foot_mass: NonNegativeFloat = 0.0, uncertainty: Uncertainty = _CERTAIN
+        self, task: Bongoboard, foot_mass: MassOrZero = 0.0, uncertainty: Uncertainty = _CERTAIN
     ) -> None:
         self._time_step = task.time_step
         self._robot = task.robot

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import PositiveFloat, PositiveInt
 
+from simbias.config.numbers import Deviation, EvaluationCount, Population, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
-from simbias.optimizer.cma import RESOLUTION, Population, evolve
+from simbias.optimizer.cma import RESOLUTION, evolve
 from simbias.search import Evaluations
 
 
@@ -35,13 +35,13 @@ class BipopCma(Optimizer):
 
     def __init__(
         self,
-        initial_deviation: PositiveFloat,
+        initial_deviation: Deviation,
         population: Population,
-        resolution: PositiveFloat,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        resolution: Share,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import cma
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt
 
+from simbias.config.numbers import Deviation, EvaluationCount, Population, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
 from simbias.records import Array
 from simbias.search import Evaluations
 
 RESOLUTION = "the resolution"
-Population = Annotated[int, Field(ge=2)]
 
 
 class Cma(Optimizer):
@@ -35,12 +32,12 @@ class Cma(Optimizer):
 
     def __init__(
         self,
-        initial_deviation: PositiveFloat,
+        initial_deviation: Deviation,
         population: Population | None,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance

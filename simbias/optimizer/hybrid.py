@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import PositiveFloat, PositiveInt
 
+from simbias.config.numbers import Deviation, EvaluationCount, Population, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
-from simbias.optimizer.cma import RESOLUTION, Population, evolve
+from simbias.optimizer.cma import RESOLUTION, evolve
 from simbias.optimizer.nlopt import Algorithm, Nlopt
 from simbias.optimizer.sobol import Sobol
 from simbias.records import Array
@@ -44,14 +44,14 @@ class Hybrid(Optimizer):
     def __init__(
         self,
         exploration: Literal["sobol"] | Algorithm,
-        explorations: PositiveInt,
-        initial_deviation: PositiveFloat,
+        explorations: EvaluationCount,
+        initial_deviation: Deviation,
         population: Population | None,
-        resolution: PositiveFloat,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        resolution: Share,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance

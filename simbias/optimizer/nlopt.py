@@ -7,8 +7,8 @@ from typing import Literal, get_args
 
 import nlopt
 import numpy as np
-from pydantic import PositiveFloat, PositiveInt
 
+from simbias.config.numbers import EvaluationCount, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
 from simbias.optimizer.lookahead import look_ahead
 from simbias.records import Array
@@ -59,10 +59,10 @@ class Nlopt(Optimizer):
     def __init__(
         self,
         algorithm: Algorithm,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         if algorithm not in get_args(Algorithm):
             raise ValueError(f"algorithm {algorithm!r} is none of {', '.join(get_args(Algorithm))}")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
-from pydantic import PositiveFloat, PositiveInt
+from pydantic import Field
 from scipy.optimize import Bounds, direct
 
+from simbias.config.numbers import Seconds, Share, Steps
 from simbias.interfaces import Optimizer
 from simbias.optimizer.lookahead import look_ahead
 from simbias.search import Evaluations
@@ -19,7 +22,7 @@ class ScipyDirect(Optimizer):
     locally_biased
         Whether to run DIRECT_L instead.
     max_evaluations
-        N_in; the search never makes more.
+        N_in; the search never makes more. SciPy takes memory for all of them at once.
     relative_tolerance
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z|. SciPy has no such
         test; its own, on the size of the best rectangle, are off.
@@ -30,10 +33,10 @@ class ScipyDirect(Optimizer):
     def __init__(
         self,
         locally_biased: bool,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        max_evaluations: Annotated[int, Field(gt=0, le=10**6)],
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self._locally_biased = locally_biased

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import PositiveFloat, PositiveInt
 from scipy.stats import qmc
 
+from simbias.config.numbers import EvaluationCount, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
 from simbias.search import Evaluations
 
@@ -30,10 +30,10 @@ class Sobol(Optimizer):
 
     def __init__(
         self,
-        max_evaluations: PositiveInt,
-        relative_tolerance: PositiveFloat,
-        max_steps: PositiveInt | None = None,
-        max_seconds: PositiveFloat | None = None,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance

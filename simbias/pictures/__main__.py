@@ -27,10 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed = parser.parse_args(arguments)
     try:
         if parsed.what.endswith(".png"):
-            return _run(parser, Path(parsed.what), parsed.more, parsed.config_dir)
+            return _run(parser, Path(parsed.what), parsed)
         if len(parsed.more) != 1:
             parser.error(f"{parsed.what}: neither OUT.png nor a RUN_ID that one FOLDER follows")
-        return _read(parsed.what, Path(parsed.more[0]), parsed.uri)
+        return _read(Path(parsed.more[0]), parsed)
     except ConfigError as error:
         print(f"simbias: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -46,7 +46,8 @@ def _parser() -> argparse.ArgumentParser:
     """The command line's grammar."""
     parser = argparse.ArgumentParser(
         prog="python -m simbias.pictures",
-        usage="%(prog)s RUN_ID FOLDER [--uri URI] | OUT.png [override ...] [--config-dir DIR]",
+        usage="%(prog)s (RUN_ID FOLDER [--uri URI] | OUT.png [override ...]) "
+        "[--config-dir DIR] [--allow MODULE]",
         description="Save all pictures of a trial in a store, as PNG, SVG and GIF; "
         "or run a trial that no store keeps, and save its overview.",
     )
@@ -58,24 +59,31 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--uri", default="sqlite:///mlflow.db", help="the run's store (default: %(default)s)")
     parser.add_argument("--config-dir", metavar="DIR", help="a folder with groups and options of your own")
+    parser.add_argument(
+        "--allow",
+        metavar="MODULE",
+        action="append",
+        default=[],
+        help="a module or package whose classes a config may name, beside those next to DIR; may be repeated",
+    )
     return parser
 
 
-def _read(run_id: str, folder: Path, uri: str) -> int:
+def _read(folder: Path, parsed: argparse.Namespace) -> int:
     """Save all pictures of a stored trial."""
-    trial = load_trial(run_id, uri)
+    trial = load_trial(parsed.what, parsed.uri, parsed.config_dir, parsed.allow)
     if not trial.iterations:
-        raise ConfigError(run_id, "no iteration has ended, so there is nothing to draw")
+        raise ConfigError(parsed.what, "no iteration has ended, so there is nothing to draw")
     files = save_all(trial.study, trial.iterations, folder)
     print(f"{folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return DONE
 
 
-def _run(parser: argparse.ArgumentParser, out: Path, overrides: Sequence[str], config_dir: str | None) -> int:
+def _run(parser: argparse.ArgumentParser, out: Path, parsed: argparse.Namespace) -> int:
     """Run a trial that no store keeps, and save its overview."""
     if not out.parent.is_dir():
         parser.error(f"{out}: OUT.png has to be in a folder that exists")
-    study = load(overrides, config_dir)
+    study = load(parsed.more, parsed.config_dir, parsed.allow)
     iterations = list(study.run())
     save(overview(study, iterations), out)
     print(f"{out}: {study.title}, seed {study.seed}")

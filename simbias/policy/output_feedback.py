@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
-from pydantic import PositiveFloat
+from pydantic import Field
 
 from simbias.interfaces import Controller, Kernel, Policy, Task
 from simbias.records import Array
@@ -32,7 +32,7 @@ def _law(inputs: int, first: int = 0) -> Callable:
 class OutputFeedback(Policy):
     """u = H z (Eq. 9), its gains searched as h-hat (Eq. 10) within +-`bound` (Table I)."""
 
-    def __init__(self, task: Task, bound: PositiveFloat = 10.0) -> None:
+    def __init__(self, task: Task, bound: Annotated[float, Field(gt=0, le=100)] = 10.0) -> None:
         self._task = task
         self.n_parameters = len(task.inputs) * len(task.outputs)
         self.bounds = (np.full(self.n_parameters, -bound), np.full(self.n_parameters, bound))

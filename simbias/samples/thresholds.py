@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from pydantic import PositiveFloat, PositiveInt
 
+from simbias.config.numbers import Frames, Positive
 from simbias.interfaces import Nominal, Samples, Task
 from simbias.records import Array, Rollout, Selection, Transitions
 
@@ -18,8 +18,8 @@ from simbias.records import Array, Rollout, Selection, Transitions
 class Windows:
     """Of how many frames a sample is the weighted mean."""
 
-    true_state: PositiveInt = 1
-    measured: PositiveInt = 71
+    true_state: Frames = 1
+    measured: Frames = 71
 
 
 _WINDOWS = Windows()
@@ -67,9 +67,9 @@ class Thresholds(Samples):
     def __init__(
         self,
         task: Task,
-        stride: PositiveInt = 35,
-        limits: Mapping[str, PositiveFloat] | None = None,
-        residual: PositiveFloat = 0.01,
+        stride: Frames = 35,
+        limits: Mapping[str, Positive] | None = None,
+        residual: Positive = 0.01,
         window: Windows = _WINDOWS,
         selection: Literal["stride", "information"] = "stride",
     ) -> None:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, NonNegativeFloat
+from pydantic import AfterValidator
 
+from simbias.config.numbers import Variance
 from simbias.interfaces import Quantity, Task
 from simbias.records import Array, Disturbance
 
@@ -20,7 +21,7 @@ def _without_zeros(variances: dict[str, float]) -> dict[str, float]:
 
 
 # As in a config: `torque_variance: 0.1`, of a quantity or of all of a kind, in the square of its unit.
-Variances = Annotated[dict[str, NonNegativeFloat], AfterValidator(_without_zeros)]
+Variances = Annotated[dict[str, Variance], AfterValidator(_without_zeros)]
 QUIET: dict[str, float] = {}
 
 

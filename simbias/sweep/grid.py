@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, Required
 
-from pydantic import Field, PositiveInt
+from pydantic import Field
 
 from simbias.config import Composition, ConfigError, Variations
 from simbias.config.components import construct, validated
@@ -18,6 +19,7 @@ from simbias.config.composition import overridden
 from simbias.interfaces import Task
 from simbias.pictures.sweep.swept import SweepFigure
 
+MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [
@@ -84,7 +86,7 @@ class Trial:
     @property
     def composition(self) -> Composition:
         """The trial's config; all but the seed is shared with the cell's other trials."""
-        return Composition({**self.cell.composition.config, "seed": self.seed}, self.cell.composition.choices)
+        return replace(self.cell.composition, config={**self.cell.composition.config, "seed": self.seed})
 
     @cached_property
     def hash(self) -> str:
@@ -133,7 +135,9 @@ def trial_seed(cell: str, base_seed: int, repetition: int) -> int:
     return int(hashlib.sha256(text.encode()).hexdigest()[:SEED_DIGITS], 16)
 
 
-def expand(overrides: Sequence[str], config_dir: Path | str | None = None) -> Sweep:
+def expand(
+    overrides: Sequence[str], config_dir: Path | str | None = None, allow: Sequence[str] = ()
+) -> Sweep:
     """The grid that `+sweep=NAME` and further overrides describe.
 
     Raises
@@ -141,10 +145,11 @@ def expand(overrides: Sequence[str], config_dir: Path | str | None = None) -> Sw
     ConfigError
         If the sweep, an axis or a value is bad; the components of each cell are not built, so not checked.
     """
-    variations = Variations(overrides, config_dir)
+    variations = Variations(overrides, config_dir, allow)
     base = variations.composition({})
     values = _specification(base)
     axes = tuple(_axis(name, spec) for name, spec in values["axes"].items())
+    _check_size(axes, values["trials"])
     _check_keys(axes, overrides, base.choices.keys())
     cells = tuple(_cells(axes, _common_seeds(values, axes), variations))
     return Sweep(
@@ -155,7 +160,7 @@ def expand(overrides: Sequence[str], config_dir: Path | str | None = None) -> Sw
         repetitions=values["trials"],
         dry_run=values.get("dry_run", False),
         report=_report(values.get("report", {}), axes),
-        figures=dict(_figures(values.get("figures", FIGURES if axes else {}), cells)),
+        figures=dict(_figures(values.get("figures", FIGURES if axes else {}), cells, base.allowed)),
         figures_to=values.get("figures_to"),
     )
 
@@ -166,7 +171,7 @@ def _specification(base: Composition) -> dict[str, Any]:
     if not isinstance(node, Mapping):
         raise ConfigError("sweep", f"must be a mapping, got {node!r}")
     fields = {
-        "trials": Required[PositiveInt],
+        "trials": Required[Annotated[int, Field(gt=0, le=MOST_TRIALS)]],
         "axes": Required[dict[str, Any]],
         "common_seeds": NotRequired[list[str]],
         "dry_run": NotRequired[bool],
@@ -221,6 +226,14 @@ def label(value: Any) -> str:
 def joined(values: Sequence[Any]) -> str:
     """The values of a point as tables show them."""
     return "/".join(map(label, values))
+
+
+def _check_size(axes: Sequence[Axis], trials: int) -> None:
+    """Refuse a sweep that nobody can mean, before it is expanded."""
+    cells = math.prod(len(axis.values) for axis in axes)
+    if cells * trials > MOST_TRIALS:
+        problem = f"{cells} cells of {trials} trials are more than {MOST_TRIALS} trials"
+        raise ConfigError("sweep.trials", problem)
 
 
 def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collection[str]) -> None:
@@ -292,11 +305,14 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     return Report(columns, tuple(measures), paper)
 
 
-def _figures(specs: Mapping[str, Any], cells: Sequence[Cell]) -> Iterator[tuple[str, SweepFigure]]:
+def _figures(
+    specs: Mapping[str, Any], cells: Sequence[Cell], allowed: Sequence[str]
+) -> Iterator[tuple[str, SweepFigure]]:
     """The figures, by the name of their files; arguments named `task` and `cells` are provided."""
-    task = construct(cells[0].composition.config["task"], Task, "task")
+    first = cells[0].composition
+    task = construct(first.config["task"], Task, "task", first.allowed)
     for name, spec in specs.items():
-        yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", task=task, cells=cells)
+        yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", allowed, task=task, cells=cells)
 
 
 def _flat(tree: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -34,7 +34,10 @@ class SweepObserver(FigureObserver):
 
 
 def run(
-    overrides: Sequence[str], config_dir: Path | str | None = None, observer: SweepObserver | None = None
+    overrides: Sequence[str],
+    config_dir: Path | str | None = None,
+    observer: SweepObserver | None = None,
+    allow: Sequence[str] = (),
 ) -> DataFrame:
     """Compose a sweep and run what is missing of it; see `run_sweep`.
 
@@ -43,16 +46,18 @@ def run(
     ConfigError
         If anything is bad about the sweep; nothing has run then.
     """
-    composition = compose(overrides, config_dir)
+    composition = compose(overrides, config_dir, allow)
     if "sweep" not in composition.config:
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
     trials_engine, store = engine(composition), tracking(composition)
-    sweep, _ = prepare(overrides, config_dir)
+    sweep, _ = prepare(overrides, config_dir, allow)
     again = f"simbias.run_sweep({list(overrides)!r})"
     return run_sweep(sweep, trials_engine, store.open_sweep(sweep, again), observer)
 
 
-def prepare(overrides: Sequence[str], config_dir: Path | str | None = None) -> tuple[Sweep, Study]:
+def prepare(
+    overrides: Sequence[str], config_dir: Path | str | None = None, allow: Sequence[str] = ()
+) -> tuple[Sweep, Study]:
     """The sweep and the study of its first cell, once the components of every cell could be built.
 
     Raises
@@ -60,7 +65,7 @@ def prepare(overrides: Sequence[str], config_dir: Path | str | None = None) -> t
     ConfigError
         If anything is bad about the sweep or one of its cells; nothing has run then.
     """
-    sweep = expand(overrides, config_dir)
+    sweep = expand(overrides, config_dir, allow)
     studies: dict[tuple[str, ...], Study] = {}
     for cell in sweep.cells:
         try:
@@ -123,4 +128,4 @@ def _plan(trial: Trial, tracked: TrackedSweep) -> Plan:
     """What a worker is told of a trial."""
     journal, composition = tracked.journal(trial), trial.composition
     folder = None if journal is None else str(journal.absolute())
-    return Plan(composition.config, composition.choices, folder, tuple(tracked.pictures))
+    return Plan(composition.config, composition.choices, folder, tuple(tracked.pictures), composition.allowed)

@@ -25,6 +25,7 @@ class Plan(NamedTuple):
     choices: Mapping[str, str]
     journal: str | None = None  # the folder in which it is kept while it runs
     pictures: tuple[str, ...] = ()  # to draw at its end
+    allowed: tuple[str, ...] = ()  # modules of which the config may name classes
 
 
 def run_plan(plan: Plan) -> TrialRecord:
@@ -32,7 +33,7 @@ def run_plan(plan: Plan) -> TrialRecord:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
         try:
-            study = build(Composition(plan.config, plan.choices))
+            study = build(Composition(plan.config, plan.choices, plan.allowed))
             recorder = Journal(Path(plan.journal), plan.pictures) if plan.journal else Recorder()
         except (Exception, SystemExit) as error:
             return lost(with_type(error))

@@ -10,35 +10,49 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field
 
+from simbias.config.numbers import (
+    Acceleration,
+    Angle,
+    Coordinate,
+    Force,
+    Frames,
+    Inertia,
+    Length,
+    Mass,
+    NonNegative,
+    Positive,
+    Rate,
+    TimeStep,
+)
 from simbias.interfaces import Criterion, Kernel, Quantity, Task
 from simbias.records import Array
 from simbias.simulation.kernels import elementwise
 from simbias.simulation.trigonometry import sincos
 
-SixNumbers = Annotated[list[float], Field(min_length=6, max_length=6)]
+SixNumbers = Annotated[list[Coordinate], Field(min_length=6, max_length=6)]
 
 
 @dataclass(frozen=True)
 class Robot:
     """Physical parameters of wheel, board and robot."""
 
-    wheel_radius: PositiveFloat  # r, m
-    wheel_mass: PositiveFloat  # kg; a solid disc
-    board_length: PositiveFloat  # m
-    board_thickness: PositiveFloat  # m
-    board_mass: PositiveFloat  # kg; a solid bar
-    ankle_height: PositiveFloat  # h_a, m above the board's upper side
-    foot_length: PositiveFloat  # m
-    foot_mass: PositiveFloat  # kg, all feet together
-    leg_length: PositiveFloat  # l, m
-    leg_mass: PositiveFloat  # kg, each of the two; a thin rod
-    pelvis_mass: PositiveFloat  # kg, with the upper body
-    pelvis_inertia: PositiveFloat  # kg m^2 about its centre
-    ankle_spacing: PositiveFloat  # m between the two ankles
-    gravity: PositiveFloat  # m/s^2
-    friction: PositiveFloat  # of every contact
+    wheel_radius: Length  # r, m
+    wheel_mass: Mass  # kg; a solid disc
+    board_length: Length  # m
+    board_thickness: Length  # m
+    board_mass: Mass  # kg; a solid bar
+    ankle_height: Length  # h_a, m above the board's upper side
+    foot_length: Length  # m
+    foot_mass: Mass  # kg, all feet together
+    leg_length: Length  # l, m
+    leg_mass: Mass  # kg, each of the two; a thin rod
+    pelvis_mass: Mass  # kg, with the upper body
+    pelvis_inertia: Inertia  # kg m^2 about its centre
+    ankle_spacing: Length  # m between the two ankles
+    gravity: Acceleration  # m/s^2
+    friction: Positive  # of every contact
 
 
 @dataclass(frozen=True)
@@ -46,17 +60,17 @@ class Start:
     """Where a run starts; the deviation is that of hardware experiments, in each state."""
 
     mean: SixNumbers
-    deviation: NonNegativeFloat
+    deviation: NonNegative
 
 
 @dataclass(frozen=True)
 class Limits:
     """Limits of the failure criteria 3-6 of Section IV-C."""
 
-    distance: PositiveFloat  # rad, norm of the three angles
-    body_angle: PositiveFloat  # rad, global angle of the legs
-    board_angle: PositiveFloat  # rad, global angle of the board
-    speed: PositiveFloat  # rad/s, norm of the three rates
+    distance: Angle  # rad, norm of the three angles
+    body_angle: Angle  # rad, global angle of the legs
+    board_angle: Angle  # rad, global angle of the board
+    speed: Rate  # rad/s, norm of the three rates
 
 
 class Pose(NamedTuple):
@@ -136,9 +150,9 @@ class Bongoboard(Task):
         robot: Robot,
         limits: Limits,
         start: Start,
-        time_step: PositiveFloat = 0.001,
-        horizon: PositiveInt = 5000,
-        input_limit: PositiveFloat = 100.0,
+        time_step: TimeStep = 0.001,
+        horizon: Frames = 5000,
+        input_limit: Force = 100.0,
     ) -> None:
         self.robot = robot
         self.limits = limits

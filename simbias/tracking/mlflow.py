@@ -20,7 +20,8 @@ from simbias.tracking import fields, files, notes, pages
 from simbias.tracking.artifacts import remove_file, remove_uploads
 from simbias.tracking.contract import TrackedSweep, TrackedTrial, Tracking
 from simbias.tracking.journal import ERROR, Journal, acquired, refused, remove
-from simbias.tracking.store import cause, connect, database, exists
+from simbias.tracking.rows import FINISHED, is_finished, row_of
+from simbias.tracking.store import connect, database, exists, reaching
 from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ METRICS = 800  # metrics at once: MLflow takes 1000 of metrics, parameters and t
 SPARING = "MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false"  # a fifth of the memory, and sooner up
 ITERATIONS = "experiments/iterations"  # the metric that tells how many iterations are kept
 _Metric = tuple[str, float, int, float]  # name, value, step, s since the epoch
-FINISHED = "FINISHED"  # a run whose trial came to its end, and is kept in whole
 STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITING: "SCHEDULED"}
 
 
@@ -82,14 +82,22 @@ class Mlflow(Tracking):
 
         workplace.tidy()
         client, experiment_id = connect(self._uri, self._experiment)
+        with reaching(self._uri):
+            return self._opened(client, experiment_id, study, ALL if self._pictures else ())
+
+    def _opened(
+        self, client: MlflowClient, experiment_id: str, study: Study, pictures: Sequence[str]
+    ) -> TrackedTrial:
+        """A trial's run, new or an earlier one."""
         before = _earlier(client, experiment_id, study.hash)
         folder = self._folder() / study.hash
-        if before is not None and before.info.status == FINISHED:
+        if before is not None and is_finished(row_of(before)):
             remove(folder)  # who ended the trial may have been killed before it did
             remove_uploads(before, PICTURES_SECONDS)
             run_id = before.info.run_id
-            return FinishedTrial(self._uri, run_id, self._where(experiment_id, run_id))
-        journal = Journal(folder, ALL if self._pictures else ())
+            where = self._where(experiment_id, run_id)
+            return FinishedTrial(self._uri, run_id, where, study.composition.allowed)
+        journal = Journal(folder, pictures)
         try:
             if before is None:
                 name, tags = notes.run_name(study), fields.tags(study.composition)
@@ -110,12 +118,13 @@ class Mlflow(Tracking):
         folder = self._folder()
         taken = ConfigError("sweep", "another process is running this sweep into the same store")
         lock = acquired(folder / f"sweep_{sweep.hash}.lock", 0.0, taken)
+        pictures = IN_SWEEPS if self._pictures else ()
         try:
-            pictures = IN_SWEEPS if self._pictures else ()
-            return MlflowSweep(client, experiment_id, sweep, again, self._where, lock, folder, pictures)
-        except Exception as error:
+            with reaching(self._uri):
+                return MlflowSweep(client, experiment_id, sweep, again, self._where, lock, folder, pictures)
+        except BaseException:
             lock.release()
-            raise ConfigError("tracking.uri", f"{fields.shown(self._uri)}: {cause(error)}") from error
+            raise
 
     def finished(self, sweep: Sweep) -> DataFrame:
         """The finished trials of a sweep; a store that is not there is not made."""
@@ -125,10 +134,11 @@ class Mlflow(Tracking):
         if not exists(self._uri):
             return results.frame([], sweep)
         client, experiment_id = connect(self._uri, self._experiment)
-        parent = results.find_sweep(client, experiment_id, sweep)
-        if parent is None:
-            return results.frame([], sweep)
-        trials = results.of_sweep(nested_runs(client, experiment_id, parent.info.run_id), sweep)
+        with reaching(self._uri):
+            parent = results.find_sweep(client, experiment_id, sweep)
+            if parent is None:
+                return results.frame([], sweep)
+            trials = results.of_sweep(nested_runs(client, experiment_id, parent.info.run_id), sweep)
         return trials[trials["outcome"] != Outcome.ERROR]
 
     def _folder(self) -> Path:
@@ -150,7 +160,7 @@ class Mlflow(Tracking):
 def _earlier(client: MlflowClient, experiment_id: str, identity: str) -> Run | None:
     """The run of a trial that came to its end, in a sweep or on its own; else the one that it began."""
     runs = client.search_runs([experiment_id], f"tags.hash = '{identity}'", order_by=["created ASC"])
-    ended = [run for run in runs if run.info.status == FINISHED]
+    ended = [run for run in runs if is_finished(row_of(run))]
     own = [run for run in runs if fields.PARENT not in run.data.tags]
     return next(iter([*ended, *own]), None)
 
@@ -158,16 +168,20 @@ def _earlier(client: MlflowClient, experiment_id: str, identity: str) -> Run | N
 class FinishedTrial(TrackedTrial):
     """A trial that came to its end before."""
 
-    def __init__(self, uri: str, run_id: str, where: str) -> None:
+    def __init__(self, uri: str, run_id: str, where: str, allowed: Sequence[str]) -> None:
         self.where = where
         self.run_id = run_id
         self._uri = uri
+        self._allowed = allowed
 
     def finished(self) -> RecordedTrial:
         """The trial, read back."""
         from simbias.tracking.trials import load_trial
 
-        return load_trial(self.run_id, self._uri)
+        trial = load_trial(self.run_id, self._uri, allow=self._allowed)
+        if not trial.iterations:
+            raise ConfigError(self.run_id, "has come to its end, but its iterations are not in the store")
+        return trial
 
 
 @dataclass
@@ -220,9 +234,9 @@ class MlflowTrial(TrackedTrial):
     def _last_time(self, run: Run) -> float:
         """When the last iteration that was kept ended, or the run began: s since the epoch."""
         if not self._logged:
-            return run.info.start_time / 1000
+            return (run.info.start_time or 0) / 1000
         history = self._client.get_metric_history(self.run_id, ITERATIONS)
-        return max(metric.timestamp for metric in history) / 1000
+        return max((metric.timestamp for metric in history), default=run.info.start_time or 0) / 1000
 
     def _begin(self, run: Run) -> None:
         """Write what is known before the first iteration, unless an earlier process did."""

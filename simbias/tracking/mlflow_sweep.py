@@ -17,8 +17,9 @@ from simbias.tracking import fields, pages, results
 from simbias.tracking.artifacts import log_text, remove_uploads
 from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
-from simbias.tracking.mlflow import FINISHED, NOTE, MlflowTrial
+from simbias.tracking.mlflow import NOTE, MlflowTrial
 from simbias.tracking.nested import nested_runs
+from simbias.tracking.rows import is_finished
 from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class MlflowSweep(TrackedSweep):
         client.set_experiment_tag(experiment_id, *pages.trials_view(sweep, self.run_id))
         self.where = where(experiment_id, self.run_id)
         runs = nested_runs(client, experiment_id, self.run_id)
-        self._unfinished = {run.tags.get("hash"): run.run_id for run in runs if run.status != FINISHED}
+        self._unfinished = {run.tags.get("hash", ""): run.run_id for run in runs if not is_finished(run)}
         done = results.of_sweep(runs, sweep)
         self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
@@ -132,7 +133,8 @@ class MlflowSweep(TrackedSweep):
         """A trial, read back."""
         from simbias.tracking.trials import load_trial
 
-        return load_trial(run_id, self._client.tracking_uri)
+        allowed = {name for cell in self._sweep.cells for name in cell.composition.allowed}
+        return load_trial(run_id, self._client.tracking_uri, allow=sorted(allowed))
 
     def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
         """Keep outcomes as figures/experiments/<batch>.json."""

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 import sqlite3
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from simbias.tracking.fields import PARENT, TRIAL_METRICS
+from simbias.tracking.rows import TAGS, RunRow, row_of
 from simbias.tracking.store import database
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-TAGS = ("hash", "outcome", "error")
-
 _RUNS = """
-SELECT runs.run_uuid, runs.status FROM runs JOIN tags ON tags.run_uuid = runs.run_uuid
+SELECT runs.run_uuid, runs.status, runs.end_time FROM runs JOIN tags ON tags.run_uuid = runs.run_uuid
 WHERE tags.key = ? AND tags.value = ? AND runs.experiment_id = ? AND runs.lifecycle_stage = 'active'
 ORDER BY runs.start_time, runs.run_uuid
 """
@@ -33,16 +32,7 @@ WHERE parents.key = ? AND parents.value = ? AND {table}.key IN ({keys})
 """
 
 
-class NestedRun(NamedTuple):
-    """A trial's run."""
-
-    run_id: str
-    status: str
-    tags: Mapping[str, str]  # of TAGS
-    metrics: Mapping[str, float]  # of TRIAL_METRICS
-
-
-def nested_runs(client: MlflowClient, experiment_id: str, parent: str) -> list[NestedRun]:
+def nested_runs(client: MlflowClient, experiment_id: str, parent: str) -> list[RunRow]:
     """The runs of a sweep's trials, in any state, oldest first."""
     file = database(client.tracking_uri)
     if file is not None:
@@ -53,7 +43,7 @@ def nested_runs(client: MlflowClient, experiment_id: str, parent: str) -> list[N
     return list(_from_client(client, experiment_id, parent))
 
 
-def _from_database(file: Path, experiment_id: str, parent: str) -> list[NestedRun]:
+def _from_database(file: Path, experiment_id: str, parent: str) -> list[RunRow]:
     """As MLflow's tables have them."""
 
     def values(table: str, keys: tuple[str, ...]) -> dict[str, dict]:
@@ -66,20 +56,20 @@ def _from_database(file: Path, experiment_id: str, parent: str) -> list[NestedRu
     with closing(sqlite3.connect(f"{file.as_uri()}?mode=ro", uri=True)) as connection:
         runs = connection.execute(_RUNS, (PARENT, parent, int(experiment_id))).fetchall()
         tags, metrics = values("tags", TAGS), values("latest_metrics", TRIAL_METRICS)
-        return [NestedRun(run_id, status, tags[run_id], metrics[run_id]) for run_id, status in runs]
+        return [
+            RunRow(run_id, status, end_time, tags[run_id], metrics[run_id])
+            for run_id, status, end_time in runs
+        ]
 
 
-def _from_client(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[NestedRun]:
+def _from_client(client: MlflowClient, experiment_id: str, parent: str) -> Iterator[RunRow]:
     """As MLflow reads them, from any store."""
     token: str | None = None
     while True:
         page = client.search_runs(
             [experiment_id], f"tags.`{PARENT}` = '{parent}'", order_by=["created ASC"], page_token=token
         )
-        for run in page:
-            tags = {key: value for key, value in run.data.tags.items() if key in TAGS}
-            metrics = {key: value for key, value in run.data.metrics.items() if key in TRIAL_METRICS}
-            yield NestedRun(run.info.run_id, run.info.status, tags, metrics)
+        yield from map(row_of, page)
         token = page.token
         if not token:
             return

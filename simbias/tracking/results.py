@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from simbias.config.composition import ConfigError, shipped
+from simbias.tracking.rows import FINISHED, RunRow, is_whole
 from simbias.trial import Outcome
 
 if TYPE_CHECKING:
@@ -22,33 +23,27 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
     from simbias.sweep.grid import Sweep, Trial
-    from simbias.tracking.nested import NestedRun
 
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
-ENDED = ("FINISHED", "FAILED")  # states of runs that tables tell of,
+ENDED = (FINISHED, "FAILED")  # states of runs that tables tell of,
 TOLD = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # and their outcomes
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", "raised", "run_id")
 
 
 def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | None:
-    """The parent run of a sweep, if it ever began."""
-    runs = client.search_runs(
-        [experiment_id],
-        f"tags.sweep = '{sweep.name}' and tags.hash = '{sweep.hash}'",
-        order_by=["created ASC"],
-        max_results=1,
-    )
-    return runs[0] if runs else None
+    """The parent run of a sweep, if it ever began; its hash is also of its name, which may have quotes."""
+    runs = client.search_runs([experiment_id], f"tags.hash = '{sweep.hash}'", order_by=["created ASC"])
+    return next((run for run in runs if "sweep" in run.data.tags), None)
 
 
-def of_sweep(runs: Iterable[NestedRun], sweep: Sweep) -> pd.DataFrame:
+def of_sweep(runs: Iterable[RunRow], sweep: Sweep) -> pd.DataFrame:
     """The trials that came to an end or raised, in the sweep's order; none twice, none that it has not."""
     planned = {trial.hash: trial for trial in sweep.trials}
     rows: dict[str, dict[str, Any]] = {}
     for run in runs:
         trial, outcome = planned.get(run.tags.get("hash", "")), run.tags.get("outcome")
-        if trial is None or run.status not in ENDED or outcome not in TOLD:
+        if not is_whole(run) or trial is None or run.status not in ENDED or outcome not in TOLD:
             continue
         if trial.hash not in rows or rows[trial.hash]["outcome"] == Outcome.ERROR:
             raised = run.tags.get("error", "")

@@ -24,6 +24,13 @@ QUIET = {
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
 }
+OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
+TABLES = frozenset(  # that every store has; in place of those that are gone, MLflow would make useless ones
+    [
+        *("alembic_version", "experiments", "experiment_tags"),
+        *("runs", "tags", "params", "metrics", "latest_metrics"),
+    ]
+)
 PART = ".part"  # suffix of a SQLite store that is being made
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
 
@@ -36,7 +43,7 @@ def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
     ConfigError
         Within seconds, if the store cannot be used.
     """
-    with _reaching(uri):
+    with reaching(uri):
         artifacts = _probe_database(uri)
         client = _client(uri)
         return client, _experiment_id(client, experiment, artifacts)
@@ -52,7 +59,7 @@ def find_run(uri: str, run_id: str) -> tuple[MlflowClient, Run]:
     """
     if not exists(uri):
         raise ConfigError("tracking.uri", f"{shown(uri)}: no such store")
-    with _reaching(uri):
+    with reaching(uri):
         from mlflow.exceptions import MlflowException
 
         client = _client(uri)
@@ -65,7 +72,7 @@ def find_run(uri: str, run_id: str) -> tuple[MlflowClient, Run]:
 
 
 @contextmanager
-def _reaching(uri: str) -> Iterator[None]:
+def reaching(uri: str) -> Iterator[None]:
     """MLflow quiet and impatient; what is raised, as a line that names the store."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
@@ -81,7 +88,9 @@ def _reaching(uri: str) -> Iterator[None]:
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError("tracking.uri", f"{shown(uri)}: {cause(error)}") from error
+        words = cause(error)
+        problem = OTHER_VERSION if "out-of-date database schema" in words else words
+        raise ConfigError("tracking.uri", f"{shown(uri)}: {problem}") from error
 
 
 def _client(uri: str) -> MlflowClient:
@@ -122,14 +131,26 @@ def _probe_database(uri: str) -> str | None:
     if url.database in (None, "", ":memory:"):
         raise ValueError("a database in memory keeps nothing")
     path = Path(str(url.database)).resolve()
+    artifacts = path.parent / "mlartifacts"
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder {path.parent}")
+    if artifacts.exists() and not artifacts.is_dir():
+        raise NotADirectoryError(f"{artifacts} is in the place of the folder for its files")
     if not path.exists() or not path.stat().st_size:
         _create(path)
     with closing(sqlite3.connect(path)) as database:
+        _check_tables(database)
         database.execute("BEGIN IMMEDIATE")
         database.execute("CREATE TABLE probe (value)")  # fails where it cannot be written; never committed
-    return (path.parent / "mlartifacts").as_uri()
+    return artifacts.as_uri()
+
+
+def _check_tables(database: sqlite3.Connection) -> None:
+    """Refuse a database that is no store, or of which somebody dropped a table."""
+    there = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    lacking = sorted(TABLES - there)
+    if there and lacking:
+        raise ValueError(f"no store of MLflow's, as it lacks the tables {', '.join(lacking)}")
 
 
 def _create(path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ import yaml
 from threadpoolctl import threadpool_limits
 
 from simbias.config import Composition, ConfigError
+from simbias.config.allowed import beside, prefixes
 from simbias.config.build import build
 from simbias.engine.workplace import temporary_folder
 from simbias.records import Iteration, Learning, Optimum, Rollout, Search
@@ -46,10 +47,16 @@ class RecordedTrial:
     iterations: tuple[Iteration, ...]  # those that have ended
 
 
-def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
+def load_trial(
+    run_id: str,
+    uri: str = "sqlite:///mlflow.db",
+    config_dir: Path | str | None = None,
+    allow: Sequence[str] = (),
+) -> RecordedTrial:
     """The study of a run and its full records; the run may be one of a sweep's, or still go on.
 
-    Components of one's own have to be importable. What follows from the files is computed again: D_i from the
+    A store may be somebody else's: components of one's own have to be importable, and beside `config_dir` or
+    in a module that `allow` names. What follows from the files is computed again: D_i from the
     experiments, and each fitted bias from the data of the iteration before.
 
     Raises
@@ -65,7 +72,7 @@ def load_trial(run_id: str, uri: str = "sqlite:///mlflow.db") -> RecordedTrial:
     with temporary_folder() as folder:
         try:
             _download(client, run_id, Path(folder))
-            study = build(_composition(Path(folder, "config.yaml"), run))
+            study = build(_composition(Path(folder, "config.yaml"), run, config_dir, allow))
             with threadpool_limits(1, user_api="blas"):  # as when the trial ran
                 iterations = tuple(_iterations(study, Path(folder), _metrics(client, run)))
         except ConfigError:
@@ -82,12 +89,14 @@ def _download(client: MlflowClient, run_id: str, folder: Path) -> None:
             client.download_artifacts(run_id, file.path, str(folder))
 
 
-def _composition(path: Path, run: Run) -> Composition:
+def _composition(path: Path, run: Run, config_dir: Path | str | None, allow: Sequence[str]) -> Composition:
     """What the trial was composed of, but for the store."""
+    folders = [] if config_dir is None else [Path(config_dir)]
     config = {**yaml.safe_load(path.read_text()), "tracking": NO_TRACKING}
     values = {key for key, value in config.items() if not isinstance(value, Mapping)}
     choices = {name: text for name, text in run.data.params.items() if "." not in name and name not in values}
-    return Composition(config, {**choices, "tracking": "none"})
+    allowed = (*prefixes(folders, allow), *beside(config, folders))
+    return Composition(config, {**choices, "tracking": "none"}, allowed)
 
 
 def _metrics(client: MlflowClient, run: Run) -> dict[int, dict[str, float]]:

@@ -52,6 +52,7 @@ def leftovers() -> set[str]:
 def prepared(folder: Path) -> Path:
     """A folder with the configs of the campaign."""
     for name, text in (
+        ("components", "allow: [logged_hardware]\n"),
         ("hardware/logged", "_target_: logged_hardware.Logged\nseconds: 0.2\n"),
         ("sweeps/mine", SWEEP),
     ):

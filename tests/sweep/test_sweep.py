@@ -86,7 +86,7 @@ def test_jobs_and_order_change_nothing(
     engines = {
         "one": ["engine.n_jobs=1"],
         "two": ["engine.n_jobs=2"],
-        "backwards": ["engine=sequential", "engine._target_=test_sweep.Backwards"],
+        "backwards": ["engine=sequential", "engine._target_=test_sweep.Backwards", "--allow", "test_sweep"],
     }
     found = {}
     for name, overrides in engines.items():
@@ -341,6 +341,7 @@ def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest
 def test_own_components_are_swept(folder: Path) -> None:
     conf = folder / "conf"
     shutil.copytree(OWN_CONF, conf)
+    (conf / "components.yaml").write_text("allow: [point_mass]\n")
     write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
     status, _, err = run(
         "--config-dir", "conf", "+sweep=wind", *POINT_MASS, "optimizer.max_evaluations=150", folder=folder

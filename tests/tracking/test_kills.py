@@ -37,6 +37,7 @@ def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("conf")
     (folder / "hardware").mkdir()
     (folder / "hardware" / "logged.yaml").write_text("_target_: logged_hardware.Logged\n")
+    (folder / "components.yaml").write_text("allow: [logged_hardware]\n")
     return folder
 
 
@@ -122,7 +123,7 @@ def check_store(folder: Path, uri: str, expected: TrialRecord) -> None:
     client, only = only_run(folder)
     assert (only.info.status, only.data.tags["outcome"]) == ("FINISHED", "not succeeded")
     assert "error" not in only.data.tags
-    trial = load_trial(only.info.run_id, uri)
+    trial = load_trial(only.info.run_id, uri, allow=["logged_hardware"])
     assert_equal(timeless(replace(expected, iterations=trial.iterations)), timeless(expected))
     for name in only.data.metrics:
         steps = [metric.step for metric in client.get_metric_history(only.info.run_id, name)]

@@ -91,7 +91,7 @@ def test_a_trial_is_read_back_as_it_ran(overrides: list[str], uri: str) -> None:
     run_id, record = keep(study, uri)
     ran = record.iterations
     assert len(learned(ran[-2]).data) > 0  # from which a bias was learned
-    trial = load_trial(run_id, uri)
+    trial = load_trial(run_id, uri, config_dir)
     assert_equal(trial.iterations, ran)
     assert_same_predictions(study, trial.iterations, ran)
     assert (trial.run_id, trial.study.hash, trial.study.title) == (run_id, study.hash, study.title)

@@ -24,6 +24,7 @@ class Batch:
 
     config: Mapping[str, Any]  # of the study whose hardware it is
     choices: Mapping[str, str]
+    allowed: tuple[str, ...]  # modules of which the config may name classes
     parameters: tuple[float, ...]  # theta (p,)
     starts: tuple[tuple[float, ...], ...]  # (k, n)
     seed: int
@@ -32,12 +33,17 @@ class Batch:
     def of(study: Composition, parameters: Array, starts: Array, seed: int) -> Batch:
         """Experiments with theta (p,) from starts (k, n) on a study's hardware."""
         plain = tuple(tuple(start) for start in starts.tolist())
-        return Batch(study.config, study.choices, tuple(parameters.tolist()), plain, seed)
+        return Batch(study.config, study.choices, study.allowed, tuple(parameters.tolist()), plain, seed)
+
+    @property
+    def composition(self) -> Composition:
+        """What the study is built from."""
+        return Composition(self.config, self.choices, self.allowed)
 
     @property
     def hash(self) -> str:
         """Identity: 12 hexadecimal digits of everything that affects the outcomes."""
-        parts = [Composition(self.config, self.choices).cell, self.parameters, self.starts, self.seed]
+        parts = [self.composition.cell, self.parameters, self.starts, self.seed]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
 
 
@@ -73,7 +79,7 @@ class Outcomes:
 
 def run_batch(batch: Batch) -> Outcomes:
     """Run the experiments of a batch; what the hardware raises is part of the outcomes."""
-    study = build(Composition(batch.config, batch.choices))
+    study = build(batch.composition)
     parameters, starts = np.array(batch.parameters), np.array(batch.starts)
     try:
         rollouts = [

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from pydantic import PositiveInt
 
+from simbias.config.numbers import Count
 from simbias.interfaces import Task
 from simbias.pictures.style import HARDWARE, SMALL, label, plain, symbol
 from simbias.pictures.sweep.batches import Outcomes
@@ -67,9 +67,7 @@ class BiasField(SweepFigure):
         Held-out samples that are drawn, far from each other; all count in the error.
     """
 
-    def __init__(
-        self, task: Task, states: ThreeStates, experiments: PositiveInt = 4, arrows: PositiveInt = 40
-    ) -> None:
+    def __init__(self, task: Task, states: ThreeStates, experiments: Count = 4, arrows: Count = 40) -> None:
         names = [quantity.name for quantity in task.states]
         for state in states:
             if state not in names:

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from pydantic import FiniteFloat, PositiveInt
 from scipy.stats import binomtest
 
 from simbias.config.build import build
+from simbias.config.numbers import Coordinate, Count
 from simbias.interfaces import Task
 from simbias.pictures.style import HARDWARE, SIMULATION, SMALL, label, plain
 from simbias.pictures.sweep.batches import Batch, Outcomes
@@ -31,9 +31,9 @@ class Range:
     """Values of a state, evenly spaced, at which experiments start."""
 
     state: str
-    low: FiniteFloat  # in the state's unit
-    high: FiniteFloat
-    points: PositiveInt
+    low: Coordinate  # in the state's unit
+    high: Coordinate
+    points: Count
 
     @property
     def values(self) -> Array:
@@ -60,7 +60,7 @@ class SuccessRates(SweepFigure):
         cells: Sequence[LabelledCell],
         x: Range,
         y: Range,
-        experiments: PositiveInt,
+        experiments: Count,
         hardware: str,
     ) -> None:
         names = [quantity.name for quantity in task.states]

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from pydantic import PositiveInt
 
+from simbias.config.numbers import Count
 from simbias.interfaces import Task
 from simbias.pictures.drawing import drawing_of, movement_of, share_view
 from simbias.pictures.style import HARDWARE, NOMINAL, SMALL, seconds
@@ -50,7 +50,7 @@ class TwoSimulators(SweepFigure):
         Snapshots of each.
     """
 
-    def __init__(self, task: Task, columns: PositiveInt = 6) -> None:
+    def __init__(self, task: Task, columns: Count = 6) -> None:
         draw = drawing_of(task)
         if draw is None:
             raise ValueError(f"nothing draws {type(task).__name__}")

@@ -41,7 +41,8 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     assert kept == {f"{name}.png" for name in FIGURES}
     folder = tmp_path / "pictures" / "new"
     capsys.readouterr()
-    assert draw([run.info.run_id, str(folder), "--uri", uri]) == 0
+    own = ["--config-dir", str(OWN_CONF)]
+    assert draw([run.info.run_id, str(folder), "--uri", uri, *own]) == 0
     names = {f"{name}{suffix}" for name in FIGURES for suffix in (".png", ".svg")}
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.read_bytes().startswith(b"<?xml") for path in folder.glob("*.svg"))
@@ -50,7 +51,7 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
         ("0" * 32, tmp_path, "no such run"),
         (run.info.run_id, tmp_path / "mlflow.db", "no folder"),
     ):
-        assert draw([run_id, str(target), "--uri", uri]) == 2
+        assert draw([run_id, str(target), "--uri", uri, *own]) == 2
         err = capsys.readouterr().err
         assert message in err
         assert err.count("\n") == 1

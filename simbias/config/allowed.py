@@ -1,0 +1,113 @@
+"""Whose modules a config may name: what `_target_` names is imported, and what is imported may do anything.
+
+A config may come from somebody else. So besides simbias's own modules it may name only those that lie in, or
+directly beside, a folder of configs that the user named (`--config-dir`), and those whose prefix the user
+allowed, by `--allow` or by `allow` in that folder's `components.yaml`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from simbias.config.errors import ConfigError, quoted, words
+
+OWN = "simbias"
+FILE = "components.yaml"  # in a folder of configs: `allow: [my_robot]`
+TARGET = "_target_"  # the key that names a component's class
+
+
+def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
+    """Refuse a module that is neither simbias's nor has an allowed prefix; it is not imported.
+
+    Raises
+    ------
+    ConfigError
+        Naming `key`, and how to allow it.
+    """
+    if not any(module == prefix or module.startswith(f"{prefix}.") for prefix in (OWN, *allowed)):
+        top = module.partition(".")[0]
+        raise ConfigError(
+            key,
+            f"{quoted(module)} is not imported, as it is neither simbias's nor beside a --config-dir; "
+            f"if you trust it, --allow {top}",
+        )
+
+
+def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
+    """What the user allows, and what the `components.yaml` of the folders does.
+
+    Raises
+    ------
+    ConfigError
+        If one is no name of a module, or a file is not as it should be.
+    """
+    found = [_module(name, "--allow") for name in allow]
+    for folder in folders:
+        found += _of_file(folder / FILE)
+    return tuple(dict.fromkeys(found))
+
+
+def _of_file(file: Path) -> list[str]:
+    """What a folder's file allows; nothing if there is none."""
+    if not file.is_file():
+        return []
+    from omegaconf import OmegaConf  # lazily: --help needs none
+
+    try:
+        content: Any = OmegaConf.to_container(OmegaConf.load(file))
+    except Exception as error:  # OmegaConf's, YAML's or the system's
+        raise ConfigError(str(file), words(error)) from error
+    if (
+        not isinstance(content, Mapping)
+        or content.keys() != {"allow"}
+        or not isinstance(content["allow"], list)
+    ):
+        raise ConfigError(str(file), f"must be `allow: [module, ...]`, got {quoted(content)}")
+    return [_module(name, f"{file}: allow") for name in content["allow"]]
+
+
+def _module(name: Any, key: str) -> str:
+    """A module's dotted name, checked."""
+    if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")):
+        raise ConfigError(key, f"must be the name of a module, as my_robot, got {quoted(name)}")
+    return name
+
+
+def beside(config: Any, folders: Sequence[Path]) -> tuple[str, ...]:
+    """The modules and packages that a config names and that lie in, or directly beside, one of the folders.
+
+    No deeper: an environment with everything that is installed may lie there too.
+    """
+    homes = {home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())}
+    names = {str(target).partition(".")[0] for target in _targets(config)} - {OWN}
+    return tuple(sorted(name for name in names if homes and _homes(name) and _homes(name) <= homes))
+
+
+def _targets(config: Any) -> Iterator[Any]:
+    """All classes that a config names, anywhere in it."""
+    if isinstance(config, Mapping):
+        for key, value in config.items():
+            if key == TARGET:
+                yield value
+            else:
+                yield from _targets(value)
+    elif isinstance(config, list):
+        for value in config:
+            yield from _targets(value)
+
+
+def _homes(name: str) -> set[Path]:
+    """The folders in which a module or package lies, by its name without dots; it is not imported."""
+    if not name.isidentifier():
+        return set()
+    try:
+        spec = find_spec(name)
+    except (ImportError, ValueError):  # as of __main__
+        return set()
+    if spec is None:
+        return set()
+    files = spec.submodule_search_locations or ([spec.origin] if spec.has_location and spec.origin else [])
+    return {Path(file).parent.resolve() for file in files}

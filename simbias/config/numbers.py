@@ -1,0 +1,43 @@
+"""Ranges of numbers that a config may give: generous, but finite, so that what nobody means is refused.
+
+Every number of a constructor has one of these types, or bounds of its own. Beyond them, numbers overflow, a
+physics engine dies, or a trial never ends.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+# What is counted.
+Count = Annotated[int, Field(gt=0, le=10_000)]  # iterations, experiments, rollouts, points
+CountOrZero = Annotated[int, Field(ge=0, le=10_000)]
+Frames = Annotated[int, Field(gt=0, le=10**7)]  # 3 h of milliseconds
+EvaluationCount = Annotated[int, Field(gt=0, le=10**9)]
+Steps = Annotated[int, Field(gt=0, le=10**15)]  # of simulation
+Population = Annotated[int, Field(ge=2, le=10_000)]
+Workers = Annotated[int, Field(gt=0, le=1000)]
+Seed = Annotated[int, Field(ge=0, lt=2**64)]
+
+# What has a unit.
+TimeStep = Annotated[float, Field(ge=1e-6, le=1.0)]  # s
+Seconds = Annotated[float, Field(gt=0, le=1e9)]  # 30 years
+Mass = Annotated[float, Field(ge=1e-6, le=1e6)]  # kg
+MassOrZero = Annotated[float, Field(ge=0, le=1e6)]
+Inertia = Annotated[float, Field(ge=1e-9, le=1e9)]  # kg m^2
+Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # m
+Force = Annotated[float, Field(ge=1e-6, le=1e9)]  # N or N m
+Acceleration = Annotated[float, Field(ge=1e-6, le=1e3)]  # m/s^2
+Angle = Annotated[float, Field(gt=0, le=1e3)]  # rad
+Rate = Annotated[float, Field(gt=0, le=1e6)]  # rad/s
+Variance = Annotated[float, Field(ge=0, le=1e6)]  # in the square of any unit
+
+# What has none, or any.
+Share = Annotated[float, Field(gt=0, le=1)]
+Deviation = Annotated[float, Field(gt=0, le=100)]  # in units of a box's width
+Spread = Annotated[float, Field(ge=0, le=5)]  # standard deviation of a logarithm
+Scale = Annotated[float, Field(ge=1e-9, le=1e9)]  # what other numbers are divided by
+Positive = Annotated[float, Field(gt=0, le=1e9)]
+NonNegative = Annotated[float, Field(ge=0, le=1e9)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]

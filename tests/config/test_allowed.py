@@ -1,0 +1,144 @@
+"""A config names only classes of simbias, of modules beside its folder, and of those that the user allows."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+
+import simbias
+from simbias.__main__ import main
+from simbias.config import ConfigError, compose
+from simbias.config.build import build
+from simbias.sweep.grid import expand
+from simbias.sweep.worker import Plan, run_plan
+
+CLASS = """
+from pathlib import Path
+from simbias.bias.none import NoBias
+
+Path("imported").touch()
+
+class Mine(NoBias): ...
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with configs, a module and a package beside them, and a module deeper in an environment."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    for name in ("", ".venv"):
+        monkeypatch.syspath_prepend(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "beside.py": CLASS,
+        "package/part.py": CLASS,
+        "conf/inside.py": CLASS,
+        ".venv/installed.py": CLASS,
+        "conf/bias/beside.yaml": "_target_: beside.Mine",
+        "conf/bias/part.yaml": "_target_: package.part.Mine",
+        "conf/bias/installed.yaml": "_target_: installed.Mine",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    yield tmp_path
+    for name in ("beside", "package", "package.part", "inside", "installed"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("option", ["beside", "part"])
+def test_what_lies_beside_a_named_folder(project: Path, option: str) -> None:
+    assert type(simbias.load([f"bias={option}", "tracking=none"], "conf").bias).__name__ == "Mine"
+    assert (project / "imported").exists()
+
+
+def test_what_lies_in_a_named_folder(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(project / "conf")
+    assert simbias.load(["bias._target_=inside.Mine", "bias=none", "tracking=none"], "conf")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "module"),
+    [
+        (["bias=installed"], "installed"),
+        (["bias=none", "bias._target_=installed.Mine"], "installed"),
+        (["bias=none", "bias._target_=os.system"], "os"),
+        (["bias=none", "bias._target_=simbias_.Mine"], "simbias_"),
+        (["tracking._target_=antigravity.Mine"], "antigravity"),
+        (["engine._target_=installed.Mine"], "installed"),
+        (["+sweep=mine"], "installed"),
+    ],
+)
+def test_what_is_not_allowed_is_not_imported(
+    project: Path, overrides: list[str], module: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (project / "conf" / "sweeps").mkdir()
+    (project / "conf" / "sweeps" / "mine.yaml").write_text(
+        "sweep: {trials: 1, axes: {}, figures: {one: {_target_: installed.Mine}}}"
+    )
+    assert main(["--config-dir", "conf", "tracking=none", *overrides]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"--allow {module}" in line
+    assert not (project / "imported").exists()
+    assert module == "os" or module not in sys.modules
+
+
+def test_a_folder_of_no_ones_allows_nothing(project: Path) -> None:
+    with pytest.raises(ConfigError, match=r"bias\._target_: 'beside' is not imported, .*--allow beside"):
+        build(compose(["bias=none", "bias._target_=beside.Mine", "tracking=none"]))
+
+
+@pytest.mark.parametrize("prefix", ["package", "package.part"])
+def test_a_prefix_is_allowed_by_a_flag(project: Path, prefix: str) -> None:
+    overrides = ["bias=none", "bias._target_=package.part.Mine", "tracking=none"]
+    assert simbias.load(overrides, allow=["other", prefix])
+    with pytest.raises(ConfigError, match="--allow package"):
+        simbias.load(overrides, allow=["pack", "package.par", "package.part.Mine"])
+
+
+def test_a_prefix_is_allowed_by_the_folder(project: Path) -> None:
+    (project / "conf" / "components.yaml").write_text("allow: [installed]")
+    assert simbias.load(["bias=installed", "tracking=none"], "conf")
+
+
+@pytest.mark.parametrize(
+    "text", ["allow: mine", "[mine]", "allow: [3]", "allow: ['a b']", "a: [", "allow: []\nb: 1"]
+)
+def test_a_bad_file_is_named(project: Path, text: str) -> None:
+    (project / "conf" / "components.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=r"^conf/components\.yaml"):
+        compose([], "conf")
+    with pytest.raises(ConfigError, match=r"^--allow: must be the name of a module"):
+        compose([], allow=["../x"])
+
+
+def test_workers_are_told(project: Path) -> None:
+    short = ["task.horizon=5", "optimizer.max_evaluations=2", "tracking=none"]
+    trial = compose(["bias=beside", *short], "conf").trial
+    assert trial.allowed == ("beside",)
+    assert run_plan(Plan(trial.config, trial.choices, allowed=trial.allowed)).outcome.final
+    assert "--allow beside" in run_plan(Plan(trial.config, trial.choices)).reason
+
+
+def test_an_axis_may_name_what_lies_beside(project: Path) -> None:
+    sweep = expand(["+sweep={trials: 1, axes: {bias: [none, beside, part]}}"], "conf")
+    assert [cell.composition.allowed for cell in sweep.cells] == [(), ("beside",), ("package",)]
+
+
+def test_what_is_allowed_is_no_part_of_a_trials_identity() -> None:
+    one, other = (compose([*POINT_MASS], OWN_CONF, allow) for allow in ([], ["elsewhere"]))
+    assert one == other
+    assert one.hash == other.hash
+    assert one.trial.allowed == ("point_mass",)
+    assert other.allowed == ("elsewhere", "point_mass")
+
+
+def test_a_module_that_raises_is_one_line(project: Path) -> None:
+    (project / "beside.py").write_text("1 / 0")
+    with pytest.raises(
+        ConfigError, match=r"^bias\._target_: cannot import 'beside\.Mine' \(ZeroDivisionError: "
+    ):
+        simbias.load(["bias=beside", "tracking=none"], "conf")

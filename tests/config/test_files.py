@@ -1,0 +1,95 @@
+"""Files that cannot be read break nothing that does not ask for them, and are one line where it does."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import simbias
+from simbias.config import ConfigError, compose, composition
+from simbias.config.errors import LONGEST, LONGEST_KEY
+from simbias.sweep.grid import expand
+
+DEEP = "a: " + 3000 * "[" + 3000 * "]"
+BROKEN: dict[str, Callable[[Path], object]] = {
+    "folder": Path.mkdir,
+    "dangling": lambda path: path.symlink_to("nowhere"),
+    "circle": lambda path: path.symlink_to(path.name),
+    "pipe": os.mkfifo,
+    "cut": lambda path: path.write_text("a: [1"),
+    "bytes": lambda path: path.write_bytes(b"a: \xff\xfe"),
+    "number": lambda path: path.write_text("3"),
+    "names": lambda path: path.write_text("[1, 2]"),
+    "deep": lambda path: path.write_text(DEEP),
+    "code": lambda path: path.write_text("a: !!python/object/apply:os.getcwd []"),
+    "cycle": lambda path: path.write_text("defaults: [cycle]\nsweep: {trials: 1, axes: {}}"),
+    "unknown": lambda path: path.write_text(f"defaults: [{'x' * 300}]"),
+}
+
+
+@pytest.fixture
+def conf(tmp_path: Path) -> Path:
+    """A folder of configs, among them a good one in each group."""
+    good = {"bias": "_target_: simbias.bias.none.NoBias", "sweeps": "sweep: {trials: 1, axes: {}}"}
+    for group, text in good.items():
+        (tmp_path / group).mkdir()
+        for name, make in BROKEN.items():
+            make(tmp_path / group / f"{name}.yaml")
+        (tmp_path / group / "good.yaml").write_text(text)
+        for name in (b"\xff\xfe.yaml", b"a\nb.yaml"):
+            Path(os.fsdecode(os.fsencode(tmp_path / group) + b"/" + name)).write_text(text)
+    return tmp_path
+
+
+def test_nobody_asks_for_them(conf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(expand(["+sweep=good", "bias=good", "tracking=none"], conf).trials) == 1
+    monkeypatch.setattr(composition, "shipped", lambda folder: conf / folder)
+    assert all(name.isprintable() for name in composition.sweeps())
+    assert {"good", "cut"} <= set(composition.sweeps())
+    assert not {"folder", "dangling", "circle", "pipe"} & set(composition.sweeps())
+
+
+@pytest.mark.parametrize("name", BROKEN)
+@pytest.mark.parametrize("group", ["bias", "+sweep"])
+def test_somebody_asks_for_one(conf: Path, group: str, name: str) -> None:
+    if (group, name) == ("bias", "pipe"):
+        pytest.skip("Hydra would wait for who writes into it")
+    use: Callable = expand if group == "+sweep" else simbias.load
+    with pytest.raises(ConfigError) as error:
+        use([f"{group}={name}", "tracking=none"], conf)
+    text = str(error.value)
+    assert "\n" not in text
+    assert len(text) < LONGEST + LONGEST_KEY + 3
+    assert name in text or text.startswith("bias: must be a mapping")
+
+
+@pytest.mark.parametrize("length", [300, 5000])
+@pytest.mark.parametrize(
+    "form", ["bias={}", "+sweep={}", "{}=1", "+{}=1", "bias=../{}", "bias.d={}", "bias.d=[{}"]
+)
+def test_a_long_name_is_a_short_line(form: str, length: int) -> None:
+    with pytest.raises(ConfigError) as error:
+        simbias.load([form.format(length * "x"), "tracking=none"])
+    assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
+
+
+@pytest.mark.parametrize("name", ["a,b", "a=b", "a b", "a'b", "a\\b", "a[b}", "ü"])
+def test_a_folder_may_have_any_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / name / "bias").mkdir(parents=True)
+    (tmp_path / name / "bias" / "mine.yaml").write_text("_target_: simbias.bias.none.NoBias")
+    assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
+
+
+def test_an_error_that_cannot_speak_is_one_line() -> None:
+    from simbias.config.errors import quoted, words
+
+    class Mute(Exception):  # noqa: N818
+        def __str__(self) -> str:
+            raise RuntimeError
+
+    assert words(Mute()) == "Mute"
+    assert words(ValueError()) == "ValueError"
+    assert quoted(10**5000) == "a value of type int"
