@@ -23,6 +23,8 @@ import numpy as np
 from numba import njit
 from numba.core.dispatcher import Dispatcher
 
+from simbias.cache import cache_folder
+
 # A product and a sum may become one instruction. Nothing may assume that numbers are finite: a rollout that
 # blows up ends because its state is not a number.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
@@ -131,19 +133,9 @@ def _description(code: CodeType) -> Iterator[Any]:
 
 
 def _folder() -> Path:
-    """Where compiled code is kept: where Numba is told to, beside this file, or in the user's cache."""
-    here = Path(__file__).parent / "__pycache__"
-    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
+    """Where compiled code is kept: where Numba is told to, else where caches are."""
     settings: Any = numba.config  # whose attributes no type checker knows
-    for parent in (*filter(None, [settings.CACHE_DIR]), here, users, tempfile.gettempdir()):
-        folder = Path(parent) / "closed_loops"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return folder
-    raise OSError("there is no folder for compiled code; NUMBA_CACHE_DIR names one")
+    return cache_folder("closed_loops", *filter(None, [settings.CACHE_DIR]))
 
 
 def _write(file: Path, text: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shutil
 import sqlite3
 import textwrap
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simbias.cache import cache_folder
 from simbias.config import ConfigError
 from simbias.tracking.fields import shown
 
@@ -156,15 +158,32 @@ def _check_tables(database: sqlite3.Connection) -> None:
 def _create(path: Path) -> None:
     """Make a SQLite store elsewhere and put it in its place when it is whole.
 
-    MLflow takes seconds for its tables, and can never use a database again that it was killed in meanwhile.
+    MLflow can never use a database again in whose making it was killed.
     """
     number = re.compile(rf"\.{re.escape(path.name)}\.(\d+){re.escape(PART)}")
     for part in path.parent.iterdir():  # also what SQLite has beside them, as a journal
         if (match := number.match(part.name)) and not _alive(int(match[1])):
             part.unlink(missing_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}{PART}")
-    _client(f"sqlite:///{part}").search_experiments(max_results=1)
+    shutil.copyfile(_empty_store(), part)
+    _client(f"sqlite:///{part}").search_experiments(max_results=1)  # makes MLflow's own experiment
     part.replace(path)
+
+
+def _empty_store() -> Path:
+    """A store without experiments, made once: its tables take MLflow seconds."""
+    from mlflow import __version__
+
+    store = cache_folder("stores") / f"mlflow_{__version__}.db"
+    if not store.exists():
+        new = store.with_name(f".{store.name}.{os.getpid()}{PART}")
+        new.unlink(missing_ok=True)
+        _client(f"sqlite:///{new}").search_experiments(max_results=1)
+        with closing(sqlite3.connect(new)) as database:
+            database.execute("DELETE FROM experiments")  # whose files would lie in this process's folder
+            database.commit()
+        new.replace(store)
+    return store
 
 
 def _alive(pid: int) -> bool:

@@ -110,10 +110,11 @@ def test_the_hash_is_of_what_a_function_does() -> None:
 @pytest.mark.parametrize("where", ["beside", "elsewhere"])
 def test_without_a_folder_to_write_to_it_is_kept_elsewhere(where: str, tmp_path: Path, monkeypatch) -> None:
     """As of a package that an administrator has installed."""
+    from simbias import cache
     from simbias.simulation import compilation
 
     if where == "elsewhere":
-        monkeypatch.setattr(compilation, "__file__", "/proc/nowhere/compilation.py")
+        monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
         monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", "")
         assert compilation._folder() == tmp_path / "simbias" / "closed_loops"
