@@ -73,9 +73,7 @@ def test_a_trial_ends_in_one_line(folder: Path, capsys: pytest.CaptureFixture[st
     """What the hardware returned is kept; mended, the same command goes on, and leaves no old error."""
     assert trial(fault) == 1
     line = capsys.readouterr().err
-    expected = (
-        r"simbias: HardwareError: Faulty\.run: .*expected .*, got .* \(1 hardware experiments are kept; "
-    )
+    expected = r"simbias: HardwareError: Faulty\.run: .*expected .*, got .* \(1 hardware experiment kept; "
     assert re.match(expected + r"traceback in (.*); go on with:  .*\)\n$", line), line
     (journal,) = (folder / "journals" / "simbias").iterdir()
     trace = (journal / "error.txt").read_text()
@@ -127,7 +125,7 @@ def test_a_hardware_that_hangs_is_stopped(folder: Path, capsys: pytest.CaptureFi
     assert time.monotonic() - begun < 30
     line = capsys.readouterr().err
     assert "Faulty.run: expected an end within 0.5 s (experiment_timeout), got none" in line
-    assert "(1 hardware experiments are kept; " in line
+    assert "(1 hardware experiment kept; " in line
     assert (folder / "stopped").exists()
     assert only_run().info.status == "FAILED"
     (folder / MENDED).touch()
