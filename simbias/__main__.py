@@ -112,7 +112,13 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     from simbias.config.build import build
     from simbias.config.services import engine, tracking
     from simbias.messages import with_type
-    from simbias.terminal.trial import TrialConsole, preparing, slowness_in_one_line, traceback_file
+    from simbias.terminal.trial import (
+        TrialConsole,
+        counted,
+        preparing,
+        slowness_in_one_line,
+        traceback_file,
+    )
     from simbias.trial import Outcome, run_trial
 
     engine(composition)  # a single trial needs none, but a bad one is bad input
@@ -133,7 +139,9 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     if record.outcome.final:
         console.conclude(record, tracked.where)
         return SUCCEEDED if record.outcome is Outcome.SUCCEEDED else FAILED
-    kept = f"{record.experiments} hardware experiments are kept" if tracked.where else "nothing is kept"
+    kept = (
+        f"{counted(record.experiments, 'hardware experiment')} kept" if tracked.where else "nothing is kept"
+    )
     trace = f"; traceback in {file}" if (file := traceback_file(record)) else ""
     print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {_command(parsed)})", file=sys.stderr)
     return WAITING if record.outcome is Outcome.WAITING else FAILED

@@ -44,10 +44,16 @@ SIMBIAS = ("-m", "simbias")
 
 
 def start(
-    *arguments: str, folder: Path, program: Sequence[str] = SIMBIAS, **options: Any
+    *arguments: str,
+    folder: Path,
+    program: Sequence[str] = SIMBIAS,
+    temporary: Path | None = None,
+    **options: Any,
 ) -> subprocess.Popen[str]:
     """A process of its own session, so that signals to it reach no one else."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "COLUMNS": "120"}
+    if temporary is not None:
+        environment["TMPDIR"] = str(temporary)
     return subprocess.Popen(
         [sys.executable, "-u", *program, *arguments],
         cwd=folder,

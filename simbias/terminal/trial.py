@@ -105,8 +105,8 @@ class TrialConsole(Observer):
         """The closing line: what came out, after how many experiments, and how to look at it."""
         succeeded = record.outcome is Outcome.SUCCEEDED
         verdict = "[green]Succeeded[/green]" if succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {_counted(record.experiments, 'hardware experiment')}"
-        effort = f"{_counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
+        experiments = f"after {counted(record.experiments, 'hardware experiment')}"
+        effort = f"{counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
         words = self._study.task.words
         names = {each.failure for each in record.iterations[-1].experiments if each.failure}
         reason = f"; last failure: {', '.join(sorted(map(words, names)))}" if names else ""
@@ -119,7 +119,7 @@ class TrialConsole(Observer):
             self.iterated(iteration)
         last = iterations[-1]
         verdict = "[green]Succeeded[/green]" if last.succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {_counted(last.total_experiments, 'hardware experiment')}"
+        experiments = f"after {counted(last.total_experiments, 'hardware experiment')}"
         self._console.print(
             f"\n{verdict} {experiments}, in an earlier run of this command; seed=N makes another trial.",
             soft_wrap=True,
@@ -144,7 +144,7 @@ def traceback_file(record: TrialRecord) -> str:
     return file.name
 
 
-def _counted(count: int, noun: str) -> str:
+def counted(count: int, noun: str) -> str:
     """A number of things."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 

@@ -239,7 +239,7 @@ def test_a_trial_that_raises(folder: Path) -> None:
     assert len(trials) == 8
     assert parent.info.status == "FAILED"
     assert f"{len(failed)} trials raised an error" in out
-    assert "raised RuntimeError: the motor is | hot" in out
+    assert "raised HardwareError: Hot.run: expected a Rollout, got RuntimeError: the motor is | hot" in out
     assert "raised" in parent.data.tags["mlflow.note.content"]
     for trial in failed:
         assert "the motor is | hot" in trial.data.tags["error"]

@@ -81,6 +81,17 @@ def test_a_trial_that_cannot_begin_is_a_record_too(trial: Composition, tmp_path:
     assert "cannot be written" in record.reason
 
 
+def test_a_component_that_ends_the_process_as_it_is_built_ends_its_trial_only(
+    trial: Composition, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def leave(*_: object, task: object) -> None:
+        raise SystemExit("no licence")
+
+    monkeypatch.setattr("simbias.bias.gp.GaussianProcess.__init__", leave)
+    config = {**trial.config, "bias": {"_target_": "simbias.bias.gp.GaussianProcess"}}
+    assert run_plan(Plan(config, trial.choices)).reason == "ConfigError: bias: no licence"
+
+
 def test_no_line_for_each_slow_fit_of_each_trial(trial: Composition, monkeypatch: pytest.MonkeyPatch) -> None:
     def slow(composition: Composition) -> None:
         warnings.warn("slowly", SlowWarning, stacklevel=2)
