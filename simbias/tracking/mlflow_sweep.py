@@ -13,6 +13,7 @@ from filelock import FileLock
 from omegaconf import OmegaConf
 from pandas import DataFrame
 
+from simbias import markdown
 from simbias.sweep import tables
 from simbias.tracking import fields, pages, results
 from simbias.tracking.contract import TrackedSweep
@@ -196,13 +197,16 @@ class MlflowSweep(TrackedSweep):
         arrangement = tables.layout(tables.cells(trials, self._sweep), self._sweep)
         link = pages.trials_page(self._experiment_id, self._sweep)
         done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."
-        captions = [f"[{name}]({self._picture(name)}): {text}" for name, text in self._captions.items()]
+        captions = [
+            f"[{name}]({self._picture(name)}): {markdown.text(caption)}"
+            for name, caption in self._captions.items()
+        ]
         parts = [
             done,
             tables.markdown(arrangement),
             tables.legend(self._sweep),
             *captions,
-            f"`{self._again}`",
+            markdown.code(self._again),
         ]
         self._client.set_tag(self.run_id, NOTE, "\n\n".join(parts))
         self._noted = time.monotonic()
