@@ -132,11 +132,8 @@ def _description(code: CodeType) -> Iterator[Any]:
 
 def _folder() -> Path:
     """Where compiled code is kept: where Numba is told to, beside this file, or in the user's cache."""
-    here = Path(__file__).parent / "__pycache__"
-    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
-    settings: Any = numba.config  # whose attributes no type checker knows
-    for parent in (*filter(None, [settings.CACHE_DIR]), here, users, tempfile.gettempdir()):
-        folder = Path(parent) / "closed_loops"
+    for parent in _parents():
+        folder = parent / "closed_loops"
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError:
@@ -144,6 +141,35 @@ def _folder() -> Path:
         if os.access(folder, os.W_OK):
             return folder
     raise OSError("there is no folder for compiled code; NUMBA_CACHE_DIR names one")
+
+
+def _parents() -> Iterator[Path]:
+    """Where that folder may be, the best place first."""
+    settings: Any = numba.config  # whose attributes no type checker knows
+    if settings.CACHE_DIR:
+        yield Path(settings.CACHE_DIR)
+    yield Path(__file__).parent / "__pycache__"
+    yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
+    yield _private()
+
+
+def _private() -> Path:
+    """A folder of this user's among the temporary ones.
+
+    Another user may have made one of that name, and what Numba finds in its cache it runs.
+
+    Raises
+    ------
+    OSError
+        Then.
+    """
+    user = os.getuid() if sys.platform != "win32" else 0  # where temporary folders are a user's own
+    folder = Path(tempfile.gettempdir()) / f"simbias-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if sys.platform != "win32" and (found.st_uid != user or found.st_mode & 0o022 or folder.is_symlink()):
+        raise OSError(f"{folder} is another user's; NUMBA_CACHE_DIR names a folder for compiled code")
+    return folder
 
 
 def _write(file: Path, text: str) -> None:
