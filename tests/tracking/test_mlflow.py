@@ -283,7 +283,7 @@ def check_closed_run(folder: Path) -> None:
     note = run.data.tags["mlflow.note.content"]
     assert "**Succeeded** on hardware in iteration 2, after 3 iterations and 6 hardware experiments." in note
     assert (
-        "| 1 | 11.5 | 1011 | 8 | 2.0 | 2 of 2 experiments failed: the wall   falls; model cleared |" in note
+        "| 1 | 11.5 | 1011 | 8 | 2.0 | 2 of 2 experiments failed: the wall &#124; falls; model cleared |" in note
     )
     client = MlflowClient(tracking_uri=uri(folder))
     history = client.get_metric_history(run.info.run_id, "cost/hardware_max")
