@@ -8,6 +8,7 @@ allowed, by `--allow` or by `allow` in that folder's `components.yaml`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import invalidate_caches
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -103,6 +104,7 @@ def _homes(name: str) -> set[Path]:
     """The folders in which a module or package lies, by its name without dots; it is not imported."""
     if not name.isidentifier():
         return set()
+    invalidate_caches()  # a notebook may have written it a moment ago
     try:
         spec = find_spec(name)
     except (ImportError, ValueError):  # as of __main__

@@ -205,6 +205,8 @@ def _axis(name: str, spec: Any) -> Axis:
         raise ConfigError(where, "has no values")
     if len(labels) != len(values):
         raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
+    if not all(text.isprintable() for text in (name, *labels)):
+        raise ConfigError(where, "has a name or label with letters that cannot be printed")
     if len(set(labels)) != len(labels):
         raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
     texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from simbias.markdown import text
 from simbias.sweep.grid import Axis, Sweep
 
 RESAMPLES = 10_000
@@ -136,7 +137,7 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
 def markdown(arrangement: Layout) -> str:
     """A layout as markdown."""
     lines = [arrangement.head, ["--:"] * len(arrangement.head), *arrangement.body]
-    return "\n".join("| " + " | ".join(texts) + " |" for texts in lines) + "\n"
+    return "\n".join("| " + " | ".join(map(text, texts)) + " |" for texts in lines) + "\n"
 
 
 def plain(arrangement: Layout) -> str:

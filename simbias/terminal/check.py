@@ -33,6 +33,8 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
             console.print(f"       {verdict.problem}", soft_wrap=True, markup=False)
     chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
     console.print(
-        f"{chosen}: {f'{problems} checks fail' if problems else 'all checks hold'}.", soft_wrap=True
+        f"{chosen}: {f'{problems} checks fail' if problems else 'all checks hold'}.",
+        soft_wrap=True,
+        markup=False,
     )
     return not problems

@@ -13,10 +13,12 @@ from pathlib import Path
 from pandas import DataFrame
 from rich.console import Console, Group
 from rich.live import Live
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from simbias.config.errors import brief
 from simbias.engine.contract import Engine
 from simbias.study import Study
 from simbias.sweep.estimate import estimate
@@ -65,7 +67,7 @@ class SweepConsole(SweepObserver):
         self._bar = self._progress.add_task("", total=self._total, completed=done, state="")
         resumed = f", {done} of them finished already" if done else ""
         counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {self._total}"
-        self._console.print(f"[bold]{sweep.name}[/bold]: {counts}{resumed}", soft_wrap=True)
+        self._console.print(f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", soft_wrap=True)
         if not keeps:
             self._console.print("No trial is kept (tracking=none): once interrupted, it starts anew.")
         self._start = time.monotonic()

@@ -11,8 +11,10 @@ from typing import TextIO
 
 from numba.core.event import Event, Listener, install_listener
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from simbias.config.errors import brief
 from simbias.interfaces import SlowWarning
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
@@ -49,7 +51,7 @@ class TrialConsole(Observer):
 
     def __enter__(self) -> TrialConsole:
         study = self._study
-        self._console.print(f"[bold]{study.title}[/bold]", soft_wrap=True)
+        self._console.print(f"[bold]{escape(brief(study.title))}[/bold]", soft_wrap=True)
         self._console.print(f"seed {study.seed}, trial {study.hash}", soft_wrap=True)
         self._console.print(
             f"\n[dim]{'':>3}  {'predicted':>9}  {'cost on hardware (lasted)':<{self._width}}"
@@ -109,7 +111,7 @@ class TrialConsole(Observer):
         effort = f"{counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
         words = self._study.task.words
         names = {each.failure for each in record.iterations[-1].experiments if each.failure}
-        reason = f"; last failure: {', '.join(sorted(map(words, names)))}" if names else ""
+        reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
         self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
         self.look(where)
 
@@ -129,7 +131,7 @@ class TrialConsole(Observer):
     def look(self, where: str | None) -> None:
         """How to look at the trial."""
         if where:
-            self._console.print(f"Look at it:  {where}", soft_wrap=True)
+            self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
 
 
 def traceback_file(record: TrialRecord) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock
 from pandas import DataFrame
 
+from simbias import markdown
 from simbias.engine.workplace import temporary_folder
 from simbias.sweep import tables
 from simbias.tracking import fields, pages, results
@@ -201,13 +202,16 @@ class MlflowSweep(TrackedSweep):
         arrangement = tables.layout(tables.cells(trials, self._sweep), self._sweep)
         link = pages.trials_page(self._experiment_id, self._sweep)
         done = f"{verdict}: {len(trials)} of {len(self._sweep.trials)} [trials]({link})."
-        captions = [f"[{name}]({self._picture(name)}): {text}" for name, text in self._captions.items()]
+        captions = [
+            f"[{name}]({self._picture(name)}): {markdown.text(caption)}"
+            for name, caption in self._captions.items()
+        ]
         parts = [
             done,
             tables.markdown(arrangement),
             tables.legend(self._sweep),
             *captions,
-            f"`{self._again}`",
+            markdown.code(self._again),
         ]
         self._client.set_tag(self.run_id, NOTE, "\n\n".join(parts))
         self._noted = time.monotonic()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from simbias import markdown
 from simbias.records import Iteration
 from simbias.trial import Outcome, TrialRecord
 
@@ -57,13 +57,10 @@ def _events(study: Study, iteration: Iteration) -> list[str]:
     events = ["**succeeded**"] if iteration.succeeded else []
     if failures:
         causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
-        events.append(f"{len(failures)} of {len(iteration.experiments)} experiments failed: {_plain(causes)}")
+        events.append(
+            f"{len(failures)} of {len(iteration.experiments)} experiments failed: {markdown.text(causes)}"
+        )
     return [*events, "model cleared"] if iteration.learning and iteration.learning.reset else events
-
-
-def _plain(text: str) -> str:
-    """Text without what markdown or HTML would take for markup, on one line."""
-    return re.sub(r"[|`<>*\[\]]", " ", " ".join(text.split()))
 
 
 def run_name(study: Study) -> str:
@@ -73,7 +70,7 @@ def run_name(study: Study) -> str:
 
 def note(study: Study, rows: Sequence[Row], verdict: str) -> str:
     """The note: the verdict, the trial, a row for each iteration (the last ones, if there are many)."""
-    parts = [verdict, f"{study.title}. Seed {study.seed}, trial `{study.hash}`."]
+    parts = [verdict, f"{markdown.text(study.title)}. Seed {study.seed}, trial `{study.hash}`."]
     if rows:
         parts.append(_table(rows[-SHOWN_ROWS:]))
     if len(rows) > SHOWN_ROWS:
@@ -98,16 +95,16 @@ def running(rows: Sequence[Row]) -> str:
 
 def verdict(rows: Sequence[Row], record: TrialRecord) -> str:
     """How a trial ended."""
-    count, reason = _count(rows, len(record.unfinished)), _plain(record.reason[:REASON_LENGTH])
+    count, reason = _count(rows, len(record.unfinished)), record.reason[:REASON_LENGTH]
     if record.outcome is Outcome.SUCCEEDED:
         return f"**Succeeded** on hardware in iteration {rows[-1].index}, after {count}."
     if record.outcome is Outcome.NOT_SUCCEEDED:
         return f"**Did not succeed**: no policy reached the goal on hardware, after {count}."
     if record.outcome is Outcome.WAITING:
-        return f"**Waiting**, after {count}: {reason}"
+        return f"**Waiting**, after {count}: {markdown.text(reason)}"
     if record.outcome is Outcome.INTERRUPTED:
         return f"**Interrupted**, after {count}."
-    return f"**Ended with an error**, after {count}: `{reason}` (`error.txt`)"
+    return f"**Ended with an error**, after {count}: {markdown.code(reason)} (`error.txt`)"
 
 
 def _count(rows: Sequence[Row], unfinished: int) -> str:

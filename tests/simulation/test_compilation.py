@@ -121,3 +121,25 @@ def test_without_a_folder_to_write_to_it_is_kept_elsewhere(where: str, tmp_path:
     else:
         monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", str(tmp_path))
         assert compilation._folder() == tmp_path / "closed_loops"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="temporary folders are a user's own")
+def test_nothing_is_read_from_a_temporary_folder_of_another_user(tmp_path: Path, monkeypatch) -> None:
+    """Numba runs what it finds in its cache."""
+    from simbias import cache
+    from simbias.simulation import compilation
+
+    monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
+    monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(cache.tempfile, "tempdir", str(tmp_path))
+    private = tmp_path / f"simbias-{os.getuid()}"
+    assert compilation._folder() == private / "closed_loops"
+    assert private.stat().st_mode & 0o077 == 0
+    private.chmod(0o777)
+    with pytest.raises(OSError, match="is another user's; XDG_CACHE_HOME names a folder"):
+        compilation._folder()
+    private.rename(tmp_path / "other")
+    private.symlink_to("other")
+    with pytest.raises(OSError, match="is another user's"):
+        compilation._folder()

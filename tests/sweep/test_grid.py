@@ -145,6 +145,10 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
         (["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"], "bias=nosuch: no such option"),
         (["+sweep=smoke", "+sweep.axes.bias=[]"], "sweep.axes.bias: has no values"),
         (["+sweep=smoke", "+sweep.axes.bias=gp"], "sweep.axes.bias: must be a list of values, got 'gp'"),
+        (
+            ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['a\tb']}"],
+            "sweep.axes.x: has a name or label with letters that cannot be printed",
+        ),
         (["+sweep=smoke", "+sweep.axes.bias=[gp, gp]"], "sweep.axes.bias: has the same value or label twice"),
         (["+sweep=smoke", "+sweep.axes.seed=[1, 2]"], "sweep.axes.seed: seed is set elsewhere"),
         (["+sweep=smoke", "+sweep.axes.x={keys: hardware.inertia_error, values: [0.1]}"], "set elsewhere"),

@@ -90,7 +90,7 @@ def test_a_row_tells_failures_in_the_tasks_words(point_mass: Study, reset: bool)
         learning=Learning(empty, point_mass.no_data, reset),
         seconds={"experiments": 1.0, "learning": 0.5},
     )
-    words = "3 of 4 experiments failed: too far from the origin, lost  sight "
+    words = "3 of 4 experiments failed: too far from the origin, lost &#42;sight&#42;"
     assert notes.row(point_mass, iteration) == notes.Row(
         4, None, 10.0, 0, 1.5, f"{words}; model cleared" if reset else words, False, 9
     )

@@ -1,0 +1,46 @@
+"""What is read is data, never code."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from simbias.tracking.files import load_rollout, load_transitions
+
+FILES = sorted((ROOT / "simbias").rglob("*.py"))
+RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jsonpickle", "yaml"}
+COMPILES_OWN_TEXT = {"exec": ["compilation.py"], "compile": ["compilation.py"]}
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(ROOT)))
+def test_nothing_runs_what_it_reads(file: Path) -> None:
+    """But for YAML's errors: configs are read by OmegaConf, whose loader makes plain values only."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            assert not RUNS_WHAT_IT_READS & {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module in RUNS_WHAT_IT_READS:
+            assert [alias.name for alias in node.names] == ["YAMLError"]
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            allowed = COMPILES_OWN_TEXT.get(node.func.id, [])
+            assert node.func.id not in ("eval", "exec", "compile") or file.name in allowed
+        elif isinstance(node, ast.keyword):
+            assert node.arg != "allow_pickle"
+
+
+@pytest.mark.parametrize("load", [load_rollout, load_transitions])
+def test_a_file_of_a_store_that_holds_objects_is_refused(load, tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+
+    class Evil:
+        def __reduce__(self) -> tuple:
+            return Path.touch, (ran,)
+
+    names = ("states", "inputs", "residuals")
+    np.savez(tmp_path / "evil.npz", **{name: np.array([Evil()], dtype=object) for name in names})
+    with pytest.raises(ValueError, match="allow_pickle"):
+        load(tmp_path / "evil.npz")
+    assert not ran.exists()
