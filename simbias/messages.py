@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import traceback
-from typing import Any
 
-REASON_LENGTH = 500  # characters of an error in one line
-VALUE_LENGTH = 80  # of a value in it
+LONGEST = 300  # characters of a message
+LONGEST_REASON = 500  # of what an error says, where it is kept
+LONGEST_VALUE = 80  # of a value in a message
 
 
 def printable(text: str) -> str:
@@ -17,17 +18,32 @@ def printable(text: str) -> str:
     )
 
 
-def one_line(error: BaseException, length: int = REASON_LENGTH) -> str:
-    """An error's message, not too long; some errors cannot even say what they are."""
+def brief(text: str, longest: int = LONGEST) -> str:
+    """Text on one line, without its middle if it is long; nothing in it moves a terminal's cursor."""
+    line = printable(re.sub(r"\s*[\r\n\t]\s*", " ", text.strip()))
+    return line if len(line) <= longest else f"{line[: longest // 2 - 2]} ... {line[3 - longest // 2 :]}"
+
+
+def quoted(value: object) -> str:
+    """A value as Python writes it, not too long; some values cannot be written, as very large integers."""
     try:
-        return printable(" ".join(str(error).split()))[:length]
+        return brief(repr(value), LONGEST_VALUE)
+    except (Exception, SystemExit):
+        return f"a value of type {type(value).__name__}"
+
+
+def words(error: BaseException, longest: int = LONGEST_REASON) -> str:
+    """What an error says, not too long, or else its type; some errors cannot even say what they are."""
+    try:
+        return brief(str(error), longest) or type(error).__name__
     except (Exception, SystemExit):
         return "(its message cannot be read)"
 
 
-def with_type(error: BaseException, length: int = REASON_LENGTH) -> str:
-    """An error's type and message."""
-    return ": ".join(filter(None, [type(error).__name__, one_line(error, length)]))
+def with_type(error: BaseException, longest: int = LONGEST_REASON) -> str:
+    """An error's type and what it says."""
+    name, said = type(error).__name__, words(error, longest)
+    return name if said == name else f"{name}: {said}"
 
 
 def with_trace(error: BaseException) -> str:
@@ -36,12 +52,3 @@ def with_trace(error: BaseException) -> str:
         return printable("".join(traceback.format_exception(error)))
     except Exception:
         return with_type(error)
-
-
-def value(thing: Any) -> str:
-    """A value in one short line."""
-    try:
-        text = printable(" ".join(repr(thing).split()))
-    except (Exception, SystemExit):
-        text = type(thing).__name__
-    return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 4]} ..."

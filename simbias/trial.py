@@ -10,7 +10,7 @@ from enum import StrEnum
 from threadpoolctl import threadpool_limits
 
 from simbias.interfaces import Waiting
-from simbias.messages import one_line, with_trace, with_type
+from simbias.messages import with_trace, with_type, words
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
 
@@ -115,7 +115,7 @@ def run_trial(
             succeeded = bool(run.iterations) and run.iterations[-1].succeeded
             record = run.record(Outcome.SUCCEEDED if succeeded else Outcome.NOT_SUCCEEDED)
         except Waiting as reason:
-            record = run.record(Outcome.WAITING, one_line(reason))
+            record = run.record(Outcome.WAITING, words(reason))
         except (Exception, SystemExit) as error:
             record = run.record(Outcome.ERROR, with_type(error), with_trace(error))
             record = replace(record, traceback_file=recorder.explained(record.traceback))

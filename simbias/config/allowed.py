@@ -13,7 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from simbias.config.errors import ConfigError, quoted, words
+from simbias.config.errors import ConfigError
+from simbias.messages import quoted, words
 
 OWN = "simbias"
 FILE = "components.yaml"  # in a folder of configs: `allow: [my_robot]`

@@ -13,7 +13,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import TARGET, check_allowed
-from simbias.config.errors import ConfigError, quoted, words
+from simbias.config.errors import ConfigError
+from simbias.messages import quoted, words
 
 
 def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = (), **provided: Any) -> Any:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
-from simbias.config.errors import ConfigError, words
+from simbias.config.errors import ConfigError
+from simbias.messages import words
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override

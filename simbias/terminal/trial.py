@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from simbias.config.errors import brief
 from simbias.interfaces import SlowWarning
+from simbias.messages import brief
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
 from simbias.trial import Outcome, TrialRecord

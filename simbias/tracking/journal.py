@@ -24,7 +24,7 @@ from filelock import FileLock, Timeout
 from simbias.config.errors import ConfigError
 from simbias.experiments import Conducted
 from simbias.interfaces import Hardware, Optimizer, Policy, Task
-from simbias.messages import one_line
+from simbias.messages import words
 from simbias.records import Array, Optimum, Rollout
 from simbias.search import Evaluations
 from simbias.study import Study
@@ -167,7 +167,7 @@ class KeptHardware(Conducted):
         try:
             paths = self._journal.refuse(returned, theta, start, why)
         except Exception as error:  # which must not hide what was wrong
-            return f"; it could not be kept ({one_line(error)})"
+            return f"; it could not be kept ({words(error)})"
         return f"; it is kept in {paths[0]} and {paths[1].suffix}"
 
 

@@ -10,7 +10,8 @@ import pytest
 
 import simbias
 from simbias.config import ConfigError, compose, composition
-from simbias.config.errors import LONGEST, LONGEST_KEY
+from simbias.config.errors import LONGEST_KEY
+from simbias.messages import LONGEST
 from simbias.sweep.grid import expand
 
 DEEP = "a: " + 3000 * "[" + 3000 * "]"
@@ -84,12 +85,12 @@ def test_a_folder_may_have_any_name(tmp_path: Path, name: str) -> None:
 
 
 def test_an_error_that_cannot_speak_is_one_line() -> None:
-    from simbias.config.errors import quoted, words
+    from simbias.messages import quoted, words
 
     class Mute(Exception):  # noqa: N818
         def __str__(self) -> str:
             raise RuntimeError
 
-    assert words(Mute()) == "Mute"
+    assert words(Mute()) == "(its message cannot be read)"
     assert words(ValueError()) == "ValueError"
     assert quoted(10**5000) == "a value of type int"

@@ -13,7 +13,8 @@ import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError, compose, memory, options, sweeps
 from simbias.config.components import component_class, constructor_parameters
-from simbias.config.errors import LONGEST, LONGEST_KEY
+from simbias.config.errors import LONGEST_KEY
+from simbias.messages import LONGEST
 
 GROUPS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 
