@@ -42,6 +42,7 @@ def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "conf" / "hardware" / "faulty.yaml").write_text(
         "_target_: faulty_hardware.Faulty\nfault: none\n"
     )
+    (folder / "conf" / "components.yaml").write_text("allow: [faulty_hardware]\n")
     connect(f"sqlite:///{folder}/mlflow.db", "another")
     return folder
 

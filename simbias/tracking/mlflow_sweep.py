@@ -101,6 +101,7 @@ class MlflowSweep(TrackedSweep):
 
         The trial's journal is needed no longer once its run is FINISHED.
         """
+        self._rows.pop(trial.hash, None)  # of an attempt that raised
         if trial.hash in self._unfinished:
             run = self._client.get_run(self._unfinished[trial.hash])
         else:

@@ -130,7 +130,7 @@ def test_direct_finds_known_minimum(name: str, problem: str) -> None:
         ("hybrid", "sphere", 5),
         ("hybrid", "branin", 5),
         ("hybrid", "rosenbrock", 5),
-        ("hybrid", "hartmann6", 5),
+        ("hybrid", "hartmann6", 2),
         ("nlopt_crs", "sphere", 5),
         ("nlopt_crs", "branin", 4),  # a chance improvement below the tolerance ends CRS2 early
     ],

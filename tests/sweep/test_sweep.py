@@ -174,7 +174,7 @@ def test_what_is_read_is_what_was_kept(folder: Path, monkeypatch: pytest.MonkeyP
     assert runs(folder)[0][0].info.status == "FAILED"
     tracked = store_of_trials.open_sweep(sweep, "again")
     assert tracked.finished == {first.hash}
-    monkeypatch.setattr(MlflowTrial, "_log_metrics", full_disk)
+    monkeypatch.setattr(MlflowTrial, "_flush", full_disk)
     with pytest.raises(OSError, match="full"):
         tracked.keep(second, build(second.composition), record)
     assert list(tracked.results()["hash"]) == [first.hash]

@@ -41,10 +41,10 @@ from simbias.records import (
 )
 from simbias.study import Study
 from simbias.tracking.contract import TrackedTrial
+from simbias.tracking.fields import TRIAL_METRICS
 from simbias.tracking.files import load_rollout, load_transitions
 from simbias.tracking.mlflow import SPARING, Mlflow
 from simbias.tracking.none import NoTracking
-from simbias.tracking.rows import METRICS
 from simbias.tracking.store import connect
 from simbias.trial import Outcome, TrialRecord
 
@@ -407,7 +407,7 @@ def test_a_run_that_cannot_be_ended_does_not_run_for_ever(
 ) -> None:
     trial = open_trial(folder, described())
     with monkeypatch.context() as patch:
-        patch.setattr(MlflowClient, "log_artifact", full_disk)
+        patch.setattr(MlflowClient, "log_artifacts", full_disk)
         with pytest.raises(OSError, match="disk full"):
             keep(trial, [], Outcome.ERROR, **REASONS[Outcome.ERROR])
     assert read(folder).info.status == "FAILED"
@@ -474,7 +474,7 @@ def test_a_trial_that_a_sweep_ended_is_not_run_again(folder: Path) -> None:
     trial = open_trial(folder, study)
     assert run_id(trial) != unfinished.info.run_id  # it is the sweep's own to go on with
     client.set_tag(unfinished.info.run_id, "outcome", Outcome.SUCCEEDED)
-    for name in METRICS:
+    for name in TRIAL_METRICS:
         client.log_metric(unfinished.info.run_id, name, 1.0)
     client.set_terminated(unfinished.info.run_id, "FINISHED")
     assert run_id(open_trial(folder, study)) == unfinished.info.run_id
@@ -502,7 +502,7 @@ def test_where_journals_are(folder: Path, tmp_path: Path, given: bool) -> None:
 def test_a_trial_that_cannot_be_described_is_no_running_run(folder: Path) -> None:
     indescribable = described(bias=object())
     for _ in range(2):  # nor does it keep anyone from trying again
-        with pytest.raises(ConfigError, match="'object' is not a supported primitive type"):
+        with pytest.raises(ConfigError, match="cannot represent an object"):
             open_trial(folder, indescribable)
         assert read(folder).info.status == "FAILED"
 
