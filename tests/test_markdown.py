@@ -64,4 +64,4 @@ def test_words_of_others_are_no_style_in_a_terminal(study: Study) -> None:
     odd = replace(study, composition=replace(study.composition, choices=choices))
     with TrialConsole(odd, Console(file=out)):
         pass
-    assert "bias [/bold] [red]?[2J, optimizer" in out.getvalue()
+    assert "bias [/bold] [red]\\x1b[2J, optimizer" in out.getvalue()
