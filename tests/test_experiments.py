@@ -18,6 +18,8 @@ from simbias.interfaces import Hardware, HardwareError, Policy, Waiting
 from simbias.records import Array, Rollout
 from simbias.study import Study
 
+pytestmark = pytest.mark.slow
+
 LINES = {
     "zero division": "run: expected a Rollout, got ZeroDivisionError: division by zero",
     "recursion": "run: expected a Rollout, got RecursionError: maximum recursion depth exceeded",

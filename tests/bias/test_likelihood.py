@@ -16,6 +16,8 @@ from simbias.bias.likelihood import LEAST_NOISE, Learning, learned, log_marginal
 from simbias.records import Array, Transitions
 from simbias.study import Study
 
+pytestmark = pytest.mark.slow
+
 FLAT = Learning(1e3, 1e3, 1e3, points=1000)  # priors that say nothing
 
 

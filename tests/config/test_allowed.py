@@ -15,6 +15,8 @@ from simbias.config.build import build
 from simbias.sweep.grid import expand
 from simbias.sweep.worker import Plan, run_plan
 
+pytestmark = pytest.mark.slow
+
 CLASS = """
 from pathlib import Path
 from simbias.bias.none import NoBias

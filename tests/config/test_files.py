@@ -14,6 +14,8 @@ from simbias.config.errors import LONGEST_KEY
 from simbias.messages import LONGEST
 from simbias.sweep.grid import expand
 
+pytestmark = pytest.mark.slow
+
 DEEP = "a: " + 3000 * "[" + 3000 * "]"
 BROKEN: dict[str, Callable[[Path], object]] = {
     "folder": Path.mkdir,

@@ -47,6 +47,7 @@ def components() -> Iterator[tuple[str, type]]:
             yield f"{name}: {figure}", component_class(spec, figure)
 
 
+@pytest.mark.slow
 def test_every_number_is_bounded_on_both_sides() -> None:
     found = 0
     for where, component in components():

@@ -90,7 +90,7 @@ def test_a_search_that_changes_its_mind_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("name", SEARCHES)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(points=st.integers(1, 200), seed=st.integers(0, 99))
 def test_a_search_ends_with_its_steps(name: str, points: int, seed: int) -> None:
     """After the batch in which they are used up; its best point is the best of all that it counts."""
