@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from simbias import __version__
-from simbias.commands import python
+from simbias.commands import add_own_components, python
 from simbias.config import Composition, ConfigError, compose, options, sweeps
 
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
@@ -86,16 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
     parser.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
-    parser.add_argument(
-        "--config-dir", metavar="DIR", help="a folder with groups, options and sweeps/ of your own"
-    )
-    parser.add_argument(
-        "--allow",
-        metavar="MODULE",
-        action="append",
-        default=[],
-        help="a module or package whose classes a config may name, beside those next to DIR; may be repeated",
-    )
+    add_own_components(parser)
     parser.add_argument("--version", action="version", version=f"simbias {__version__}")
     return parser
 

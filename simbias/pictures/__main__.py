@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from simbias import load, load_trial
+from simbias.commands import add_own_components
 from simbias.config import ConfigError
 from simbias.interfaces import HardwareError, Waiting
 from simbias.pictures.drawing import NoPictureError
@@ -58,14 +59,7 @@ def _parser() -> argparse.ArgumentParser:
         "more", nargs="*", metavar="FOLDER | override", help="overrides as of python -m simbias"
     )
     parser.add_argument("--uri", default="sqlite:///mlflow.db", help="the run's store (default: %(default)s)")
-    parser.add_argument("--config-dir", metavar="DIR", help="a folder with groups and options of your own")
-    parser.add_argument(
-        "--allow",
-        metavar="MODULE",
-        action="append",
-        default=[],
-        help="a module or package whose classes a config may name, beside those next to DIR; may be repeated",
-    )
+    add_own_components(parser)
     return parser
 
 
