@@ -153,9 +153,13 @@ class Study:
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
-        theta = np.zeros(self.policy.n_parameters)
-        self.simulate(theta)
-        self.evaluation.objective(self.model(), self.cost, np.random.default_rng(0))(theta)
+        theta, rng = np.zeros(self.policy.n_parameters), np.random.default_rng(0)
+        n, m = len(self.task.states), len(self.task.inputs)
+        some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
+        for data in (self.no_data, some_data):  # a bias may have another kernel once it has learned
+            fitted_bias = self.bias.fit(data)
+            self.simulate(theta, fitted_bias)
+            self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     @property
     def no_data(self) -> Transitions:

@@ -20,6 +20,7 @@ from simbias.bias.none import ZeroBias
 from simbias.config.build import build
 from simbias.interfaces import SlowWarning
 from simbias.records import Array, Transitions
+from simbias.simulation.fused import compiled_loop
 from simbias.simulation.kernels import LANES
 from simbias.study import Study
 from simbias.sweep.worker import Plan, run_plan
@@ -194,3 +195,16 @@ def test_repeated_points_need_jitter_and_get_it() -> None:
     np.testing.assert_allclose(L @ L.T, K, atol=1e-6)
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         stable_cholesky(-np.eye(3))
+
+
+def test_warming_up_compiles_what_a_search_needs_once_something_is_learned(study: Study) -> None:
+    """The kernel is another one with data; none of it is left for the first search through it."""
+    compiled_loop.cache_clear()
+    study.warm_up()
+    before = compiled_loop.cache_info().misses
+    for transitions in (study.no_data, data(30)):
+        model = study.model(study.bias.fit(transitions))
+        evaluation = study.evaluation.objective(model, study.cost, np.random.default_rng(0))
+        evaluation(np.zeros(study.policy.n_parameters))
+        study.simulate(np.zeros(study.policy.n_parameters), model.bias)
+    assert compiled_loop.cache_info().misses == before
