@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -23,6 +24,7 @@ from simbias.interfaces import (
     Policy,
     Samples,
     Simulator,
+    SlowWarning,
     Task,
 )
 from simbias.records import Array, Iteration, Rollout, Transitions
@@ -156,10 +158,16 @@ class Study:
         theta, rng = np.zeros(self.policy.n_parameters), np.random.default_rng(0)
         n, m = len(self.task.states), len(self.task.inputs)
         some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
-        for data in (self.no_data, some_data):  # a bias may have another kernel once it has learned
-            fitted_bias = self.bias.fit(data)
-            self.simulate(theta, fitted_bias)
-            self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
+        self._warm_up(self.no_data, theta, rng)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SlowWarning)  # which has just been given
+            self._warm_up(some_data, theta, rng)  # a bias may have another kernel once it has learned
+
+    def _warm_up(self, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
+        """Compile what is needed with the bias that is learned from some data."""
+        fitted_bias = self.bias.fit(data)
+        self.simulate(theta, fitted_bias)
+        self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     @property
     def no_data(self) -> Transitions:
