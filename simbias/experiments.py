@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextvars import copy_context
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,12 @@ class Conducted(Hardware):
         self._task = task
         self._timeout = timeout
         self.sets_start = hardware.sets_start
+
+    def around(self, hardware: Hardware, task: Task) -> Conducted:
+        """The same of another hardware."""
+        other = copy(self)
+        other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
+        return other
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment.

@@ -386,7 +386,7 @@ def test_measures_are_those_that_the_report_names() -> None:
     laid = layout(cells(trials_frame(sweep), sweep), sweep)
     assert [head.rpartition(": ")[2] for head in laid.head[-2:]] == ["iterations", "succeeded"]
     assert [line[-2:] for line in laid.body] == [["2.0", "3/3"]] * 2
-    assert "iterations: likewise" in legend(sweep)
+    assert "iterations: likewise" in legend(sweep, results.frame([], sweep))
 
 
 def test_a_number_at_the_head_of_columns_says_of_what() -> None:
