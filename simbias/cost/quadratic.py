@@ -74,9 +74,13 @@ class Quadratic(Cost):
         )
 
     def with_horizon(self, horizon: int) -> Quadratic:
-        """The cost of rollouts that may take so many frames."""
+        """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
+
+        Otherwise the effort would grow with the horizon, the peak would not, and another policy be the best.
+        """
         longer = copy(self)
-        longer._horizon = horizon
+        longer._horizon, longer._Q = horizon, self._Q * (self._horizon / horizon)
+        longer.kernel = Kernel(self.kernel.function, np.concatenate([longer._R, longer._Q]))
         return longer
 
     def of(self, rollout: Rollout) -> float:
