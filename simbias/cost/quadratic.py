@@ -22,29 +22,8 @@ def _peak_and_effort(x, u, weights, totals):
     return max(peak, distance), effort
 
 
-def _and_what_is_left(x, u, weights, totals):
-    """Likewise, and the last distance and the sum of all, for costs that ask for them."""
-    peak, effort, _, sum_of_distances = totals
-    distance = 0.0
-    for i in range(len(x)):
-        distance += weights[i] * (x[i] * x[i])
-    for i in range(len(u)):
-        effort += weights[len(x) + i] * (u[i] * u[i])
-    return max(peak, distance), effort, distance, sum_of_distances + distance
-
-
 class Quadratic(Cost):
-    """Z = c (T - t_fail) + max x^T R x + sum u^T Q u (Eq. 8), R and Q diagonal.
-
-    Parameters
-    ----------
-    failure_weight, state_weights, input_weights, max_cost
-        c, the diagonals of R and Q, and Z_max.
-    final_weight
-        Of x^T R x at the end, which the cost has besides.
-    mean_weight
-        Of the mean of x^T R x over all frames, likewise.
-    """
+    """Z = c (T - t_fail) + max x^T R x + sum u^T Q u (Eq. 8), R and Q diagonal."""
 
     def __init__(
         self,
@@ -53,8 +32,6 @@ class Quadratic(Cost):
         state_weights: list[NonNegative],
         input_weights: list[NonNegative],
         max_cost: Positive,
-        final_weight: NonNegative = 0.0,
-        mean_weight: NonNegative = 0.0,
     ) -> None:
         for name, weights, quantities in (
             ("state_weights", state_weights, task.states),
@@ -66,12 +43,8 @@ class Quadratic(Cost):
         self._horizon = task.horizon
         self._failure_weight = failure_weight
         self._R, self._Q = np.array(state_weights), np.array(input_weights)  # diagonals (n,), (m,)
-        self._final_weight, self._mean_weight = final_weight, mean_weight
-        more = final_weight > 0 or mean_weight > 0
-        self.totals = 4 if more else 2
-        self.kernel = Kernel(
-            _and_what_is_left if more else _peak_and_effort, np.concatenate([self._R, self._Q])
-        )
+        self.kernel: Kernel = Kernel(_peak_and_effort, np.concatenate([self._R, self._Q]))
+        self.totals = 2
 
     def with_horizon(self, horizon: int) -> Quadratic:
         """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
@@ -86,18 +59,10 @@ class Quadratic(Cost):
     def of(self, rollout: Rollout) -> float:
         """Z of a rollout (Eq. 8)."""
         lost = 0 if rollout.failed_at is None else self._horizon - rollout.failed_at
-        distances = np.square(rollout.states[1:]) @ self._R
-        peak = np.fmax.reduce(distances, initial=0.0)  # a state may be nan
+        peak = np.fmax.reduce(np.square(rollout.states[1:]) @ self._R, initial=0.0)  # a state may be nan
         effort = np.sum(np.square(rollout.inputs) @ self._Q)
-        cost = self._failure_weight * lost + peak + effort
-        if self.totals > 2 and len(distances):
-            cost += self._final_weight * distances[-1] + self._mean_weight * np.mean(distances)
-        return float(cost)
+        return float(self._failure_weight * lost + peak + effort)
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (k,) of rollouts whose peaks and efforts are totals (k, 2) and who lost so many frames (k,)."""
-        cost = self._failure_weight * lost + totals[:, :2].sum(axis=1)
-        if self.totals > 2:
-            frames = np.maximum(self._horizon - lost, 1)
-            cost += self._final_weight * totals[:, 2] + self._mean_weight * totals[:, 3] / frames
-        return cost
+        return self._failure_weight * lost + totals.sum(axis=1)
