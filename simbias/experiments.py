@@ -41,9 +41,11 @@ class Conducted(Hardware):
         self.sets_start = hardware.sets_start
 
     def around(self, hardware: Hardware, task: Task) -> Conducted:
-        """The same of another hardware."""
+        """The same of another hardware, on a task whose experiments may take longer or shorter."""
         other = copy(self)
         other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
+        if self._timeout is not None:
+            other._timeout = self._timeout * task.horizon / self._task.horizon
         return other
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:

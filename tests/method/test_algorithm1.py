@@ -308,7 +308,7 @@ def predicts_something(bias: FittedBias) -> bool:
 
 
 def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
-    """Further experiments follow those of an iteration as long as all pass, and count; None changes nothing."""
+    """Further experiments follow those of an iteration as long as all pass, and count."""
     hardware = [0.9, 0.0] + [0.0, 0.0, 0.9] + [0.0] * 4
     iterations = scripted(point_mass, [0.1] * 3, hardware, passes=4)
     assert [i.succeeded for i in iterations] == [False, False, True]
