@@ -148,6 +148,36 @@ def test_the_parent_tells_everything(folder: Path, capsys: pytest.CaptureFixture
     assert len(runs(folder)[1]) == 4
 
 
+def test_last_policies_are_tried_and_told(folder: Path) -> None:
+    """By the workers, after the trials; table, metrics and files tell of it, also when read again."""
+    tries = ["held_out.starts=3", "held_out.lasting=1", "held_out.seconds=0.4"]
+    told = "+sweep.report.measures=[experiments,hardware_seconds,held,reliable,lasted]"
+    again = ["+sweep=smoke", *QUICK, *tries, told, store(folder)]
+    trials = simbias.run_sweep(again)
+    assert set(trials["held_out"]) == {"111"}  # nobody falls within 0.2 s
+    frames = [len(each) for each in _experiments(folder)]
+    assert trials["hardware_seconds"].sum() == pytest.approx(0.001 * sum(frames))
+    (parent,), kept = runs(folder)
+    assert "| 100% | 100% | 100% |" in (artifacts(parent) / "table.md").read_text()
+    assert "held: mean share of 3 held-out starts" in parent.data.tags["mlflow.note.content"]
+    for trial in kept:
+        assert trial.data.metrics["held_out/held"] == 1.0
+        assert trial.data.metrics["held_out/seconds"] == pytest.approx(0.4)
+        assert "Its last policy holds 3 of 3 held-out starts" in trial.data.tags["mlflow.note.content"]
+        rows = pd.read_csv(artifacts(trial) / "held_out.csv")
+        assert list(rows["lasted_seconds"]) == pytest.approx([0.4, 0.2, 0.2])
+    pd.testing.assert_frame_equal(simbias.run_sweep(again), trials, check_exact=False)
+
+
+def _experiments(folder: Path) -> list[Any]:
+    """The inputs of all experiments that a store holds."""
+    return [
+        np.load(file)["inputs"]
+        for trial in runs(folder)[1]
+        for file in (artifacts(trial) / "experiments").iterdir()
+    ]
+
+
 def test_what_is_read_is_what_was_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And what could not be written in full is as if it had never been."""
     sweep = expand(["+sweep=smoke", *QUICK, store(folder)])
