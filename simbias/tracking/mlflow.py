@@ -19,7 +19,7 @@ from simbias.records import Iteration, Rollout
 from simbias.tracking import fields, files, notes, pages
 from simbias.tracking.artifacts import remove_file, remove_uploads
 from simbias.tracking.contract import TrackedSweep, TrackedTrial, Tracking
-from simbias.tracking.journal import ERROR, Journal, acquired, refused, remove
+from simbias.tracking.journal import ERROR, Journal, acquire, refusals, remove
 from simbias.tracking.rows import FINISHED, is_finished, row_of
 from simbias.tracking.store import connect, database, exists, reaching
 from simbias.trial import Outcome, TrialRecord
@@ -117,7 +117,7 @@ class Mlflow(Tracking):
         client, experiment_id = connect(self._uri, self._experiment)
         folder = self._folder()
         taken = ConfigError("sweep", "another process is running this sweep into the same store")
-        lock = acquired(folder / f"sweep_{sweep.hash}.lock", 0.0, taken)
+        lock = acquire(folder / f"sweep_{sweep.hash}.lock", 0.0, taken)
         pictures = IN_SWEEPS if self._pictures else ()
         try:
             with reaching(self._uri):
@@ -150,7 +150,7 @@ class Mlflow(Tracking):
     def _where(self, experiment_id: str, run_id: str) -> str:
         """How to look at a run: a command and an address."""
         page = "/" + pages.run_page(experiment_id, run_id)
-        uri = fields.shown(self._uri)
+        uri = fields.redact(self._uri)
         if uri.startswith(("http://", "https://")):
             return uri.rstrip("/") + page
         ui = f"{SPARING} {python()} -m mlflow ui --workers 1"
@@ -288,7 +288,7 @@ class MlflowTrial(TrackedTrial):
             pending.files.append((ERROR, partial(_write_text, record.traceback)))
         if self._folder:
             pending.files += [
-                (f"{REFUSED}/{path.name}", partial(_copy, path)) for path in refused(self._folder)
+                (f"{REFUSED}/{path.name}", partial(_copy, path)) for path in refusals(self._folder)
             ]
         pending.files += self._experiment_files(len(record.iterations), record.unfinished)
         self._time = record.started + record.seconds

@@ -129,7 +129,7 @@ class MlflowSweep(TrackedSweep):
 
     def results(self) -> DataFrame:
         """The trials that are in the store: nobody else writes them while this sweep runs."""
-        return results.ordered(self._rows, self._sweep)
+        return results.in_order(self._rows, self._sweep)
 
     def load(self, run_id: str) -> RecordedTrial:
         """A trial, read back."""
