@@ -49,7 +49,7 @@ def conf(tmp_path: Path) -> Path:
 
 def test_nobody_asks_for_them(conf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(expand(["+sweep=good", "bias=good", "tracking=none"], conf).trials) == 1
-    monkeypatch.setattr(composition, "shipped", lambda folder: conf / folder)
+    monkeypatch.setattr(composition, "resource_folder", lambda folder: conf / folder)
     assert all(name.isprintable() for name in composition.sweeps())
     assert {"good", "cut"} <= set(composition.sweeps())
     assert not {"folder", "dangling", "circle", "pipe"} & set(composition.sweeps())
