@@ -74,7 +74,7 @@ class Tries:
         )
 
 
-def tried(
+def try_policy(
     study: Study,
     theta: Array,
     held_out: HeldOut,
@@ -94,7 +94,8 @@ def tried(
     task = study.task
     horizons = _horizons(study, held_out)
     studies = {
-        horizon: study if horizon == task.horizon else study.over(horizon) for horizon in set(horizons)
+        horizon: study if horizon == task.horizon else study.with_horizon(horizon)
+        for horizon in set(horizons)
     }
     each = []
     for number, rng in enumerate(np.random.default_rng(SEED).spawn(held_out.starts)):

@@ -163,14 +163,14 @@ class Study:
             return self.hardware
         return Conducted(self.hardware, self.task, self.experiment_timeout)
 
-    def over(self, horizon: int) -> Study:
+    def with_horizon(self, horizon: int) -> Study:
         """The study of a task that takes so many frames; its hardware is constructed anew for it.
 
         Its costs are those of the old horizon.
         """
         task, config = self.task.with_horizon(horizon), self.config["hardware"]
         hardware = construct(config, Hardware, "hardware", self.composition.allowed, task=task)
-        return replace(self, task=task, hardware=self.conducted().around(hardware, task))
+        return replace(self, task=task, hardware=self.conducted().wrap(hardware, task))
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""

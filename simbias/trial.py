@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from threadpoolctl import threadpool_limits
 
-from simbias.held_out import Tries, tried
+from simbias.held_out import Tries, try_policy
 from simbias.interfaces import Waiting
 from simbias.messages import with_trace, with_type, words
 from simbias.records import Array, Iteration, Rollout
@@ -172,7 +172,7 @@ class _Run(Observer):
         """Try the last policy from held-out starts, if the study asks for that."""
         if self.iterations:
             theta = self.iterations[-1].parameters
-            self._held_out = tried(study, theta, study.held_out, self._observer.trying)
+            self._held_out = try_policy(study, theta, study.held_out, self._observer.trying)
 
     def record(self, outcome: Outcome, reason: str = "", trace: str = "") -> TrialRecord:
         """What has been done, and how it ended."""

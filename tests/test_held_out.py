@@ -12,11 +12,11 @@ from conftest import OWN_CONF, POINT_MASS
 from records import assert_equal, timeless
 
 import simbias
-from simbias.held_out import SEED, Tries, Try, tried
+from simbias.held_out import SEED, Tries, Try, try_policy
 from simbias.interfaces import Hardware, Policy, Waiting
 from simbias.records import Array, Rollout
 from simbias.study import HeldOut, Study
-from simbias.sweep.tables import attainable
+from simbias.sweep.tables import attainable_starts
 from simbias.tracking.fields import holds, trial_metrics
 from simbias.tracking.files import held_out_text
 from simbias.tracking.journal import Journal
@@ -59,7 +59,7 @@ def test_the_starts_are_those_of_every_seed_and_the_tries_are_experiments() -> N
     one, other = study("seed=1"), study("seed=2")
     theta = np.array([-3.0, -3.0])[: one.policy.n_parameters]
     theta = np.resize(theta, one.policy.n_parameters)
-    tries = [tried(each, theta, HeldOut(4, lasting=0)) for each in (one, other)]
+    tries = [try_policy(each, theta, HeldOut(4, lasting=0)) for each in (one, other)]
     assert tries[0] is not None
     assert_equal(tries[0], tries[1])
     rngs = np.random.default_rng(SEED).spawn(4)
@@ -74,11 +74,11 @@ def test_the_first_ones_go_on_beyond_the_horizon() -> None:
     point_mass = study()
     horizon = point_mass.task.horizon * point_mass.task.time_step
     theta = np.zeros(point_mass.policy.n_parameters)
-    tries = tried(point_mass, theta, HeldOut(3, lasting=2, seconds=2.5 * horizon))
+    tries = try_policy(point_mass, theta, HeldOut(3, lasting=2, seconds=2.5 * horizon))
     assert tries is not None
     assert [each.asked for each in tries.each] == pytest.approx([2.5 * horizon] * 2 + [horizon])
     assert all(each.seconds <= each.asked + 1e-9 for each in tries.each)
-    assert tried(point_mass, theta, HeldOut(3, lasting=3, seconds=0.5 * horizon)).going_on == ()  # type: ignore[union-attr]
+    assert try_policy(point_mass, theta, HeldOut(3, lasting=3, seconds=0.5 * horizon)).going_on == ()  # type: ignore[union-attr]
 
 
 def test_no_try_is_made_twice(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_what_is_told_of_tries() -> None:
 
 def test_a_start_that_no_policy_holds_counts_against_none() -> None:
     def of(*texts: str) -> list[bool]:
-        return attainable(pd.DataFrame({"held_out": list(texts)}))
+        return attainable_starts(pd.DataFrame({"held_out": list(texts)}))
 
     assert of("110", "", "100") == [True, True, False]
     assert of("000", "000") == [True] * 3

@@ -133,10 +133,10 @@ def _law(m: int, q: int, d: int) -> Callable:
     """The kernel of m inputs, q outputs and d frames; see `DynamicOutputFeedback.act`."""
     smoothing, gathering, g = m + m * q, m + m * q + q, m + m * q + 2 * q  # where they begin
 
-    def filtered(j, z, p, memory):
+    def smooth(j, z, p, memory):
         return memory[j] + p[smoothing + j] * (z[j] - memory[j])
 
-    def asked(i, y, p, memory):
+    def ask(i, y, p, memory):
         u, past = 0.0, 0.0
         for j in range(q):
             u += p[m + i * q + j] * (y[j] + memory[q + j])
@@ -144,31 +144,31 @@ def _law(m: int, q: int, d: int) -> Callable:
             past += memory[2 * q + i * d + k]
         return u + p[g + i] * past
 
-    def limited(i, u, p, memory):
+    def limit(i, u, p, memory):
         return min(max(u[i], -p[i]), p[i])
 
-    def beyond(i, asked_and_limited, p, memory):
-        return asked_and_limited[i] - asked_and_limited[m + i]
+    def exceed(i, wanted_and_sent, p, memory):
+        return wanted_and_sent[i] - wanted_and_sent[m + i]
 
-    def gathered(j, y_and_free, p, memory):
+    def integrate(j, y_and_free, p, memory):
         return memory[q + j] + p[gathering + j] * y_and_free[j] * y_and_free[q]
 
-    def shifted(index, u, p, memory):
+    def shift(index, u, p, memory):
         return u[index // d] if index % d == 0 else memory[2 * q + index - 1]
 
-    filter_all, ask_all, limit_all = _each(filtered, q), _each(asked, m), _each(limited, m)
-    compare_all, gather_all, shift_all = _each(beyond, m), _each(gathered, q), _each(shifted, m * d)
+    smooth_all, ask_all, limit_all = _each(smooth, q), _each(ask, m), _each(limit, m)
+    exceed_all, integrate_all, shift_all = _each(exceed, m), _each(integrate, q), _each(shift, m * d)
 
     def control(z, p, t, memory):
         """u and the next memory."""
-        y = filter_all(z, p, memory)
+        y = smooth_all(z, p, memory)
         wanted = ask_all(y, p, memory)
         u = limit_all(wanted, p, memory)
         excess = 0.0
-        for difference in compare_all(wanted + u, p, memory):
+        for difference in exceed_all(wanted + u, p, memory):
             excess += abs(difference)
         free = 1.0 if excess == 0.0 else 0.0
-        return u, y + gather_all(y + (free,), p, memory) + shift_all(u, p, memory)  # noqa: RUF005 (for Numba)
+        return u, y + integrate_all(y + (free,), p, memory) + shift_all(u, p, memory)  # noqa: RUF005 (for Numba)
 
     return control
 

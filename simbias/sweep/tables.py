@@ -56,12 +56,12 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)
-    paper, possible = sweep.report.paper, attainable(trials)
+    paper, possible = sweep.report.paper, attainable_starts(trials)
     rows = [[*labels, *_measures(own, possible), paper.get(labels, nan)] for labels, own in trials_of.items()]
     return pd.DataFrame(rows, columns=[*names, *MEASURES])
 
 
-def attainable(trials: pd.DataFrame) -> list[bool]:
+def attainable_starts(trials: pd.DataFrame) -> list[bool]:
     """Which held-out starts, the same for all trials, any of their last policies holds; all, if none does.
 
     So starts that nobody could hold count against no policy. What one policy of a sweep holds is possible;
@@ -102,10 +102,10 @@ def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
     rows = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
     measures = sweep.report.measures
-    return arranged(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
+    return arrange(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
 
 
-def arranged(
+def arrange(
     sweep: Sweep, measures: Sequence[str], texts: Callable[[tuple[str, ...]], Sequence[str]]
 ) -> Layout:
     """Texts of every cell, by its labels: the report's column axis side by side, the other axes downwards."""
@@ -200,7 +200,7 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
 
 def _of_held_out(sweep: Sweep, trials: pd.DataFrame) -> str:
     """What the numbers of held-out starts are, where any is told."""
-    possible = attainable(trials)
+    possible = attainable_starts(trials)
     if not possible or not {"held", "reliable", "lasted"} & set(sweep.report.measures):
         return ""
     nobody = len(possible) - sum(possible)

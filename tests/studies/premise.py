@@ -18,7 +18,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 import simbias
-from simbias.held_out import tried
+from simbias.held_out import try_policy
 from simbias.records import Array
 from simbias.study import HeldOut, Study
 
@@ -28,7 +28,7 @@ STARTS = 20
 
 def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
     """From how many held-out starts theta balances the hardware, for the task's horizon."""
-    tries = tried(study, theta, HeldOut(starts, lasting=0))
+    tries = try_policy(study, theta, HeldOut(starts, lasting=0))
     assert tries is not None
     return sum(tries.holds)
 
