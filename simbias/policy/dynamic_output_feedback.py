@@ -126,7 +126,9 @@ class DynamicOutputFeedback(Policy):
         """The policies (k, p); parameters: the limits, H row by row, and the rest as `_parameters` has it."""
         H, *rest = self._parameters(thetas)
         limits = np.broadcast_to(self._task.input_limit, (len(thetas), self._m))
-        return Kernel(self._control, np.concatenate([limits, H.reshape(len(thetas), -1), *rest], axis=1))
+        return Kernel(
+            self._control, np.concatenate([limits, H.reshape(len(thetas), self._m * self._q), *rest], axis=1)
+        )
 
 
 def _law(m: int, q: int, d: int) -> Callable:

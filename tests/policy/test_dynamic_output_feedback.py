@@ -137,6 +137,7 @@ def test_compiled_rollouts_are_the_plain_ones(noisy: bool) -> None:
         np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-6, atol=1e-8)
         np.testing.assert_allclose(fast.states, slow.states, rtol=1e-7, atol=1e-10)
         assert (np.abs(slow.inputs) == 100.0).any()  # at its limit, where the integral rests
+    assert compiled.rollouts(thetas[:0], starts[:0]) == []
 
 
 def test_an_unknown_output_cannot_be_integrated() -> None:

@@ -69,7 +69,19 @@ def store(folder: Path) -> str:
 
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])  # tests/figures
 def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([f"+sweep={name}", "sweep.trials=1", *QUICK, "tracking=none", "engine=sequential"]) == 0
+    assert (
+        main(
+            [
+                f"+sweep={name}",
+                "sweep.trials=1",
+                *QUICK,
+                "held_out.lasting=0",
+                "tracking=none",
+                "engine=sequential",
+            ]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     sweep = expand([f"+sweep={name}"])
     cells = len(sweep.cells)
