@@ -51,15 +51,15 @@ def taps_of(delay: float, time_step: float) -> int:
 class Actuators:
     """The actuators of all inputs of a robot, whose delays are at most `taps` frames.
 
-    A fraction of a frame is interpolated between the frames beside it, so what acts is continuous in the
-    delay. A lag is exact for an input that is constant in each frame; what acts in a frame is the lag's
-    value at its end, so that no lag is no delay.
+    Whole frames are exact. A fraction of one is interpolated between the frames beside it, so what acts is
+    continuous in the delay. A lag is exact for an input that is constant in each frame; what acts in a frame
+    is the lag's value at its end, so that no lag is no delay.
     """
 
     def __init__(self, actuators: Sequence[Actuator], time_step: float, taps: int) -> None:
         self._taps = taps
         keep = [math.exp(-time_step / a.lag) if a.lag > 0 else 0.0 for a in actuators]
-        frames = [min(a.delay / time_step, taps) for a in actuators]
+        frames = [min(round(a.delay / time_step, 9), taps) for a in actuators]
         weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
         self._parameters = np.column_stack([columns, keep, weights])  # (m, 5 + taps)
