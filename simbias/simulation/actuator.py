@@ -130,8 +130,11 @@ def _earlier(values: Array, frames: int) -> Array:
 
 def _sum(weights: int, values: int, count: int) -> Callable:
     """The sum of so many products, of weights and values from these indices on, written out for the lanes."""
-    products = [f"parameters[{weights + j}] * memory[{values + j}]" for j in range(count)]
-    return eval(f"lambda parameters, memory: {' + '.join(products) or '0.0'}")
+    if count < 2:
+        return (lambda p, m: p[weights] * m[values]) if count else (lambda p, m: 0.0)
+    half = count // 2
+    some, others = _sum(weights, values, half), _sum(weights + half, values + half, count - half)
+    return lambda p, m: some(p, m) + others(p, m)
 
 
 @lru_cache(maxsize=64)
