@@ -22,6 +22,7 @@ from simbias.simulation.compilation import compiled_as
 from simbias.simulation.kernels import elementwise
 
 MOST_TAPS = 100  # frames of delay that a model may remember
+_SHORT = 5  # turns of a loop
 
 
 class Actuator(NamedTuple):
@@ -129,12 +130,23 @@ def _earlier(values: Array, frames: int) -> Array:
 
 
 def _sum(weights: int, values: int, count: int) -> Callable:
-    """The sum of so many products, of weights and values from these indices on, written out for the lanes."""
-    if count < 2:
-        return (lambda p, m: p[weights] * m[values]) if count else (lambda p, m: 0.0)
-    half = count // 2
-    some, others = _sum(weights, values, half), _sum(weights + half, values + half, count - half)
-    return lambda p, m: some(p, m) + others(p, m)
+    """The sum of so many products, of weights and values from these indices on.
+
+    A loop that is not short would not be written out, and keep all out of the lanes.
+    """
+    if count > _SHORT:
+        half = count // 2
+        some, others = _sum(weights, values, half), _sum(weights + half, values + half, count - half)
+        return lambda p, m: some(p, m) + others(p, m)
+
+    def products(p, m):
+        """Those of a short loop."""
+        total = 0.0
+        for j in range(count):
+            total = total + p[weights + j] * m[values + j]
+        return total
+
+    return products
 
 
 @lru_cache(maxsize=64)
