@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -108,6 +109,16 @@ class Task(ABC):
         """A failure in words: those of its criterion, or the name that a hardware gave it."""
         words = {criterion.name: criterion.words for criterion in self.criteria}
         return words.get(failure, failure.replace("_", " "))
+
+    def with_horizon(self, horizon: int) -> Task:
+        """The task, which now takes so many frames."""
+        longer = copy(self)
+        longer.horizon = horizon
+        return longer
+
+    def frames(self, seconds: float) -> int:
+        """How many frames so many seconds take, at least one."""
+        return max(1, round(seconds / self.time_step))
 
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,): start_mean + N(0, start_deviation^2) (Section VI-A)."""
@@ -337,6 +348,10 @@ class Cost(ABC):
         """Z (k,) of rollouts that the kernel summed up as totals (k, s), of frames (k,) lost by failure."""
         raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
 
+    def with_horizon(self, horizon: int) -> Cost:
+        """The cost of rollouts that may take so many frames; only what simulates for longer needs it."""
+        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`")
+
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""
         return rollout.failed_at is None and rollout.cost < self.max_cost
@@ -346,6 +361,7 @@ class Evaluation(ABC):
     """How the cost of a policy is predicted in simulation."""
 
     noisy_rollouts: int = 0  # of each policy, whose noise is kept as long as a search goes on
+    horizon: int | None = None  # frames of its rollouts; None is the task's
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
