@@ -22,7 +22,7 @@ from simbias.simulation.compilation import compiled_as, function_of
 from simbias.simulation.kernels import elementwise
 from simbias.simulation.trigonometry import sincos
 
-LENGTH = 1000  # characters of an expression
+LENGTH, DEPTH = 1000, 60  # of an expression: characters, and parts within parts
 
 
 def _as_text(value: Any) -> Any:
@@ -61,7 +61,9 @@ OF_TWO = {"atan2": "np.arctan2({}, {})"}
 OF_MANY = {"min": "lesser({}, {})", "max": "greater({}, {})"}
 OPERATORS: Mapping[type, str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 EXPONENTS = (2, 3, 4)
-ALLOWED = f"+ - * / ** ({', '.join(map(str, EXPONENTS))}), {', '.join([*OF_ONE, *OF_TWO, *OF_MANY, *CONSTANTS])}"
+ALLOWED = (
+    f"+ - * / ** ({', '.join(map(str, EXPONENTS))}), {', '.join([*OF_ONE, *OF_TWO, *OF_MANY, *CONSTANTS])}"
+)
 
 
 class Expressions:
@@ -124,7 +126,10 @@ class _Writer:
     def written(self, name: str, text: str) -> str:
         """An expression, in Python."""
         try:
-            return self._node(ast.parse(text.strip(), mode="eval").body)
+            parsed = ast.parse(text.strip(), mode="eval").body
+            if _depth(parsed) > DEPTH:
+                raise RecursionError
+            return self._node(parsed)
         except (SyntaxError, MemoryError, RecursionError, OverflowError) as error:
             why = error.msg if isinstance(error, SyntaxError) else "too large"
             raise ValueError(f"{name}: {quoted(text)} is no expression: {why}") from error
@@ -180,6 +185,11 @@ class _Writer:
         raise _NotAllowedError(
             f"there is no {function} of {len(arguments)} values; an expression may use {ALLOWED}"
         )
+
+
+def _depth(node: ast.AST) -> int:
+    """How many parts lie within each other."""
+    return 1 + max(map(_depth, ast.iter_child_nodes(node)), default=0)
 
 
 class _NotAllowedError(Exception):

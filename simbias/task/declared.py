@@ -57,7 +57,9 @@ class Failure:
 class Part:
     """A part of a drawing. One point is the centre of a disc, two are the ends of a bar, more are corners."""
 
-    points: Annotated[list[Annotated[list[Expression], Field(min_length=2, max_length=2)]], Field(min_length=1)]
+    points: Annotated[
+        list[Annotated[list[Expression], Field(min_length=2, max_length=2)]], Field(min_length=1)
+    ]
     thickness: NonNegative = 0.02  # of a disc and a bar, in the points' unit
     grey: Annotated[float, Field(ge=0, le=1)] | None = None  # 0 black, 1 white; null: as the picture's key
 
