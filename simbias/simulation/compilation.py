@@ -47,7 +47,7 @@ _FUNCTIONS: dict[tuple[str, str], Callable] = {}
 
 
 def function_of(text: str, name: str, **names: Any) -> Callable:
-    """The function that a text defines, in which these names have a meaning; the same text, the same function.
+    """The function that a text defines, in which these names have a meaning; of the same text, the same one.
 
     Nothing in it may be a config's: see `simbias.simulation.expressions`.
     """

@@ -1,8 +1,8 @@
-"""Expressions of a config, such as `length * cos(angle)`: for NumPy's arrays, and in the compiled closed loop.
+"""Expressions of a config, such as `length * cos(angle)`: for NumPy's arrays, and in the compiled loop.
 
-A config may be somebody else's, so nothing of it is ever run. It is parsed, held against a short list of what an
-expression may be made of, and written anew: names become elements of a vector, numbers become parameters. So a
-loop is compiled once for expressions that differ in numbers only.
+A config may be somebody else's, so nothing of it is ever run. It is parsed, held against a short list of
+what an expression may be made of, and written anew: names become elements of a vector, numbers become
+parameters. So a loop is compiled once for expressions that differ in numbers only.
 """
 
 from __future__ import annotations

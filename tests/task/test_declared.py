@@ -169,7 +169,7 @@ def test_other_numbers_need_no_other_code() -> None:
     ],
 )
 def test_nothing_else_is_an_expression(text: str) -> None:
-    with pytest.raises(ValueError, match="^f: ") as error:
+    with pytest.raises(ValueError, match=r"^f: ") as error:
         Expressions({"f": text}, ("a", "b"))
     assert "\n" not in str(error.value)
 
