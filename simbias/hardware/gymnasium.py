@@ -10,7 +10,7 @@ from pydantic import Field
 
 from simbias.hardware.loop import Record, experiment
 from simbias.interfaces import Hardware, HardwareError, Policy, Task
-from simbias.messages import quoted, words
+from simbias.messages import quote, words
 from simbias.records import Array, Rollout
 from simbias.simulation.expressions import Expression, Expressions
 from simbias.simulation.noise import QUIET, Noise, Variances
@@ -182,11 +182,11 @@ def _make(id: str, options: dict[str, Any]) -> Any:
     except ImportError as error:
         raise ValueError(f"Gymnasium is not installed ({words(error)}): {EXTRA}") from error
     if ":" in id:  # whose first part would be imported
-        raise ValueError(f"{quoted(id)} names a module; only registered environments are made")
+        raise ValueError(f"{quote(id)} names a module; only registered environments are made")
     try:
         return gymnasium.make(id, max_episode_steps=-1, disable_env_checker=True, **options)
     except Exception as error:  # of an environment's own, too
-        raise ValueError(f"{quoted(id)}: {words(error)}") from error
+        raise ValueError(f"{quote(id)}: {words(error)}") from error
 
 
 def _start(own: Any, task: Task, start: Start | None, id: str) -> Any:

@@ -47,7 +47,7 @@ class Mujoco(Hardware):
         record: Record = "true_state",
     ) -> None:
         robot = Mechanism(task, file, joints, actuators)
-        self._robot = robot.changed(changes(robot.model, values or {}, factors or {}))
+        self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._task = task
         self._delay = delay
         self._noise = Noise(task, noise)

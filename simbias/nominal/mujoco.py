@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from copy import copy
 from functools import cache
 from typing import Any, final
@@ -13,7 +14,7 @@ from numba import get_num_threads
 from simbias.config.numbers import NonNegative
 from simbias.interfaces import Nominal, Task
 from simbias.parameters import Parameter
-from simbias.records import Array
+from simbias.records import Array, Indices
 from simbias.task.mjcf import QUANTITIES, Factors, Mechanism, Values, changes, mujoco, values_of
 
 FEW = 8  # states, for which threads take longer to begin than they save
@@ -43,6 +44,8 @@ class Mujoco(Nominal):
         has a state that the task's do not show.
     """
 
+    batched = True
+
     def __init__(
         self,
         task: Task,
@@ -56,7 +59,7 @@ class Mujoco(Nominal):
         robot = Mechanism(task, file, joints, actuators)
         if robot.hidden:
             raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
-        self._robot = robot.changed(changes(robot.model, values or {}, factors or {}))
+        self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._data: list[Any] = []  # what the engine works in, one for each thread
         self.parameters = tuple(
             Parameter(
@@ -74,14 +77,23 @@ class Mujoco(Nominal):
         """x_next (..., n), one frame after x (..., n) under u (..., m)."""
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
-        possible = (np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1)
-        after = np.full_like(x, np.nan)
-        if possible.any():
-            after[possible] = self._stepped(x[possible], u[possible])
-        return after.reshape(*leading, -1)
+        return self._step_each([self._robot.model] * len(x), x, u).reshape(*leading, -1)
 
-    def _stepped(self, x: Array, u: Array) -> Array:
-        """x_next (k, n), one frame after x (k, n) under u (k, m)."""
+    def step_in_worlds(self, models: Sequence[Nominal], x: Array, u: Array, worlds: Indices) -> Array:
+        """x_next (k, n), each row after x (k, n) under u (k, m) with the model of its world of (k,)."""
+        engines = [model._robot.model for model in models if isinstance(model, Mujoco)]
+        return self._step_each([engines[world] for world in worlds], x, u)
+
+    def _step_each(self, models: Sequence[Any], x: Array, u: Array) -> Array:
+        """x_next (k, n), each row with its model; what has blown up stays so."""
+        x_next = np.full_like(x, np.nan)
+        rows = np.flatnonzero((np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1))
+        if len(rows):  # the engine dies of none
+            x_next[rows] = self._step_possible([models[row] for row in rows], x[rows], u[rows])
+        return x_next
+
+    def _step_possible(self, models: Sequence[Any], x: Array, u: Array) -> Array:
+        """x_next (k, n), each row with its model."""
         robot = self._robot
         full, frames = robot.physics(x), robot.substeps
         after = np.empty((len(x), frames, full.shape[1]))
@@ -89,7 +101,7 @@ class Mujoco(Nominal):
         while len(self._data) < max(1, threads):
             self._data.append(mujoco().MjData(robot.model))
         _pool(threads).rollout(
-            [robot.model] * len(x),
+            models,
             self._data[: max(1, threads)],
             full,
             np.repeat(robot.controls(u)[:, None], frames, axis=1),
@@ -104,7 +116,7 @@ class Mujoco(Nominal):
         """The model with other values (k,) of its parameters."""
         names = [parameter.name for parameter in self.parameters]
         changed = copy(self)
-        changed._robot = self._robot.changed(dict(zip(names, np.asarray(values).tolist(), strict=True)))
+        changed._robot = self._robot.with_values(dict(zip(names, np.asarray(values).tolist(), strict=True)))
         return changed
 
 

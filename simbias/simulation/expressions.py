@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from simbias.interfaces import Kernel
-from simbias.messages import quoted
+from simbias.messages import quote
 from simbias.records import Array
 from simbias.simulation.compilation import compiled_as, function_of
 from simbias.simulation.kernels import elementwise
@@ -94,8 +94,8 @@ class Expressions:
         where: Mapping[str, str] | None = None,
     ) -> None:
         writer = _Writer(variables, {**CONSTANTS, **(constants or {})})
-        lines = [writer.assignment(name, text) for name, text in (where or {}).items()]
-        values = [writer.written(name, text) for name, text in expressions.items()]
+        lines = [writer.assign(name, text) for name, text in (where or {}).items()]
+        values = [writer.write(name, text) for name, text in expressions.items()]
         lines.append(f"return ({''.join(f'{value}, ' for value in values)})")
         text = "def expressions(x, p):\n    " + "\n    ".join(lines) + "\n"
         names = {"np": np, "sincos": sincos, "lesser": lesser, "greater": greater}
@@ -117,13 +117,13 @@ class _Writer:
         for name, value in constants.items():
             self._add(name, self._number(value))
 
-    def assignment(self, name: str, text: str) -> str:
+    def assign(self, name: str, text: str) -> str:
         """A line that gives an expression a name for those after it."""
-        line = f"v{len(self._names)} = {self.written(name, text)}"
+        line = f"v{len(self._names)} = {self.write(name, text)}"
         self._add(name, line.partition(" = ")[0])
         return line
 
-    def written(self, name: str, text: str) -> str:
+    def write(self, name: str, text: str) -> str:
         """An expression, in Python."""
         try:
             parsed = ast.parse(text.strip(), mode="eval").body
@@ -132,9 +132,9 @@ class _Writer:
             return self._node(parsed)
         except (SyntaxError, MemoryError, RecursionError, OverflowError) as error:
             why = error.msg if isinstance(error, SyntaxError) else "too large"
-            raise ValueError(f"{name}: {quoted(text)} is no expression: {why}") from error
+            raise ValueError(f"{name}: {quote(text)} is no expression: {why}") from error
         except _NotAllowedError as error:
-            raise ValueError(f"{name}: {quoted(text)}: {error}") from error
+            raise ValueError(f"{name}: {quote(text)}: {error}") from error
 
     def _add(self, name: str, written: str) -> None:
         """Let a name have a meaning."""

@@ -63,7 +63,7 @@ class PlainSimulator:
             seen, unknown = self._noise(x, own, t)
             inputs[going, t], memory = policy.act(thetas[going], seen, t * task.time_step, memory)
             u = inputs[going, t] + unknown
-            f = self._by_world([model.nominal.step for model in self.models], x, u, own)
+            f = self._step(x, u, own)
             g = self._by_world([model.bias.correction for model in self.models], x, u, own)
             states[going, t + 1] = f + g
         return [self._record(*each) for each in zip(states, inputs, frames, violated, strict=True)]
@@ -76,6 +76,13 @@ class PlainSimulator:
         return x + np.array([d.sensors[t] for d in noise])[worlds], np.array([d.inputs[t] for d in noise])[
             worlds
         ]
+
+    def _step(self, x: Array, u: Array, worlds: Indices) -> Array:
+        """What each world's nominal model gives (k, n) for its rows of x (k, n) and u (k, m)."""
+        models = [model.nominal for model in self.models]
+        if models[0].batched and all(type(model) is type(models[0]) for model in models):
+            return models[0].step_in_worlds(models, x, u, worlds)
+        return self._by_world([model.step for model in models], x, u, worlds)
 
     def _by_world(
         self, functions: Sequence[Callable[[Array, Array], Array]], x: Array, u: Array, worlds: Indices

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.interfaces import Task
-from simbias.messages import quoted, words
+from simbias.messages import quote, words
 from simbias.records import Array
 
 # By name, `*` for any: `{"*.mass": 1.3}`.
@@ -199,7 +199,7 @@ class Mechanism:
         """Actuators with a state of their own, which the task's states do not show."""
         return [self.model.actuator(i).name for i in np.flatnonzero(self.model.actuator_dyntype)]
 
-    def changed(self, values: Mapping[str, float]) -> Mechanism:
+    def with_values(self, values: Mapping[str, float]) -> Mechanism:
         """The mechanism with other values of its parameters, by name, in their units."""
         changed = copy.copy(self)
         changed.model = copy.copy(self.model)
@@ -244,7 +244,7 @@ def values_of(model: Any, pattern: str) -> dict[str, float]:
     if not found:
         kinds = ", ".join(f"{quantity.element}.{kind}" for kind, quantity in QUANTITIES.items())
         names = ", ".join(name for each in ("body", "joint", "actuator") for name in _names(model, each))
-        raise ValueError(f"no parameter is called {quoted(pattern)}; there is {kinds}; of {names}")
+        raise ValueError(f"no parameter is called {quote(pattern)}; there is {kinds}; of {names}")
     return found
 
 
@@ -306,7 +306,7 @@ def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key:
     """Names that a file has to have."""
     for name in wanted:
         if name not in known:
-            raise ValueError(f"{key}: {file} has no {quoted(name)}; it has {', '.join(known)}")
+            raise ValueError(f"{key}: {file} has no {quote(name)}; it has {', '.join(known)}")
 
 
 def _unit(engine: Any, model: Any, i: int) -> float:
