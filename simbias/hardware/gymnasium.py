@@ -35,14 +35,14 @@ class Start:
 
 @final
 class Gymnasium(Hardware):
-    """An environment by its id. It ends when the task fails, and where it says `terminated`, which is a failure.
+    """An environment by its id. That it says `terminated` is a failure, besides those of the task.
 
     Rewards are of no interest, and nothing is truncated: the task's horizon counts.
 
     Parameters
     ----------
-    id
-        As in `gymnasium.make`.
+    environment
+        Its id, as in `gymnasium.make`.
     options
         Further arguments of the environment.
     states
@@ -68,7 +68,7 @@ class Gymnasium(Hardware):
     def __init__(
         self,
         task: Task,
-        id: str,
+        environment: str,
         options: dict[str, Any] | None = None,
         states: dict[str, Expression] | None = None,
         action: ExpressionList | None = None,
@@ -81,30 +81,37 @@ class Gymnasium(Hardware):
         self._task = task
         self._noise = Noise(task, noise)
         self._record = record
-        self._environment = _make(id, options or {})
+        self._environment = _make(environment, options or {})
         own = self._environment.unwrapped
         if values or factors:
             if not hasattr(getattr(own, "model", None), "body_mass"):
-                raise ValueError(f"values and factors: {id} is no environment in MuJoCo")
+                raise ValueError(f"values and factors: {environment} is no environment in MuJoCo")
             put_values(own.model, changes(own.model, values or {}, factors or {}))
         step = getattr(own, "dt", getattr(own, "tau", task.time_step))
         if not np.isclose(step, task.time_step, rtol=1e-6):
-            raise ValueError(f"a step of {id} takes {step:g} s; task.time_step is {task.time_step:g} s")
-        self._states = self._state_expressions(id, states)
-        self._action = _Action(self._environment.action_space, task, action, id)
-        self._start = _start(own, task, start, id)
+            raise ValueError(
+                f"a step of {environment} takes {step:g} s; task.time_step is {task.time_step:g} s"
+            )
+        self._states = self._state_expressions(environment, states)
+        self._action = _Action(self._environment.action_space, task, action, environment)
+        self._environment.reset(seed=0)  # some have no state before
+        self._start = _start(own, task, start, environment)
         self.sets_start = self._start is not None
 
-    def _state_expressions(self, id: str, states: dict[str, str] | None) -> Expressions:
+    def _state_expressions(self, name: str, states: dict[str, str] | None) -> Expressions:
         """The task's states of an observation."""
         shape = self._environment.observation_space.shape
         if shape is None or len(shape) != 1:
-            raise ValueError(f"an observation of {id} is no vector, but {self._environment.observation_space}")
+            raise ValueError(
+                f"an observation of {name} is no vector, but {self._environment.observation_space}"
+            )
         seen = [f"observation[{index}]" for index in range(shape[0])]
         names = [state.name for state in self._task.states]
         if states is None:
             if len(seen) != len(names):
-                raise ValueError(f"an observation of {id} has {len(seen)} numbers; the task has {len(names)} states")
+                raise ValueError(
+                    f"an observation of {name} has {len(seen)} numbers; the task has {len(names)} states"
+                )
             states = dict(zip(names, seen, strict=True))
         if set(states) != set(names):
             raise ValueError(f"states: expected {', '.join(names)}, got {', '.join(states)}")
@@ -127,25 +134,31 @@ class Gymnasium(Hardware):
 class _Action:
     """The action of an input."""
 
-    def __init__(self, space: Any, task: Task, action: list[str] | None, id: str) -> None:
+    def __init__(self, space: Any, task: Task, action: list[str] | None, environment: str) -> None:
         names = [each.name for each in task.inputs]
-        self._expressions = Expressions({f"action[{i}]": text for i, text in enumerate(action or names)}, names)
+        self._expressions = Expressions(
+            {f"action[{i}]": text for i, text in enumerate(action or names)}, names
+        )
         self._discrete = hasattr(space, "n")
         if self._discrete:
             low, high, size = float(space.start), float(space.start + space.n - 1), 1
             self._low, self._high = np.array([low]), np.array([high])
         else:
             if getattr(space, "shape", None) is None or len(space.shape) != 1:
-                raise ValueError(f"an action of {id} is neither a vector nor one of several, but {space}")
+                raise ValueError(
+                    f"an action of {environment} is neither a vector nor one of several, but {space}"
+                )
             size = space.shape[0]
             self._low, self._high = (np.asarray(b, dtype=np.float64) for b in (space.low, space.high))
         if len(action or names) != size:
-            raise ValueError(f"an action of {id} has {size} numbers; {len(action or names)} are given")
+            raise ValueError(
+                f"an action of {environment} has {size} numbers; {len(action or names)} are given"
+            )
         for u in (-task.input_limit, task.input_limit):
             asked = self._expressions(u)
             if (asked < self._low - 1e-6).any() or (asked > self._high + 1e-6).any():
                 raise ValueError(
-                    f"at the input {u.tolist()} the action is {asked.tolist()}; {id} takes "
+                    f"at the input {u.tolist()} the action is {asked.tolist()}; {environment} takes "
                     f"{self._low.tolist()} to {self._high.tolist()}"
                 )
 
@@ -175,21 +188,21 @@ class _Running:
         return TERMINATED if terminated else None
 
 
-def _make(id: str, options: dict[str, Any]) -> Any:
+def _make(name: str, options: dict[str, Any]) -> Any:
     """The environment."""
     try:
         import gymnasium
     except ImportError as error:
         raise ValueError(f"Gymnasium is not installed ({words(error)}): {EXTRA}") from error
-    if ":" in id:  # whose first part would be imported
-        raise ValueError(f"{quote(id)} names a module; only registered environments are made")
+    if ":" in name:  # whose first part would be imported
+        raise ValueError(f"{quote(name)} names a module; only registered environments are made")
     try:
-        return gymnasium.make(id, max_episode_steps=-1, disable_env_checker=True, **options)
+        return gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
     except Exception as error:  # of an environment's own, too
-        raise ValueError(f"{quote(id)}: {words(error)}") from error
+        raise ValueError(f"{quote(name)}: {words(error)}") from error
 
 
-def _start(own: Any, task: Task, start: Start | None, id: str) -> Any:
+def _start(own: Any, task: Task, start: Start | None, name: str) -> Any:
     """What sets the environment to a start (n,); None if nothing does."""
     if start is None:
         return None
@@ -202,9 +215,9 @@ def _start(own: Any, task: Task, start: Start | None, id: str) -> Any:
         qpos, qvel = expressions("qpos", start.qpos), expressions("qvel", start.qvel)
         sizes = (own.model.nq, own.model.nv)
         if (len(start.qpos), len(start.qvel)) != sizes:
-            raise ValueError(f"start: {id} has {sizes[0]} positions and {sizes[1]} velocities")
+            raise ValueError(f"start: {name} has {sizes[0]} positions and {sizes[1]} velocities")
         return lambda x: own.set_state(qpos(x), qvel(x))
     if start.state and start.qpos is None and start.qvel is None and hasattr(own, "state"):
         state = expressions("state", start.state)
         return lambda x: setattr(own, "state", state(x))
-    raise ValueError(f"start: {id} cannot be set by {', '.join(k for k, v in vars(start).items() if v)}")
+    raise ValueError(f"start: {name} cannot be set by {', '.join(k for k, v in vars(start).items() if v)}")

@@ -99,14 +99,14 @@ class CartPole(Nominal):
     ) -> None:
         if [state.unit for state in task.states] != ["m", "rad", "m/s", "rad/s"] or len(task.inputs) != 1:
             raise ValueError("expected a task with position, angle and their velocities, and one force")
-        values = dict(
-            zip(_UNITS, (cart_mass, pole_mass, length, cart_damping, hinge_damping), strict=True)
-        )
+        values = dict(zip(_UNITS, (cart_mass, pole_mass, length, cart_damping, hinge_damping), strict=True))
         for name in uncertainty or {}:
             if name not in values:
                 raise ValueError(f"uncertainty: nothing is called {name}; there is {', '.join(values)}")
         self.parameters = tuple(
-            Parameter(name, _UNITS[name], values[name], spread, "log_normal" if values[name] else "half_normal")
+            Parameter(
+                name, _UNITS[name], values[name], spread, "log_normal" if values[name] else "half_normal"
+            )
             for name, spread in (uncertainty or {}).items()
         )
         self.kernel = Kernel(_step, np.array([task.time_step, *values.values(), gravity]))

@@ -89,7 +89,7 @@ class Mujoco(Nominal):
         x_next = np.full_like(x, np.nan)
         rows = np.flatnonzero((np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1))
         if len(rows):  # the engine dies of none
-            x_next[rows] = self._step_possible([models[row] for row in rows], x[rows], u[rows])
+            x_next[rows] = self._step_possible([models[row] for row in rows.tolist()], x[rows], u[rows])
         return x_next
 
     def _step_possible(self, models: Sequence[Any], x: Array, u: Array) -> Array:

@@ -53,10 +53,9 @@ class Quantity(NamedTuple):
     put: Callable[[Any, int, float], None]
 
 
-def _scale(factor: float, *rows: Array) -> None:
-    """Multiply rows of a model's arrays."""
-    for row in rows:
-        row *= factor
+def _put_gain(model: Any, i: int, value: float) -> None:
+    """A motor that gives so much of the force that its file says."""
+    model.actuator_gear[i] *= value
 
 
 def _put_mass(model: Any, i: int, value: float) -> None:
@@ -64,6 +63,12 @@ def _put_mass(model: Any, i: int, value: float) -> None:
     if model.body_mass[i]:
         model.body_inertia[i] *= value / model.body_mass[i]
     model.body_mass[i] = value
+
+
+def _put_inertia(model: Any, i: int, value: float) -> None:
+    """A body whose largest principal moment of inertia is another, the others in proportion."""
+    largest = model.body_inertia[i].max()
+    model.body_inertia[i] = value if largest == 0 else model.body_inertia[i] * (value / largest)
 
 
 def _put_size(model: Any, i: int, value: float) -> None:
@@ -111,32 +116,22 @@ def _of_joint(unit: str, name: str) -> Quantity:
 QUANTITIES: Mapping[str, Quantity] = {
     "mass": Quantity("body", "kg", lambda model, i: float(model.body_mass[i]), _put_mass),
     "size": Quantity("body", "1", lambda model, i: 1.0, _put_size),
-    "inertia": Quantity(
-        "body",
-        "kg m^2",  # the largest of its principal moments; the others in proportion
-        lambda model, i: float(model.body_inertia[i].max()),
-        lambda model, i, value: _scale(value / model.body_inertia[i].max(), model.body_inertia[i]),
-    ),
+    "inertia": Quantity("body", "kg m^2", lambda model, i: float(model.body_inertia[i].max()), _put_inertia),
     "damping": _of_joint("N m s/rad or N s/m", "dof_damping"),
     "friction": _of_joint("N m or N", "dof_frictionloss"),
     "armature": _of_joint("kg m^2 or kg", "dof_armature"),
     "stiffness": _field("joint", "N m/rad or N/m", "jnt_stiffness"),
     "contact_friction": _field("geom", "1", "geom_friction", 0),
-    "gain": Quantity(
-        "actuator",
-        "1",  # of the force that the file says
-        lambda model, i: 1.0,
-        lambda model, i, value: _scale(value, model.actuator_gear[i]),
-    ),
+    "gain": Quantity("actuator", "1", lambda model, i: 1.0, _put_gain),
 }
 
 
 class Mechanism:
     """A MuJoCo model whose state and input are those of a task.
 
-    States are the positions of the joints, then their velocities. Inputs are the forces and torques of motors;
-    of other actuators they are their controls. A frame is a whole number of the engine's steps, which are as
-    long as the file says, or a little shorter.
+    States are the positions of the joints, then their velocities. Inputs are the forces and torques of
+    motors; of other actuators they are their controls. A frame is a whole number of the engine's steps, which
+    are as long as the file says, or a little shorter.
 
     Parameters
     ----------
@@ -187,10 +182,10 @@ class Mechanism:
         self._velocities = np.array([model.joint(name).dofadr[0] for name in joints])
         self._actuators = np.array([model.actuator(name).id for name in actuators])
         self._units = np.array([_unit(engine, model, i) for i in self._actuators])
-        low, high = model.actuator_ctrlrange[self._actuators].T
-        limited = model.actuator_ctrllimited[self._actuators].astype(bool)
-        reach = np.where(limited, np.minimum(-low, high) * np.abs(self._units), np.inf)
-        for name, limit, most in zip(actuators, task.input_limit, reach, strict=True):
+        for name, index, unit, limit in zip(
+            actuators, self._actuators, self._units, task.input_limit, strict=True
+        ):
+            most = _reach(engine, model, index, unit)
             if limit > most * (1 + 1e-9):
                 raise ValueError(f"the task's input may be {limit:g}; the actuator {name} gives {most:g}")
 
@@ -316,6 +311,19 @@ def _unit(engine: Any, model: Any, i: int) -> float:
         and model.actuator_biastype[i] == engine.mjtBias.mjBIAS_NONE
     )
     return float(model.actuator_gear[i, 0] * model.actuator_gainprm[i, 0]) if motor else 1.0
+
+
+def _reach(engine: Any, model: Any, i: int, unit: float) -> float:
+    """The largest input of an actuator, as its file limits its control, its force, and that on its joint."""
+    ranges = []
+    if model.actuator_ctrllimited[i]:
+        ranges.append(abs(unit) * model.actuator_ctrlrange[i])
+    if model.actuator_forcelimited[i]:
+        ranges.append(abs(model.actuator_gear[i, 0]) * model.actuator_forcerange[i])
+    joint = model.actuator_trnid[i, 0]
+    if model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[joint]:
+        ranges.append(model.jnt_actfrcrange[joint])
+    return float(min((min(-low, high) for low, high in ranges), default=np.inf))
 
 
 def _all_names(model: Any, element: str) -> list[str]:
