@@ -57,7 +57,7 @@ def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
 
 
 def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
-    """Their values are the file's; a positive one's prior is log-normal, of zero the upper half of a normal."""
+    """Their values are the file's; a positive one's prior is log-normal, of zero half a normal one."""
     model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"pole.mass": 0.3, "hinge.damping": 2.0})
     mass, damping = model.parameters
     assert mass[:5] == ("pole.mass", "kg", 0.5, 0.3, "log_normal")
