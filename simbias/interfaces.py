@@ -133,6 +133,7 @@ class Nominal(ABC):
     """
 
     kernel: Kernel | None = None
+    batched: bool = False  # whether an engine steps many states at once, about as fast as compiled code
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     memory_size: int = 0  # s
 
@@ -163,6 +164,13 @@ class Nominal(ABC):
         if not self.memory_size:
             return self.step(states, inputs)
         return self.advance(states, inputs, self.memories(states, inputs))[0]
+
+    def step_in_worlds(self, models: Sequence[Nominal], x: Array, u: Array, worlds: Indices) -> Array:
+        """x_next (k, n), each row after x (k, n) under u (k, m) with the model of its world of (k,).
+
+        Only batched models need it; all of them are of one class.
+        """
+        raise NotImplementedError(f"{type(self).__name__} is batched, but has no `step_in_worlds`")
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simbias.cost.quadratic import Quadratic
 from simbias.records import Rollout
 from simbias.study import Study
 
@@ -71,3 +72,15 @@ def test_over_a_longer_horizon_an_effort_that_lasts_costs_the_same(
     assert longer.of(fallen) - longer.of(once) == pytest.approx(
         study.cost.of(fallen) - study.cost.of(once) + 200 * lost
     )
+
+
+def test_weights_by_name_are_weights_by_place(study: Study) -> None:
+    """An own name goes before a kind, and what is not named weighs nothing."""
+    by_name = {"angle": 10.0, "velocity": 0.1, "d_theta": 0.5}
+    named = Quadratic(study.task, 200.0, by_name, {"torque": 1e-6}, 200.0)
+    placed = Quadratic(study.task, 200.0, [10, 10, 10, 0.1, 0.1, 0.5], [1e-6], 200.0)
+    rng = np.random.default_rng(0)
+    rollout = Rollout(rng.normal(size=(11, 6)), rng.normal(size=(10, 1)))
+    assert named.of(rollout) == placed.of(rollout)
+    with pytest.raises(ValueError, match="state_weights: nothing is called size; there is alpha_w, angle"):
+        Quadratic(study.task, 200.0, {"size": 1.0}, [1e-6], 200.0)

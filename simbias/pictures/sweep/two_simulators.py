@@ -108,8 +108,10 @@ class TwoSimulators(SweepFigure):
 
 
 def _write(axes: Axes, words: str, place: tuple[float, float], **style: Any) -> None:
-    """Write words at a place in units of the axes."""
-    axes.text(*place, words, transform=axes.transAxes, **({"fontsize": SMALL} | style))
+    """Write words at a place in units of the axes' cell of the grid, which a wide drawing does not fill."""
+    cell = axes.get_subplotspec().get_position(axes.figure)
+    x, y = cell.x0 + place[0] * cell.width, cell.y0 + place[1] * cell.height
+    axes.figure.text(x, y, words, **({"fontsize": SMALL} | style))
 
 
 def _runs(study: Study, iteration: Iteration) -> list[Run]:
