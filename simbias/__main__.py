@@ -53,11 +53,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ConfigError as error:
-        print(f"simbias: {error}", file=sys.stderr)
+        print(f"simbias: {error}{_trace_of_own_code(error)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("simbias: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _trace_of_own_code(error: ConfigError) -> str:
+    """Where the traceback is of an error that came from the user's own code."""
+    from simbias.blame import has_own_code
+    from simbias.messages import with_trace
+    from simbias.terminal.trial import temporary_traceback
+
+    if error.__cause__ is None or not has_own_code(error.__cause__):
+        return ""
+    file = temporary_traceback(with_trace(error.__cause__))
+    return f" (traceback in {file})" if file else ""
 
 
 def _run_or_show(parsed: argparse.Namespace) -> int:
@@ -114,11 +126,16 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
 
     engine(composition)  # a single trial needs none, but a bad one is bad input
     store = tracking(composition)
-    with preparing(), slowness_in_one_line():
-        study = build(composition)
-        study.warm_up()
-    tracked = store.open(study)
-    with slowness_in_one_line(), TrialConsole(study) as console:
+    with slowness_in_one_line():
+        with preparing():
+            study = build(composition)
+            rehearse(study)
+        tracked = store.open(study)
+        return _tried(parsed, study, tracked)
+
+
+def _tried(parsed, study, tracked):
+    with TrialConsole(study) as console:
         if (before := tracked.finished()) is not None:
             console.recall(before.iterations, tracked.where)
             return SUCCEEDED if before.iterations[-1].succeeded else FAILED

@@ -27,7 +27,7 @@ from simbias.interfaces import (
     SlowWarning,
     Task,
 )
-from simbias.records import Array, Iteration, Rollout, Transitions
+from simbias.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.simulation.closed_loop import simulator
 
 
@@ -36,6 +36,9 @@ class Observer:
 
     def searching(self, evaluations: int, best_cost: float) -> None:
         """A policy search has simulated so many policies, a few in vain if it looks ahead."""
+
+    def searched(self, search: Search) -> None:
+        """A policy search has ended."""
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """A hardware experiment with theta (p,) from start (n,) begins."""

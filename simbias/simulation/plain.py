@@ -97,7 +97,11 @@ class PlainSimulator:
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
     """Costs (k,) of rollouts, and their frames (k,)."""
     frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
-    return np.array([cost.of(rollout) for rollout in rollouts]), frames
+    costs = np.array([cost.of(rollout) for rollout in rollouts])
+    if not np.isfinite(costs).all():
+        got = costs[~np.isfinite(costs)][0]
+        raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
+    return costs, frames
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
