@@ -7,10 +7,15 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from simbias import __version__
 from simbias.commands import add_own_components, python
 from simbias.config import Composition, ConfigError, compose, options, sweeps
+
+if TYPE_CHECKING:
+    from simbias.study import Study
+    from simbias.tracking.contract import TrackedTrial
 
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -44,7 +49,7 @@ of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an er
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
-    parsed = _parser().parse_intermixed_args(arguments)
+    parsed = _parser(_config_dir(arguments)).parse_intermixed_args(arguments)
     try:
         status = _run_or_show(parsed)
         sys.stdout.flush()
@@ -85,10 +90,17 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
     return (_sweep if "sweep" in composition.config else _run)(parsed, composition)
 
 
-def _parser() -> argparse.ArgumentParser:
-    """The command line's grammar."""
-    groups = "\n".join(f"  {group:<11} {' | '.join(names)}" for group, names in options().items())
-    shipped = f"  {' | '.join(sweeps())}"
+def _config_dir(arguments: Sequence[str] | None) -> str | None:
+    """The folder of configs that a command line names, which --help tells of too."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", nargs="?")
+    return parser.parse_known_args(arguments)[0].config_dir
+
+
+def _parser(config_dir: str | None) -> argparse.ArgumentParser:
+    """The command line's grammar; its help tells of the options in a folder of configs too."""
+    groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
+    shipped = f"  {' | '.join(sweeps(config_dir))}"
     parser = argparse.ArgumentParser(
         prog="python -m simbias",
         description="Learn a simulation's bias and optimise a policy with few hardware experiments.",
@@ -114,15 +126,8 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run one trial in the terminal, or go on with it."""
     from simbias.config.build import build
     from simbias.config.services import engine, tracking
-    from simbias.messages import with_type
-    from simbias.terminal.trial import (
-        TrialConsole,
-        counted,
-        preparing,
-        slowness_in_one_line,
-        traceback_file,
-    )
-    from simbias.trial import Outcome, run_trial
+    from simbias.terminal.trial import preparing, slowness_in_one_line
+    from simbias.testing.rehearsal import rehearse
 
     engine(composition)  # a single trial needs none, but a bad one is bad input
     store = tracking(composition)
@@ -131,10 +136,17 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
             study = build(composition)
             rehearse(study)
         tracked = store.open(study)
-        return _tried(parsed, study, tracked)
+        return _go_on(study, tracked, _command(parsed))
 
 
-def _tried(parsed, study, tracked):
+def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
+    """Run a trial as far as it goes; `again` is the command that goes on with it."""
+    from simbias.messages import with_type
+    from simbias.terminal.trial import TrialConsole, counted, traceback_file
+    from simbias.trial import Outcome, run_trial
+
+    if tracked.changed:
+        print(f"simbias: {tracked.changed}", file=sys.stderr)
     with TrialConsole(study) as console:
         if (before := tracked.finished()) is not None:
             console.recall(before.iterations, tracked.where)
@@ -142,7 +154,7 @@ def _tried(parsed, study, tracked):
         try:
             record = run_trial(study, tracked, console)
         except Exception as error:  # of the store: what a component raises is in the record
-            print(f"simbias: {with_type(error)} (go on with:  {_command(parsed)})", file=sys.stderr)
+            print(f"simbias: {with_type(error)} (go on with:  {again})", file=sys.stderr)
             return FAILED
     if record.outcome.final:
         console.conclude(record, tracked.where)
@@ -151,7 +163,7 @@ def _tried(parsed, study, tracked):
         f"{counted(record.experiments, 'hardware experiment')} kept" if tracked.where else "nothing is kept"
     )
     trace = f"; traceback in {file}" if (file := traceback_file(record)) else ""
-    print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {_command(parsed)})", file=sys.stderr)
+    print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {again})", file=sys.stderr)
     return WAITING if record.outcome is Outcome.WAITING else FAILED
 
 
@@ -171,6 +183,8 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
         return SUCCEEDED
     again = _command(parsed)
     tracked = store.open_sweep(sweep, again)
+    if tracked.changed:
+        print(f"simbias: {tracked.changed}", file=sys.stderr)
     console = SweepConsole()
     try:
         trials = run_sweep(sweep, trials_engine, tracked, console)

@@ -16,7 +16,7 @@ CONTRACTS = tuple(
     getattr(interfaces, name)
     for name in (
         *("Task", "Nominal", "Hardware", "Policy", "Samples", "Cost"),
-        *("Bias", "FittedBias", "Evaluation", "Optimizer"),
+        *("Identification", "Bias", "FittedBias", "Evaluation", "Optimizer"),
     )
 )
 PACKAGE = __name__.partition(".")[0]

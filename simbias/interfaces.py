@@ -21,8 +21,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from simbias.parameters import Parameter, values_at
 from simbias.records import Array, Indices, Optimum, Rollout, Selection, Transitions
 from simbias.search import Evaluations
+
+NOT_A_NUMBER = "not_a_number"  # the failure of a state that violates no criterion
 
 
 class HardwareError(RuntimeError):
@@ -67,6 +70,11 @@ class Criterion(NamedTuple):
     bounds: Mapping[str, float] = MappingProxyType({})  # state -> |state| that it allows, whatever the others
 
 
+def failure_name(criteria: Sequence[Criterion], index: int) -> str:
+    """The name of a violated criterion, or of a state that is no number and violates none."""
+    return criteria[index].name if index < len(criteria) else NOT_A_NUMBER
+
+
 class Task(ABC):
     """What is to be done: quantities, time, limits, starts and failure; no dynamics."""
 
@@ -93,15 +101,16 @@ class Task(ABC):
     def violated(self, x: Array) -> Indices:
         """Index (...) of the first criterion that each state x (..., n) violates, -1 where it violates none.
 
-        What is not a number violates.
+        What is not a number violates: it has the index after all criteria where it violates none of them.
         """
         within = self.measure(x) <= np.array([criterion.limit for criterion in self.criteria])
+        within = np.concatenate([within, np.isfinite(x).all(axis=-1, keepdims=True)], axis=-1)
         return np.where(within.all(axis=-1), -1, np.argmin(within, axis=-1))
 
     def failure(self, x: Array) -> str | None:
         """Name of the first criterion that the state x (n,) violates, or None."""
         index = int(self.violated(x))
-        return None if index < 0 else self.criteria[index].name
+        return None if index < 0 else failure_name(self.criteria, index)
 
     def words(self, failure: str) -> str:
         """A failure in words: those of its criterion, or the name that a hardware gave it."""
@@ -114,17 +123,36 @@ class Task(ABC):
 
 
 class Nominal(ABC):
-    """The simulation model f' (Section IV-A)."""
+    """The simulation model f' (Section IV-A).
+
+    A model of what the state does not show, as an actuator's lag or a delay, keeps it in its memory, which is
+    zero at the start.
+    """
 
     kernel: Kernel | None = None
+    parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
+    memory_size: int = 0  # s
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1)."""
+        """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1).
+
+        Of a model with memory: as if u had acted for long.
+        """
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the memory (..., s) for the next frame; only models with memory need it."""
+        return self.step(x, u), memory
+
+    def with_parameters(self, values: Array) -> Nominal:
+        """The model with other values (k,) of its `parameters`, in their units."""
+        raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model that might be the right one, as far as its parameters are known; this one if they are."""
-        return self
+        if not self.parameters:
+            return self
+        return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
 
 class Policy(ABC):
@@ -262,6 +290,18 @@ class Hardware(ABC):
 
         It is called from another thread while `run` still runs, and only with a time-out; `run` should end
         soon afterwards, what it returns or raises is of no interest. By default nothing happens.
+        """
+
+
+class Identification(ABC):
+    """What is learned of the nominal model's parameters, before a bias is learned of what they leave."""
+
+    @abstractmethod
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        """The model at the parameters' most probable values, whose `draw` draws from their posterior.
+
+        `nominal.parameters` are the prior, the rollouts all hardware experiments of a trial, also those that
+        failed. Without rollouts or parameters it is the nominal model itself.
         """
 
 

@@ -9,6 +9,7 @@ from pydantic import PositiveFloat
 from simbias.config.components import construct, validated
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.errors import ConfigError
+from simbias.config.identity import LATER
 from simbias.config.memory import check_memory
 from simbias.config.numbers import Seed
 from simbias.interfaces import Task
@@ -29,7 +30,7 @@ def build(composition: Composition) -> Study:
         study does not fit into memory.
     """
     composition = composition.trial
-    config = composition.config
+    config = {**LATER, **composition.config}
     contracts = {k: v for k, v in get_type_hints(Study).items() if k not in NO_COMPONENTS}
     for key in config:
         if key not in contracts and key not in (*NO_COMPONENTS, *BESIDE_STUDIES):

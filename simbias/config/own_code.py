@@ -63,7 +63,9 @@ def _imports(module: str) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module
+            base = (
+                resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module
+            )
             yield str(base)
             yield from (f"{base}.{alias.name}" for alias in node.names)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.interfaces import Cost, Model
+from simbias.interfaces import Cost, Model, failure_name
 from simbias.records import Array, Disturbance, Indices, Rollout
 
 MOST = 256  # rollouts side by side: their records take memory
@@ -108,5 +108,7 @@ def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violat
     """The record of a rollout that a criterion ended after so many frames, or the horizon if it is -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
     return (
-        Rollout(states, inputs) if violated < 0 else Rollout(states, inputs, frames, criteria[violated].name)
+        Rollout(states, inputs)
+        if violated < 0
+        else Rollout(states, inputs, frames, failure_name(criteria, violated))
     )
