@@ -6,7 +6,7 @@ from typing import NotRequired, Required, get_type_hints
 
 from pydantic import PositiveFloat
 
-from simbias.config.components import construct, validated
+from simbias.config.components import construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.errors import ConfigError
 from simbias.config.identity import LATER
@@ -38,7 +38,7 @@ def build(composition: Composition) -> Study:
     for key in (*contracts, "seed"):
         if key not in config:
             raise ConfigError(key, "missing")
-    values = validated({key: config[key] for key in VALUES if key in config}, VALUES, "")
+    values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
     allowed = composition.allowed
     task = construct(config["task"], Task, "task", allowed)
     components = {

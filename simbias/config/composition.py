@@ -63,7 +63,7 @@ class Composition:
         return replace(self, config=config, choices=choices)
 
 
-def shipped(folder: str) -> Path:
+def resource_folder(folder: str) -> Path:
     """The folder `conf` or `sweeps`: inside an installed package, beside it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     inside = package / folder
@@ -74,7 +74,7 @@ def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
     """The options of every group, defaults first; those of the user's folder too."""
     from omegaconf import OmegaConf
 
-    root = shipped("conf")
+    root = resource_folder("conf")
     own = Path(config_dir) if config_dir is not None else root
     defaults = OmegaConf.load(root / PRIMARY).defaults
     chosen = {group: option for entry in defaults if entry != "_self_" for group, option in entry.items()}
@@ -89,7 +89,7 @@ def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
 
 def sweeps(config_dir: Path | str | None = None) -> list[str]:
     """The sweeps that are shipped, and those of the user's folder."""
-    folders = [shipped("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir is not None else [])]
+    folders = [resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir is not None else [])]
     return sorted({file.stem for folder in folders for file in _files(folder)})
 
 
@@ -121,7 +121,7 @@ def _check_no_primary(config_dir: Path | str | None) -> None:
     ConfigError
         Naming the file, and what takes its place.
     """
-    if config_dir is None or Path(config_dir).resolve() == shipped("conf").resolve():
+    if config_dir is None or Path(config_dir).resolve() == resource_folder("conf").resolve():
         return
     primary = Path(config_dir) / PRIMARY
     if primary.exists():
@@ -204,7 +204,7 @@ class Variations:
             sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
             if sweeps:
                 _register_sweeps(self._config_dir, sweeps[-1])
-            with hydra.initialize_config_dir(str(shipped("conf")), version_base="1.3"):
+            with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
             choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
@@ -253,7 +253,7 @@ def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
 
     store = ConfigStore.instance()
     store.repo.pop("sweep", None)  # those of another config_dir
-    for folder in (shipped("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
+    for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
         for file in _files(folder):
             try:
                 node = OmegaConf.load(file)
