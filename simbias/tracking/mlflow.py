@@ -85,7 +85,7 @@ class Mlflow(Tracking):
             run_id = before.info.run_id
             where = self._where(experiment_id, run_id)
             finished = FinishedTrial(self._uri, run_id, where, study.composition.allowed)
-            finished.changed = _changed(before, study, "is shown as it was: ")
+            finished.changed = _changed(before, study, "is shown as it was; ")
             return finished
         journal = Journal(folder, pictures)
         try:
@@ -94,7 +94,7 @@ class Mlflow(Tracking):
                 before = client.create_run(experiment_id, run_name=name, tags=tags)
             where = self._where(experiment_id, before.info.run_id)
             trial = MlflowTrial(client, before, study, where, folder, journal)
-            trial.changed = _changed(before, study, "goes on: ")
+            trial.changed = _changed(before, study, "goes on, but ")
             return trial
         except BaseException:
             journal.release()
@@ -162,7 +162,7 @@ def _changed(run: Run, study: Study, what: str) -> str:
     changed = fields.changed_code(run.data.tags, study.composition)
     if not changed:
         return ""
-    return f"the trial {what}but its code has changed since it began ({changed}); seed=N makes a new one"
+    return f"the trial {what}its code has changed since it began ({changed}); seed=N makes a new one"
 
 
 class FinishedTrial(TrackedTrial):
