@@ -155,6 +155,13 @@ class Nominal(ABC):
         return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
 
+class Law(NamedTuple):
+    """A policy in words and numbers, as an order to a lab says it."""
+
+    words: str  # as u = H z
+    numbers: Mapping[str, Array]  # what the words name, in the task's units
+
+
 class Policy(ABC):
     """The feedback law whose parameters theta are searched.
 
@@ -177,6 +184,10 @@ class Policy(ABC):
     @abstractmethod
     def outputs(self, x: Array) -> Array:
         """What the policy feeds back: z (..., q) at states x (..., n)."""
+
+    def law(self, theta: Array) -> Law:
+        """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
+        return Law(f"u = {type(self).__name__}.act(theta, x, t, memory)", {"theta": theta})
 
     def controller(self, theta: Array, time_step: float) -> Controller:
         """The policy theta (p,) as a robot's control loop runs it: once a frame of `time_step` s."""
