@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextvars import copy_context
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,34 @@ from simbias.checks import check_rollout
 from simbias.interfaces import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.messages import with_type
 from simbias.records import Array, Rollout
+from simbias.safety import NO_LIMITS, Guarded, Safety
 
 STOP_SECONDS = 5.0  # that `Hardware.stop` has, and then again the experiment that it stops
 MESSAGE_LENGTH = 250  # of what a hardware raises
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Under which experiments are made.
+
+    Parameters
+    ----------
+    timeout
+        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own; where
+        it takes longer, the hardware is asked to stop, and what it still does is of no interest. Code that
+        never returns to Python's interpreter cannot be stopped so.
+    safety
+        Limits at which an experiment is aborted; it has failed then.
+    confirm
+        Whether a person is asked before the first experiment.
+    """
+
+    timeout: float | None = None
+    safety: Safety = NO_LIMITS
+    confirm: bool = False
+
+
+UNCONDITIONED = Conditions()
 
 
 class Conducted(Hardware):
@@ -27,16 +53,21 @@ class Conducted(Hardware):
         Whatever it does.
     task
         Whose rollouts it should return.
-    timeout
-        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own; where
-        it takes longer, the hardware is asked to stop, and what it still does is of no interest. Code that
-        never returns to Python's interpreter cannot be stopped so.
+    conditions
+        Of all experiments.
+
+    Raises
+    ------
+    ValueError
+        If a limit names nothing of the task.
     """
 
-    def __init__(self, hardware: Hardware, task: Task, timeout: float | None = None) -> None:
+    def __init__(self, hardware: Hardware, task: Task, conditions: Conditions) -> None:
         self._hardware = hardware
         self._task = task
-        self._timeout = timeout
+        self._timeout = conditions.timeout
+        self._bounds = conditions.safety.bounds(task) if conditions.safety.limits else None
+        self._to_confirm = conditions.confirm
         self.sets_start = hardware.sets_start
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
@@ -50,11 +81,27 @@ class Conducted(Hardware):
         Waiting
             If its result is not there yet.
         """
-        returned = self._returned(lambda: self._hardware.run(policy, theta, start, rng))
+        if self._to_confirm:
+            _confirm()
+            self._to_confirm = False
+        returned = self._guarded(policy, theta, start, rng)
         try:
             return check_rollout(returned, self._hardware, self._task)
         except HardwareError as error:
             raise HardwareError(f"{error}{self.refuse(returned, theta, start, str(error))}") from error
+
+    def _guarded(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+        """What the hardware returns, not yet checked; an aborted experiment as far as it was recorded."""
+        if self._bounds is None:
+            return self._returned(lambda: self._hardware.run(policy, theta, start, rng))
+        guarded = Guarded(policy, self._task, self._bounds)
+        try:
+            return self._returned(lambda: self._hardware.run(guarded, theta, start, rng))
+        except Exception:
+            if guarded.last is None or not guarded.last.failure:
+                raise
+            _Call(self._hardware.stop).ended(STOP_SECONDS)
+            return guarded.last.record()
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what breaks the contract; where it is, in words that follow those of the error."""
@@ -101,6 +148,22 @@ class Conducted(Hardware):
     def _name(self) -> str:
         """The component."""
         return type(self._hardware).__name__
+
+
+def _confirm() -> None:
+    """Ask a person whether the hardware may be used.
+
+    Raises
+    ------
+    Waiting
+        If it may not, or nobody is there.
+    """
+    try:
+        answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
+    except (EOFError, OSError):
+        raise Waiting("hardware.confirm=true, but nobody is there to be asked") from None
+    if answer.strip().lower() not in ("y", "yes"):
+        raise Waiting("the experiment was not confirmed")
 
 
 class _Call:

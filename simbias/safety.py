@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from simbias.config.numbers import Positive
-from simbias.interfaces import Controller, Kernel, Law, Policy, Quantity, Task
+from simbias.interfaces import Controller, Law, Policy, Quantity, Task
 from simbias.records import Array, Rollout
 
 
@@ -29,10 +29,15 @@ class Safety:
         Whether a (measured) state that violates a failure criterion aborts too.
     """
 
-    inputs: Mapping[str, Positive] = field(default_factory=dict)
-    input_rates: Mapping[str, Positive] = field(default_factory=dict)
-    states: Mapping[str, Positive] = field(default_factory=dict)
-    criteria: bool = True
+    inputs: Mapping[str, Positive] | None = None
+    input_rates: Mapping[str, Positive] | None = None
+    states: Mapping[str, Positive] | None = None
+    criteria: bool = False
+
+    @property
+    def limits(self) -> bool:
+        """Whether anything is limited."""
+        return bool(self.inputs or self.input_rates or self.states or self.criteria)
 
     def bounds(self, task: Task) -> Bounds:
         """The limits as arrays.
@@ -51,6 +56,9 @@ class Safety:
         )
 
 
+NO_LIMITS = Safety()
+
+
 @dataclass(frozen=True, eq=False)
 class Bounds:
     """Limits as arrays; inf where there is none."""
@@ -58,20 +66,18 @@ class Bounds:
     inputs: Array  # (m,)
     input_rates: Array  # (m,) per s
     states: Array  # (n,)
-    criteria: bool = True
+    criteria: bool
 
 
-def _by_quantity(key: str, limits: Mapping[str, float], quantities: Sequence[Quantity]) -> Array:
+def _by_quantity(key: str, limits: Mapping[str, float] | None, quantities: Sequence[Quantity]) -> Array:
     """The limit of each quantity, by its name or its kind."""
+    limits = limits or {}
     known = {name for quantity in quantities for name in quantity.names}
     unknown = sorted(set(limits) - known)
     if unknown:
         raise ValueError(f"{key} names no quantity of the task: {', '.join(unknown)}; it has {sorted(known)}")
     return np.array(
-        [
-            next((limits[name] for name in quantity.names if name in limits), np.inf)
-            for quantity in quantities
-        ]
+        [next((limits[name] for name in quantity.names if name in limits), np.inf) for quantity in quantities]
     )
 
 
@@ -107,6 +113,8 @@ class Guarded(Policy):
 
     def __getattr__(self, name: str) -> Any:
         """What else the policy has."""
+        if name.startswith("__") or "policy" not in vars(self):  # while it is copied
+            raise AttributeError(name)
         return getattr(self.policy, name)
 
     def controller(self, theta: Array, time_step: float) -> Controller:

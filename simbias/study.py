@@ -6,12 +6,13 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from simbias.config.composition import Composition
-from simbias.experiments import Conducted
+from simbias.experiments import UNCONDITIONED, Conditions, Conducted
 from simbias.interfaces import (
     Bias,
     Cost,
@@ -84,7 +85,7 @@ class Study:
     method: Method
     seed: int
     composition: Composition  # what the components were built from
-    experiment_timeout: float | None = None  # s of wall time for each hardware experiment
+    conditions: Conditions = UNCONDITIONED  # of hardware experiments
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -143,13 +144,14 @@ class Study:
         """
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
-        return self._judged(self.conducted().run(self.policy, theta, begin, rng), theta)
+        return self._judged(self.conducted.run(self.policy, theta, begin, rng), theta)
 
+    @cached_property
     def conducted(self) -> Conducted:
         """The hardware, its experiments bounded in time and checked."""
         if isinstance(self.hardware, Conducted):
             return self.hardware
-        return Conducted(self.hardware, self.task, self.experiment_timeout)
+        return Conducted(self.hardware, self.task, self.conditions)
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""

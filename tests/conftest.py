@@ -9,6 +9,7 @@ from simbias.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
 OWN_CONF = ROOT / "tests" / "own_conf"
+NEEDED = {("hardware", "process"): ["hardware.command=cat"]}  # values without which an option is not built
 POINT_MASS = [f"{group.name}=point_mass" for group in sorted(OWN_CONF.iterdir())]
 
 

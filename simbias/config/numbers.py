@@ -49,7 +49,7 @@ def _check_span(value: Any) -> Any:
     return value
 
 
-Span = Annotated[int | str, BeforeValidator(_check_span)]  # frames, or a duration
+Span = Annotated[Frames | str, BeforeValidator(_check_span)]  # frames, or a duration
 
 
 def frames_in(span: Span, time_step: float) -> int:

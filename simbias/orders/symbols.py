@@ -26,6 +26,13 @@ def vector(name: str, size: int) -> tuple[Any, ...]:
     return tuple(sympy.Symbol(f"{name}[{index}]", real=True) for index in range(size))
 
 
+def scalar(name: str) -> Any:
+    """A symbol."""
+    import sympy
+
+    return sympy.Symbol(name, real=True)
+
+
 def formulas(kernel: Callable, *arguments: Any) -> Any:
     """What a kernel returns for symbols.
 

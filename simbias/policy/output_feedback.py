@@ -56,7 +56,10 @@ class OutputFeedback(Policy):
 
     def law(self, theta: Array) -> Law:
         """Eq. 9, its gains in the task's units: a row for each input, a column for each output."""
-        return Law("u = H z, each input cut off at its limit", {"H": self.gains(theta)})
+        return Law(
+            "u = H z, cut off at the inputs' limits; rows of H: inputs, columns: outputs",
+            {"H": self.gains(theta)},
+        )
 
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
