@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from simbias.config.composition import Composition
+from simbias.dialogue import Dialogue
 from simbias.experiments import UNCONDITIONED, Conditions, Conducted
 from simbias.interfaces import (
     Bias,
@@ -29,6 +30,7 @@ from simbias.interfaces import (
     SlowWarning,
     Task,
 )
+from simbias.orders.order import Order
 from simbias.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.simulation.closed_loop import simulator
 
@@ -152,6 +154,40 @@ class Study:
         if isinstance(self.hardware, Conducted):
             return self.hardware
         return Conducted(self.hardware, self.task, self.conditions)
+
+    def ask(self) -> Order | None:
+        """The next experiment of a trial whose hardware is you; None once the trial has come to its end.
+
+        >>> while (order := study.ask()) is not None:
+        ...     study.tell(made(order.controller(), order.start))
+        """
+        return self.dialogue.ask()
+
+    def tell(self, rollout: Rollout) -> None:
+        """What came of the experiment that was asked for; the study's hardware is not used.
+
+        Raises
+        ------
+        ValueError
+            If none was asked for.
+        HardwareError
+            If the rollout is not what the contract asks for; the question stays open.
+        """
+        self.dialogue.tell(rollout)
+
+    @cached_property
+    def dialogue(self) -> Dialogue:
+        """What was asked and told, and the iterations that have ended."""
+
+        def run(hardware: Hardware, optimizer: Optimizer) -> Iterator[Iteration]:
+            return replace(self, hardware=hardware, optimizer=optimizer, conditions=self._told).run()
+
+        return Dialogue(self.task, self.optimizer, run)
+
+    @property
+    def _told(self) -> Conditions:
+        """The conditions of experiments that are told: nobody is asked whether they may be made."""
+        return Conditions(safety=self.conditions.safety)
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""

@@ -127,9 +127,10 @@ class Process(Hardware):
         inputs = self._table(answer, "inputs", len(self._task.inputs))
         if len(inputs) == len(states) - 1:
             inputs = np.concatenate([inputs, np.zeros((1, inputs.shape[1]))])  # nothing acted any more
-        times = np.arange(len(states)) * self._task.time_step
-        if answer.get("times") is not None:
-            times = self._table({"times": [[time] for time in answer["times"]]}, "times", 1)[:, 0]
+        times = self._task.time_step * np.arange(len(states), dtype=np.float64)
+        if (given := answer.get("times")) is not None:
+            rows = [[time] for time in given] if isinstance(given, list) else given
+            times = self._table({"times": rows}, "times", 1)[:, 0]
         if not len(states) == len(inputs) == len(times):
             raise HardwareError(
                 f"{self._name}: expected as many rows, got {len(states)} states, {len(inputs)} inputs and "
@@ -167,10 +168,13 @@ class Process(Hardware):
 
 
 def _end(process: subprocess.Popen[str]) -> None:
-    """End a program and those that it started: first kindly."""
-    for kill in (signal.SIGTERM, signal.SIGKILL):
+    """End a program, on POSIX with those that it started: first kindly."""
+    for name in ("SIGTERM", "SIGKILL"):
         with suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, kill)
+            if os.name == "posix":
+                os.killpg(process.pid, getattr(signal, name))
+            else:
+                process.terminate()
         with suppress(subprocess.TimeoutExpired):
             process.wait(STOP_SECONDS)
             return

@@ -182,7 +182,7 @@ def _words(task: Task, law: Formulas, title: str) -> dict[str, Any]:
     """What both languages say."""
     quantities = task.states if law.seen == "x" else task.outputs
     memory = (
-        f"\n    t: time in s since the start; memory: {len(law.memory)} numbers for the next frame, at first 0"
+        f"\n    t: s since the start; memory: {len(law.memory)} numbers for the next frame, at first 0"
         if law.memory
         else ""
     )
