@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
 CHECK = "check"  # in place of a first override: put components through the conformance suite
+PREVIEW = "preview"  # likewise: show what the first experiment is predicted to do
 
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
@@ -31,6 +32,8 @@ values that people change most (--cfg job shows all):
   optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
   task.horizon=5000                    T, frames of task.time_step=0.001 s
   experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
+  hardware.confirm=true                show what is predicted, and ask, before the first experiment
+  hardware.safety.states={angle: 0.5}  abort beyond; also inputs, input_rates (per s), criteria=true
   tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
 
 examples:
@@ -40,6 +43,7 @@ examples:
   python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
   python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
+  python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
              (the same command goes on), 130 interrupted (likewise)
@@ -83,6 +87,11 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
         from simbias.terminal.check import check
 
         return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir, parsed.allow) else FAILED
+    if parsed.overrides[:1] == [PREVIEW]:
+        from simbias.terminal.preview import preview
+
+        preview(parsed.overrides[1:], parsed.config_dir, parsed.allow)
+        return SUCCEEDED
     composition = compose(parsed.overrides, parsed.config_dir, parsed.allow)
     if parsed.cfg:
         print(_as_yaml(composition), end="")
@@ -142,7 +151,7 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
 def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
     """Run a trial as far as it goes; `again` is the command that goes on with it."""
     from simbias.messages import with_type
-    from simbias.terminal.trial import TrialConsole, counted, traceback_file
+    from simbias.terminal.trial import TrialConsole, asking, counted, traceback_file
     from simbias.trial import Outcome, run_trial
 
     if tracked.changed:
@@ -152,7 +161,7 @@ def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
             console.recall(before.iterations, tracked.where)
             return SUCCEEDED if before.iterations[-1].succeeded else FAILED
         try:
-            record = run_trial(study, tracked, console)
+            record = run_trial(asking(study, console), tracked, console)
         except Exception as error:  # of the store: what a component raises is in the record
             print(f"simbias: {with_type(error)} (go on with:  {again})", file=sys.stderr)
             return FAILED

@@ -20,6 +20,15 @@ STOP_SECONDS = 5.0  # that `Hardware.stop` has, and then again the experiment th
 MESSAGE_LENGTH = 250  # of what a hardware raises
 
 
+def ask(theta: Array, start: Array) -> bool:
+    """Ask a person whether the hardware may be used; where nobody is, it may not."""
+    try:
+        answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
+    except (EOFError, OSError):
+        return False
+    return answer.strip().lower() in ("y", "yes")
+
+
 @dataclass(frozen=True)
 class Conditions:
     """Under which experiments are made.
@@ -34,11 +43,14 @@ class Conditions:
         Limits at which an experiment is aborted; it has failed then.
     confirm
         Whether a person is asked before the first experiment.
+    ask
+        Asks whether theta (p,) may be run from a start (n,).
     """
 
     timeout: float | None = None
     safety: Safety = NO_LIMITS
     confirm: bool = False
+    ask: Callable[[Array, Array], bool] = ask
 
 
 UNCONDITIONED = Conditions()
@@ -67,7 +79,7 @@ class Conducted(Hardware):
         self._task = task
         self._timeout = conditions.timeout
         self._bounds = conditions.safety.bounds(task) if conditions.safety.limits else None
-        self._to_confirm = conditions.confirm
+        self._ask = conditions.ask if conditions.confirm else None
         self.sets_start = hardware.sets_start
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
@@ -81,9 +93,10 @@ class Conducted(Hardware):
         Waiting
             If its result is not there yet.
         """
-        if self._to_confirm:
-            _confirm()
-            self._to_confirm = False
+        if self._ask is not None:
+            if not self._ask(theta, start):
+                raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
+            self._ask = None
         returned = self._guarded(policy, theta, start, rng)
         try:
             return check_rollout(returned, self._hardware, self._task)
@@ -148,22 +161,6 @@ class Conducted(Hardware):
     def _name(self) -> str:
         """The component."""
         return type(self._hardware).__name__
-
-
-def _confirm() -> None:
-    """Ask a person whether the hardware may be used.
-
-    Raises
-    ------
-    Waiting
-        If it may not, or nobody is there.
-    """
-    try:
-        answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
-    except (EOFError, OSError):
-        raise Waiting("hardware.confirm=true, but nobody is there to be asked") from None
-    if answer.strip().lower() not in ("y", "yes"):
-        raise Waiting("the experiment was not confirmed")
 
 
 class _Call:

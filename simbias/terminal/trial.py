@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from tempfile import NamedTemporaryFile
 from typing import TextIO
 
@@ -15,8 +16,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from simbias import remarks
+from simbias.experiments import ask
 from simbias.interfaces import SlowWarning
 from simbias.messages import brief
+from simbias.prediction import predict
 from simbias.records import Array, Iteration, Rollout, Search
 from simbias.study import Observer, Study
 from simbias.trial import Outcome, TrialRecord
@@ -49,6 +52,7 @@ class TrialConsole(Observer):
         self._bar = self._progress.add_task("", total=study.optimizer.max_evaluations, best="", visible=False)
         self._experiments = 0
         self._iterations: list[Iteration] = []
+        self._search: Search | None = None
         self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
 
     def __enter__(self) -> TrialConsole:
@@ -79,6 +83,7 @@ class TrialConsole(Observer):
     def searched(self, search: Search) -> None:
         """Say what is odd about a search's policy, before hardware is spent on it."""
         self._remark(remarks.of_search(search, self._iterations))
+        self._search = search
 
     def _remark(self, lines: Iterable[str]) -> None:
         """Lines between those of the iterations."""
@@ -89,6 +94,20 @@ class TrialConsole(Observer):
         """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
         words = f"hardware experiment {self._experiments + 1} under way"
         self._progress.update(self._bar, description=words, completed=0, best="", visible=True)
+
+    def ask(self, theta: Array, start: Array) -> bool:
+        """Show what is predicted of an experiment, and ask whether it may be made, on a screen at rest."""
+        from simbias.terminal.preview import describe
+
+        self._progress.stop()
+        search, study = self._search, self._study
+        bias, nominal = (search.fitted_bias, search.nominal) if search else (None, None)
+        bounds = study.conditions.safety.bounds(study.task)
+        for line in describe(study, predict(study, theta, start, bias, nominal), bounds):
+            self._console.print(line, soft_wrap=True, markup=False)
+        allowed = ask(theta, start)
+        self._progress.start()
+        return allowed
 
     def experimented(self, rollout: Rollout) -> None:
         """Tell of a hardware experiment that has ended."""
@@ -146,6 +165,11 @@ class TrialConsole(Observer):
         """How to look at the trial."""
         if where:
             self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
+
+
+def asking(study: Study, console: TrialConsole) -> Study:
+    """The study, whose hardware asks on this console, if it asks."""
+    return replace(study, conditions=replace(study.conditions, ask=console.ask))
 
 
 def traceback_file(record: TrialRecord) -> str:
