@@ -21,6 +21,7 @@ SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
 CHECK = "check"  # in place of a first override: put components through the conformance suite
 PREVIEW = "preview"  # likewise: show what the first experiment is predicted to do
+NEW = "new"  # likewise: lay out a folder for a robot of one's own
 
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
@@ -43,6 +44,7 @@ examples:
   python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
   python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
+  python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -87,6 +89,11 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
         from simbias.terminal.check import check
 
         return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir, parsed.allow) else FAILED
+    if parsed.overrides[:1] == [NEW]:
+        from simbias.terminal.new import new
+
+        new(parsed.overrides[1:])
+        return SUCCEEDED
     if parsed.overrides[:1] == [PREVIEW]:
         from simbias.terminal.preview import preview
 
