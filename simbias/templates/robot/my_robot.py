@@ -91,7 +91,7 @@ class Belief(Nominal):
 
 
 class Robot(Hardware):
-    """The robot. This one is simulated too: its pole is longer than you believe, its joint rubs, a cable pulls."""
+    """The robot. This one is simulated too: its pole is longer, its joint rubs, and a cable pulls."""
 
     def __init__(
         self,
