@@ -297,10 +297,11 @@ class Hardware(ABC):
         """
 
     def stop(self) -> None:  # noqa: B027  (few need it)
-        """Bring the system to rest: an experiment took longer than `experiment_timeout`, or was interrupted.
+        """Bring the system to rest: an experiment took too long, was interrupted or went beyond a limit.
 
-        It is called from another thread while `run` still runs, and only with a time-out; `run` should end
-        soon afterwards, what it returns or raises is of no interest. By default nothing happens.
+        With `experiment_timeout` it is called from another thread while `run` still runs; `run` should end
+        soon afterwards, what it returns or raises is of no interest. Beyond a limit of `hardware.safety`,
+        `run` has ended by what the controller raised. By default nothing happens.
         """
 
 

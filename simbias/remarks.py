@@ -37,6 +37,20 @@ def of_selection(selection: Selection) -> Iterator[str]:
     yield f"no samples to learn from: {why}"
 
 
+def kinds(iterations: Sequence[Iteration]) -> set[str]:
+    """What is odd about a trial that has ended, in few words each."""
+    found = set()
+    for index, iteration in enumerate(iterations):
+        if iteration.search is not None and iteration.search.optimum.flat:
+            found.add("all simulated policies cost the same")
+        if any(np.array_equal(each.parameters, iteration.parameters) for each in iterations[:index]):
+            found.add("a refuted policy was tried again")
+        learning = iteration.learning
+        if learning is not None and not iteration.succeeded and not len(learning.selection.transitions):
+            found.add("experiments without a sample to learn from")
+    return found
+
+
 def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[str]:
     """All remarks on an iteration that has ended."""
     found = [] if iteration.search is None else list(of_search(iteration.search, earlier))

@@ -161,6 +161,18 @@ def test_a_policy_that_is_tried_again_is_told(point_mass: Study) -> None:
     assert "again" not in shown(replace(point_mass, method=_two_iterations()))  # which learns
 
 
+def test_a_sweep_counts_what_was_odd(point_mass: Study) -> None:
+    def kinds(study: Study) -> set[str]:
+        return remarks.kinds(run_trial(replace(study, method=_two_iterations())).iterations)
+
+    assert kinds(point_mass) == set()
+    assert kinds(replace(point_mass, bias=NoBias())) == {"a refuted policy was tried again"}
+    flat, none = "all simulated policies cost the same", "experiments without a sample to learn from"
+    samples = Thresholds(point_mass.task, residual=1e-6)
+    found = kinds(replace(point_mass, cost=Always(2.0), samples=samples))
+    assert {flat, none} <= found
+
+
 def _two_iterations() -> Any:
     return Algorithm1(max_iterations=2)
 
