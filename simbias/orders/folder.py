@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
 
+import numpy as np
+
 from simbias.orders.controller import c_header, derive, python_module
 from simbias.orders.order import Order
 from simbias.orders.symbols import UntraceableError
@@ -114,7 +116,8 @@ def _limits(order: Order) -> str:
         *(f"|{q.name}| <= {v:g} {q.unit}" for q, v in zip(task.states, bounds.states, strict=True)),
     ]
     finite = [line for line in lines if "<= inf" not in line]
-    return f"Abort beyond any of these limits:\n{_indented(finite)}\n"
+    held = " (the code above holds all but the changes)" if np.isfinite(bounds.input_rates).any() else ""
+    return f"Abort beyond any of these limits{held}:\n{_indented(finite)}\n"
 
 
 def _indented(lines: Sequence[str]) -> str:
