@@ -9,10 +9,11 @@ from enum import StrEnum
 
 from threadpoolctl import threadpool_limits
 
+from simbias.blame import told
 from simbias.held_out import Tries, try_policy
 from simbias.interfaces import Waiting
-from simbias.messages import with_trace, with_type, words
-from simbias.records import Array, Iteration, Rollout
+from simbias.messages import with_trace, words
+from simbias.records import Array, Iteration, Rollout, Search
 from simbias.study import Observer, Study
 
 
@@ -122,7 +123,7 @@ def run_trial(
         except Waiting as reason:
             record = run.record(Outcome.WAITING, words(reason))
         except (Exception, SystemExit) as error:
-            record = run.record(Outcome.ERROR, with_type(error), with_trace(error))
+            record = run.record(Outcome.ERROR, told(error), with_trace(error))
             record = replace(record, traceback_file=recorder.explained(record.traceback))
         except BaseException:
             recorder.ended(run.record(Outcome.INTERRUPTED))
@@ -146,6 +147,10 @@ class _Run(Observer):
         self.iterations: list[Iteration] = []
         self._held_out: Tries | None = None
         self.searching = observer.searching  # type: ignore[method-assign]  # called thousands of times
+
+    def searched(self, search: Search) -> None:
+        """Pass it on."""
+        self._observer.searched(search)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Pass it on."""

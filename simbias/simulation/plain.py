@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.interfaces import Cost, Model
+from simbias.interfaces import Cost, Model, failure_name
 from simbias.records import Array, Disturbance, Indices, Rollout
 
 MOST = 256  # rollouts side by side: their records take memory
@@ -111,12 +111,18 @@ class PlainSimulator:
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
     """Costs (k,) of rollouts, and their frames (k,)."""
     frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
-    return np.array([cost.of(rollout) for rollout in rollouts]), frames
+    costs = np.array([cost.of(rollout) for rollout in rollouts])
+    if not np.isfinite(costs).all():
+        got = costs[~np.isfinite(costs)][0]
+        raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
+    return costs, frames
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
     """The record of a rollout that a criterion ended after so many frames, or the horizon if it is -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
     return (
-        Rollout(states, inputs) if violated < 0 else Rollout(states, inputs, frames, criteria[violated].name)
+        Rollout(states, inputs)
+        if violated < 0
+        else Rollout(states, inputs, frames, failure_name(criteria, violated))
     )

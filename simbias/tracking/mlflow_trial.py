@@ -53,6 +53,7 @@ class MlflowTrial(TrackedTrial):
         self._journal = journal  # if the trial runs here
         self._writes = Writes()
         self._rows: list[notes.Row] = []
+        self._iterations: list[Iteration] = []  # of the rows
         self._logged = int(run.data.metrics.get(ITERATIONS, 0))
         self._time = self._last_time(run)  # s since the epoch, up to the last iteration
         self._seconds = run.data.metrics.get(fields.SECONDS, 0.0)  # that earlier processes took
@@ -174,8 +175,9 @@ class MlflowTrial(TrackedTrial):
 
     def _write(self, iterations: Sequence[Iteration]) -> None:
         """Keep iterations when all is written, unless an earlier process did."""
-        self._rows.extend(notes.row(self._study, iteration) for iteration in iterations)
         for iteration in iterations:
+            self._rows.append(notes.row(self._study, iteration, self._iterations))
+            self._iterations.append(iteration)
             if iteration.index < self._logged:
                 continue
             self._time += sum(iteration.seconds.values())
