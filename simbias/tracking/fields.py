@@ -31,6 +31,7 @@ KEY_LENGTH = 250  # MLflow's limits
 VALUE_LENGTH = 6000
 
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
+MACHINE = "machine"  # the tag that tells on which kind of machine a trial ran
 SECONDS = "trial/seconds"  # the metric that tells how long a trial took
 TRIAL_METRICS = ("trial/experiments", "trial/iterations", SECONDS)
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
@@ -138,6 +139,13 @@ def sweep_metrics(trials: DataFrame) -> dict[str, float]:
 def tags(composition: Composition) -> dict[str, str]:
     """What a trial is and comes from: its identity, git commit, versions, user."""
     return {"hash": composition.hash, **origin()}
+
+
+def machine_tags(record: TrialRecord) -> dict[str, str]:
+    """What a trial ran on; of one that went on elsewhere, all kinds of machines."""
+    if not record.machines:
+        return {}
+    return {MACHINE: " then ".join(record.machines)[:VALUE_LENGTH], "processor": record.processor}
 
 
 def origin() -> dict[str, str]:

@@ -253,7 +253,11 @@ class MlflowTrial(TrackedTrial):
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept in the journal."""
-        return self._journal.recalling(study) if self._journal else study
+        if self._journal is None:
+            return study
+        recalled = self._journal.recalling(study)
+        self.machines = self._journal.machines
+        return recalled
 
     def iterated(self, iteration: Iteration) -> None:
         """Keep an iteration, unless an earlier process did."""
@@ -296,7 +300,7 @@ class MlflowTrial(TrackedTrial):
         numbers = fields.trial_metrics(whole).items()
         pending.metrics.append([(name, value, 0, self._time) for name, value in numbers])
         self._note(notes.verdict(self._rows, record))
-        pending.tags["outcome"] = record.outcome
+        pending.tags |= {"outcome": record.outcome, **fields.machine_tags(record)}
         self._flush()
         ended = int(1000 * self._time)
         self._client.set_terminated(self.run_id, STATUS.get(record.outcome, FINISHED), end_time=ended)
