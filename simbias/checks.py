@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from simbias.interfaces import Hardware, HardwareError, Task
-from simbias.messages import printable, quoted
+from simbias.messages import printable, quote
 from simbias.records import Array, Rollout
 
 
-def checked(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
+def check_rollout(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
     """A hardware's rollout, its arrays as float64 and copies of its own; without cost and parameters.
 
     Raises
@@ -31,7 +31,7 @@ def checked(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
     if measured is not None:
         measured = _array(measured, f"{source}: measured", (k + 1, n))
     if not isinstance(rollout.sensed, bool | np.bool_):
-        raise HardwareError(f"{source}: sensed: expected true or false, got {quoted(rollout.sensed)}")
+        raise HardwareError(f"{source}: sensed: expected true or false, got {quote(rollout.sensed)}")
     if k > T:
         raise HardwareError(
             f"{source}: inputs: expected at most {T} frames of {task.time_step:g} s, got {k}; "
@@ -55,9 +55,9 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
         masked = isinstance(given, np.ma.MaskedArray)
         array = given.astype(np.float64).filled(np.nan) if masked else np.asarray(given)
     except Exception as error:  # rows of several lengths, or whatever an object of its own raises
-        raise HardwareError(f"{name}: expected the shape {words}, got {quoted(given)}") from error
+        raise HardwareError(f"{name}: expected the shape {words}, got {quote(given)}") from error
     if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):
-        kind = quoted(given) if array.ndim == 0 else array.dtype
+        kind = quote(given) if array.ndim == 0 else array.dtype
         raise HardwareError(f"{name}: expected real numbers, got {kind}")
     if array.shape == (0,):  # of an empty list, which has no columns
         array = array.reshape(0, shape[1])
@@ -68,7 +68,7 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
     wrong = np.flatnonzero(~np.isfinite(own).all(axis=1))
     if len(wrong):
         raise HardwareError(
-            f"{name}: expected finite numbers, got {quoted(own[wrong[0]].tolist())} in frame {wrong[0]}"
+            f"{name}: expected finite numbers, got {quote(own[wrong[0]].tolist())} in frame {wrong[0]}"
         )
     return own
 
@@ -82,13 +82,13 @@ def _frame(given: Any, name: str) -> int | None:
     try:
         return operator.index(given)
     except Exception as error:
-        raise HardwareError(f"{name}: expected a frame or None, got {quoted(given)}") from error
+        raise HardwareError(f"{name}: expected a frame or None, got {quote(given)}") from error
 
 
 def _failure(given: Any, failed_at: int | None, name: str) -> str | None:
     """What failed, of a rollout that did."""
     if given is not None and not isinstance(given, str):
-        raise HardwareError(f"{name}: expected a name or None, got {quoted(given)}")
+        raise HardwareError(f"{name}: expected a name or None, got {quote(given)}")
     if failed_at is None and given is not None:
-        raise HardwareError(f"{name}: expected None without failed_at, got {quoted(given)}")
+        raise HardwareError(f"{name}: expected None without failed_at, got {quote(given)}")
     return None if failed_at is None else printable(given or "failed")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from simbias.checks import checked
+from simbias.checks import check_rollout
 from simbias.interfaces import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.messages import with_type
 from simbias.records import Array, Rollout
@@ -52,11 +52,11 @@ class Conducted(Hardware):
         """
         returned = self._returned(lambda: self._hardware.run(policy, theta, start, rng))
         try:
-            return checked(returned, self._hardware, self._task)
+            return check_rollout(returned, self._hardware, self._task)
         except HardwareError as error:
-            raise HardwareError(f"{error}{self.refused(returned, theta, start, str(error))}") from error
+            raise HardwareError(f"{error}{self.refuse(returned, theta, start, str(error))}") from error
 
-    def refused(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what breaks the contract; where it is, in words that follow those of the error."""
         return ""
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from simbias.parameters import Parameter, values_at
 from simbias.records import Array, Indices, Optimum, Rollout, Selection, Transitions
 from simbias.search import Evaluations
 
@@ -114,17 +115,36 @@ class Task(ABC):
 
 
 class Nominal(ABC):
-    """The simulation model f' (Section IV-A)."""
+    """The simulation model f' (Section IV-A).
+
+    A model of what the state does not show, as an actuator's lag or a delay, keeps it in its memory, which is
+    zero at the start.
+    """
 
     kernel: Kernel | None = None
+    parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
+    memory_size: int = 0  # s
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1)."""
+        """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1).
+
+        Of a model with memory: as if u had acted for long.
+        """
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the memory (..., s) for the next frame; only models with memory need it."""
+        return self.step(x, u), memory
+
+    def with_parameters(self, values: Array) -> Nominal:
+        """The model with other values (k,) of its `parameters`, in their units."""
+        raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model that might be the right one, as far as its parameters are known; this one if they are."""
-        return self
+        if not self.parameters:
+            return self
+        return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
 
 class Policy(ABC):
@@ -262,6 +282,18 @@ class Hardware(ABC):
 
         It is called from another thread while `run` still runs, and only with a time-out; `run` should end
         soon afterwards, what it returns or raises is of no interest. By default nothing happens.
+        """
+
+
+class Identification(ABC):
+    """What is learned of the nominal model's parameters, before a bias is learned of what they leave."""
+
+    @abstractmethod
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        """The model at the parameters' most probable values, whose `draw` draws from their posterior.
+
+        `nominal.parameters` are the prior, the rollouts all hardware experiments of a trial, also those that
+        failed. Without rollouts or parameters it is the nominal model itself.
         """
 
 

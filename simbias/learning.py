@@ -9,21 +9,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.interfaces import FittedBias, Objective
+from simbias.interfaces import Model, Objective
 from simbias.records import Array, Optimum, Rollout, Search
 from simbias.study import Observer, Study
 
 
 def search(
     study: Study,
-    fitted_bias: FittedBias,
+    model: Model,
     rng: np.random.Generator,
     observer: Observer,
     candidates: Sequence[Array] = (),
     retries: int = 0,
     satisfactory: float | None = None,
 ) -> Search:
-    """Optimise the policy in simulation (the dashed loop of Fig. 1).
+    """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
     A search that ends above a satisfactory cost, by default Z_max, is made again with other random numbers,
     up to `retries` times. The best one is returned, with the evaluations of all.
@@ -32,7 +32,7 @@ def search(
     searches: list[tuple[Optimum, float]] = []
     while not searches or (searches[-1][1] > enough and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
-        searches.append(_search(study, fitted_bias, search_rng, observer, candidates, enough))
+        searches.append(_search(study, model, search_rng, observer, candidates, enough))
     best = min(range(len(searches)), key=lambda index: searches[index][1])
     optimum, predicted_cost = searches[best]
     if len(searches) > 1:
@@ -41,12 +41,12 @@ def search(
             evaluations=sum(one.evaluations for one, _ in searches),
             stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
-    return Search(optimum, predicted_cost, fitted_bias, fitted_bias.diagnostics)
+    return Search(optimum, predicted_cost, model.bias, model.bias.diagnostics, model.nominal)
 
 
 def _search(
     study: Study,
-    fitted_bias: FittedBias,
+    model: Model,
     rng: np.random.Generator,
     observer: Observer,
     candidates: Sequence[Array],
@@ -54,7 +54,7 @@ def _search(
 ) -> tuple[Optimum, float]:
     """One search, and the cost that it predicts."""
     scenario_rng, optimizer_rng = rng.spawn(2)
-    objective = study.evaluation.objective(study.model(fitted_bias), study.cost, scenario_rng)
+    objective = study.evaluation.objective(model, study.cost, scenario_rng)
     lower, upper = study.policy.bounds
     watched = _Watched(objective, observer)
     optimum = study.optimizer.minimize(watched, lower, upper, optimizer_rng, satisfactory, candidates)

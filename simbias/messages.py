@@ -24,7 +24,7 @@ def brief(text: str, longest: int = LONGEST) -> str:
     return line if len(line) <= longest else f"{line[: longest // 2 - 2]} ... {line[3 - longest // 2 :]}"
 
 
-def quoted(value: object) -> str:
+def quote(value: object) -> str:
     """A value as Python writes it, not too long; some values cannot be written, as very large integers."""
     try:
         return brief(repr(value), LONGEST_VALUE)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from simbias.interfaces import FittedBias
+    from simbias.interfaces import FittedBias, Nominal
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -95,6 +95,7 @@ class Search:
     predicted_cost: float  # Z_g
     fitted_bias: FittedBias | None  # g; None once the record came from a worker
     diagnostics: Mapping[str, float] = field(default_factory=dict)  # what the learner says of g
+    nominal: Nominal | None = None  # as far as identified; None likewise
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from simbias.interfaces import (
     Evaluation,
     FittedBias,
     Hardware,
+    Identification,
     Model,
     Nominal,
     Optimizer,
@@ -71,6 +72,7 @@ class Study:
     nominal: Nominal
     hardware: Hardware
     policy: Policy
+    identification: Identification
     samples: Samples
     bias: Bias
     cost: Cost
@@ -110,15 +112,20 @@ class Study:
         return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
 
     def simulate(
-        self, theta: Array, fitted_bias: FittedBias | None = None, start: Array | None = None
+        self,
+        theta: Array,
+        fitted_bias: FittedBias | None = None,
+        start: Array | None = None,
+        nominal: Nominal | None = None,
     ) -> Rollout:
         """Roll theta (p,) out in simulation, without noise (Eq. 7, 9).
 
-        Without a fitted bias g = 0; without a start (n,) it is the task's mean start.
+        Without a fitted bias g = 0; without a start (n,) it is the task's mean start; without an identified
+        nominal model it is the study's.
         """
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.start_mean if start is None else start
-        return self._judged(self.simulator(fitted_bias).rollout(theta, begin), theta)
+        return self._judged(self.simulator(fitted_bias, nominal).rollout(theta, begin), theta)
 
     def experiment(self, theta: Array, rng: np.random.Generator, start: Array | None = None) -> Rollout:
         """Run theta (p,) on the hardware once; without a start (n,) from a random one.
@@ -145,13 +152,14 @@ class Study:
         """A rollout with its cost and the policy that it ran."""
         return replace(rollout, cost=self.cost.of(rollout), parameters=theta)
 
-    def simulator(self, fitted_bias: FittedBias | None = None) -> Simulator:
-        """The closed loop on the nominal model, corrected by a fitted bias; g = 0 without one."""
-        return simulator(self.model(fitted_bias))
+    def simulator(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Simulator:
+        """The closed loop on the (identified) nominal model, corrected by a fitted bias; g = 0 without."""
+        return simulator(self.model(fitted_bias, nominal))
 
-    def model(self, fitted_bias: FittedBias | None = None) -> Model:
-        """The nominal model, corrected by a fitted bias; g = 0 without one."""
-        return Model(self.task, self.policy, self.nominal, fitted_bias or self.bias.fit(self.no_data))
+    def model(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Model:
+        """The (identified) nominal model, corrected by a fitted bias; g = 0 without one."""
+        bias = fitted_bias or self.bias.fit(self.no_data)
+        return Model(self.task, self.policy, nominal or self.nominal, bias)
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
@@ -168,6 +176,13 @@ class Study:
         fitted_bias = self.bias.fit(data)
         self.simulate(theta, fitted_bias)
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
+
+    def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:
+        """D, the union of all D_i (line 13): residuals against an (identified) nominal model."""
+        data = self.no_data
+        for rollouts in iterations:
+            data |= self.samples.select(rollouts, nominal).transitions
+        return data
 
     @property
     def no_data(self) -> Transitions:

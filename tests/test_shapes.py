@@ -14,7 +14,7 @@ from simbias.interfaces import SlowWarning
 from simbias.simulation.plain import PlainSimulator
 from simbias.study import Study
 from simbias.testing.expectations import ConformanceError
-from simbias.testing.shapes import watched
+from simbias.testing.shapes import watch
 from simbias.trial import Outcome, run_trial
 
 SHORT = ["tracking=none", "task.horizon=60", "optimizer.max_evaluations=40", "method.max_iterations=2"]
@@ -28,9 +28,9 @@ CHOICES = [
 
 def trial_in_numpy(study: Study) -> Outcome:
     """How a trial ends whose searches are simulated in NumPy, so that every method is called."""
-    plain = replace(study, nominal=watched(study).nominal)
+    plain = replace(study, nominal=watch(study).nominal)
     plain.nominal.kernel = None
-    return run_trial(watched(plain)).outcome
+    return run_trial(watch(plain)).outcome
 
 
 @pytest.mark.slow
@@ -70,9 +70,9 @@ def test_a_plain_component_of_ones_own_keeps_to_its_shapes() -> None:
     ],
 )
 def test_a_wrong_shape_is_named(study: Study, component: str, method: str, broken, message: str) -> None:
-    changed = watched(study)
+    changed = watch(study)
     vars(getattr(changed, component))[method] = broken
-    twice = watched(changed)
+    twice = watch(changed)
     model = twice.model()
     model.nominal.kernel = None
     thetas, starts = np.zeros((4, 5)), np.tile(study.task.start_mean, (4, 1))

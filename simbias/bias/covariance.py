@@ -27,7 +27,7 @@ class Hyperparameters:
         """k(x, x) with its noise (Eq. 3)."""
         return self.signal_variance + self.noise_variance
 
-    def scaled(self, inputs: Array) -> Array:
+    def scale(self, inputs: Array) -> Array:
         """Inputs (k, r) in units of the length scales."""
         return inputs / (self.input_scale * self.length_scale)
 

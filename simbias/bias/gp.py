@@ -6,7 +6,7 @@ import warnings
 
 from simbias.bias.covariance import Hyperparameters, hyperparameters
 from simbias.bias.inducing import Inducing
-from simbias.bias.likelihood import Learning, learned
+from simbias.bias.likelihood import Learning, learn
 from simbias.bias.posterior import exact, sparse
 from simbias.config.numbers import Positive, Scale
 from simbias.interfaces import Bias, FittedBias, SlowWarning, Task
@@ -59,7 +59,7 @@ class GaussianProcess(Bias):
         """Condition on the data; without data the mean is zero everywhere."""
         if not self._inducing:
             self._warn_of_a_slow_search(len(transitions))
-        hyper = learned(self._hyper, transitions, self._learning) if self._learning else self._hyper
+        hyper = learn(self._hyper, transitions, self._learning) if self._learning else self._hyper
         posterior = (
             sparse(hyper, transitions, self._inducing) if self._inducing else exact(hyper, transitions)
         )

@@ -15,22 +15,22 @@ import numpy as np
 
 from simbias.records import Array
 from simbias.simulation.kernels import LANES
-from simbias.simulation.lanes import broadcast, everywhere, exp, fused, loaded, stored
+from simbias.simulation.lanes import broadcast, everywhere, exp, fma, load, store
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 
 
-def packed_triangle(U: Array) -> np.ndarray:
+def pack_triangle(U: Array) -> np.ndarray:
     """The panels of a lower triangle (N, N), one after the other, each without the zeros on its right."""
-    return _packed([U[first : first + PANEL, : first + PANEL] for first in range(0, len(U), PANEL)])
+    return _pack([U[first : first + PANEL, : first + PANEL] for first in range(0, len(U), PANEL)])
 
 
-def packed(M: Array) -> np.ndarray:
+def pack(M: Array) -> np.ndarray:
     """The panels of a matrix (k, N), one after the other."""
-    return _packed([M[first : first + PANEL] for first in range(0, len(M), PANEL)])
+    return _pack([M[first : first + PANEL] for first in range(0, len(M), PANEL)])
 
 
-def _packed(panels: list[Array]) -> np.ndarray:
+def _pack(panels: list[Array]) -> np.ndarray:
     """Panels of PANEL rows each, missing ones zero, column by column."""
     filled = [np.pad(panel, ((0, PANEL - len(panel)), (0, 0))) for panel in panels]
     return np.concatenate([np.zeros(0), *(panel.T.ravel() for panel in filled)]).astype(np.float32)
@@ -48,9 +48,9 @@ def correlations(x, u, points, inverse_scale):
     for j in range(N):
         squared_distance = everywhere(np.float32(0.0))
         for i in range(r):
-            difference = loaded(coordinates, i) - everywhere(points[j, i])
-            squared_distance = fused(difference, difference, squared_distance)
-        stored(k, j, exp(everywhere(np.float32(-0.5)) * squared_distance))
+            difference = load(coordinates, i) - everywhere(points[j, i])
+            squared_distance = fma(difference, difference, squared_distance)
+        store(k, j, exp(everywhere(np.float32(-0.5)) * squared_distance))
     return k
 
 
@@ -58,13 +58,13 @@ def product(panels, offset, columns, k):
     """The PANEL rows of the panel at this offset, times as many rows of k (N, LANES) as it has columns."""
     v0 = v1 = v2 = v3 = v4 = v5 = everywhere(np.float32(0.0))
     for j in range(columns):
-        k_j = loaded(k, j)
-        v0 = fused(broadcast(panels, offset), k_j, v0)
-        v1 = fused(broadcast(panels, offset + 1), k_j, v1)
-        v2 = fused(broadcast(panels, offset + 2), k_j, v2)
-        v3 = fused(broadcast(panels, offset + 3), k_j, v3)
-        v4 = fused(broadcast(panels, offset + 4), k_j, v4)
-        v5 = fused(broadcast(panels, offset + 5), k_j, v5)
+        k_j = load(k, j)
+        v0 = fma(broadcast(panels, offset), k_j, v0)
+        v1 = fma(broadcast(panels, offset + 1), k_j, v1)
+        v2 = fma(broadcast(panels, offset + 2), k_j, v2)
+        v3 = fma(broadcast(panels, offset + 3), k_j, v3)
+        v4 = fma(broadcast(panels, offset + 4), k_j, v4)
+        v5 = fma(broadcast(panels, offset + 5), k_j, v5)
         offset += PANEL
     return v0, v1, v2, v3, v4, v5
 
@@ -76,10 +76,10 @@ def squared_norms(triangle, k, N):
     for first in range(0, N, PANEL):
         columns = min(first + PANEL, N)
         for v in product(triangle, offset, columns, k):
-            sums = fused(v, v, sums)
+            sums = fma(v, v, sums)
         offset += PANEL * columns
     norms = np.empty(LANES, np.float32)
-    stored(norms, 0, sums)
+    store(norms, 0, sums)
     return norms
 
 
@@ -90,7 +90,7 @@ def means(weights, k, n):
     for first in range(0, n, PANEL):
         row = first
         for v in product(weights, first * N, N, k):
-            stored(mean, row, v)
+            store(mean, row, v)
             row += 1
     return mean
 

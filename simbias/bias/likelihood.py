@@ -25,7 +25,7 @@ class Learning:
     points: Count = 200  # at most, evenly spaced in the data
 
 
-def learned(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:
+def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:
     """The most probable length scales, signal variance and ratio of noise to signal, given the data.
 
     All outputs share them, each over its root mean square. Deterministic; without data, the medians.

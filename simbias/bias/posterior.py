@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, output_scale, stable_cholesky
-from simbias.bias.gp_kernel import correct, packed, packed_triangle
+from simbias.bias.gp_kernel import correct, pack, pack_triangle
 from simbias.bias.inducing import Inducing, choose, view
 from simbias.bias.none import zero
 from simbias.interfaces import FittedBias, Kernel
@@ -54,7 +54,7 @@ class Posterior(FittedBias):
 
     def relative(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n), and variance (k,) over each output's mean square."""
-        k_star = self._hyper.covariance(self._hyper.scaled(inputs), self._points)
+        k_star = self._hyper.covariance(self._hyper.scale(inputs), self._points)
         return k_star @ self._W, self._hyper.prior_variance - np.sum(
             (k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1
         )
@@ -99,7 +99,7 @@ class Drawn(FittedBias):
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """The function's values (k, n), and variances (k, n): zeros."""
-        values = self._hyper.covariance(self._hyper.scaled(inputs), self._points) @ self._W
+        values = self._hyper.covariance(self._hyper.scale(inputs), self._points) @ self._W
         return values, np.zeros_like(values)
 
     def correction(self, x: Array, u: Array) -> Array:
@@ -127,8 +127,8 @@ def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: fl
         return zero(W.shape[1])
     data = (
         points.astype(np.float32),
-        packed_triangle(U),
-        packed(W.T),
+        pack_triangle(U),
+        pack(W.T),
         len(U),
         1.0 / (hyper.input_scale * hyper.length_scale),
         np.array([hyper.signal_variance, hyper.prior_variance, d_n]),
@@ -138,7 +138,7 @@ def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: fl
 
 def exact(hyper: Hyperparameters, transitions: Transitions) -> Posterior:
     """The posterior given all data: U = L^-1 and W = K^-1 y, with K = L L^T."""
-    points = hyper.scaled(transitions.inputs)
+    points = hyper.scale(transitions.inputs)
     K = hyper.covariance(points, points)
     K[np.diag_indices_from(K)] += hyper.noise_variance
     L = stable_cholesky(K)
@@ -157,7 +157,7 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing)
     fewer points. Its diagnostics are the greatest differences from the exact posterior, at training inputs,
     of the mean (in units of the residuals' root mean square) and of the weight of Eq. 7.
     """
-    points = hyper.scaled(transitions.inputs)
+    points = hyper.scale(transitions.inputs)
     chosen, for_variance = choose(hyper, points, inducing)
     seen = view(hyper, points, chosen)
     W = seen.R.T @ (seen.R @ (seen.K_ZX @ transitions.residuals)) / hyper.noise_variance

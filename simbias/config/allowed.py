@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.config.errors import ConfigError
-from simbias.messages import quoted, words
+from simbias.messages import quote, words
 
 OWN = "simbias"
 FILE = "components.yaml"  # in a folder of configs: `allow: [my_robot]`
@@ -33,7 +33,7 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
         top = module.partition(".")[0]
         raise ConfigError(
             key,
-            f"{quoted(module)} is not imported, as it is neither simbias's nor beside a --config-dir; "
+            f"{quote(module)} is not imported, as it is neither simbias's nor beside a --config-dir; "
             f"if you trust it, --allow {top}",
         )
 
@@ -67,14 +67,14 @@ def _of_file(file: Path) -> list[str]:
         or content.keys() != {"allow"}
         or not isinstance(content["allow"], list)
     ):
-        raise ConfigError(str(file), f"must be `allow: [module, ...]`, got {quoted(content)}")
+        raise ConfigError(str(file), f"must be `allow: [module, ...]`, got {quote(content)}")
     return [_module(name, f"{file}: allow") for name in content["allow"]]
 
 
 def _module(name: Any, key: str) -> str:
     """A module's dotted name, checked."""
     if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")):
-        raise ConfigError(key, f"must be the name of a module, as my_robot, got {quoted(name)}")
+        raise ConfigError(key, f"must be the name of a module, as my_robot, got {quote(name)}")
     return name
 
 

@@ -6,9 +6,10 @@ from typing import NotRequired, Required, get_type_hints
 
 from pydantic import PositiveFloat
 
-from simbias.config.components import construct, validated
+from simbias.config.components import construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.errors import ConfigError
+from simbias.config.identity import LATER
 from simbias.config.memory import check_memory
 from simbias.config.numbers import Seed
 from simbias.interfaces import Task
@@ -29,7 +30,7 @@ def build(composition: Composition) -> Study:
         study does not fit into memory.
     """
     composition = composition.trial
-    config = composition.config
+    config = {**LATER, **composition.config}
     contracts = {k: v for k, v in get_type_hints(Study).items() if k not in NO_COMPONENTS}
     for key in config:
         if key not in contracts and key not in (*NO_COMPONENTS, *BESIDE_STUDIES):
@@ -37,7 +38,7 @@ def build(composition: Composition) -> Study:
     for key in (*contracts, "seed"):
         if key not in config:
             raise ConfigError(key, "missing")
-    values = validated({key: config[key] for key in VALUES if key in config}, VALUES, "")
+    values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
     allowed = composition.allowed
     task = construct(config["task"], Task, "task", allowed)
     components = {

@@ -14,7 +14,7 @@ from typing_extensions import TypedDict  # pydantic takes only this one before P
 
 from simbias.config.allowed import TARGET, check_allowed
 from simbias.config.errors import ConfigError
-from simbias.messages import quoted, words
+from simbias.messages import quote, words
 
 
 def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = (), **provided: Any) -> Any:
@@ -50,18 +50,18 @@ def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
         If its module may not be imported, or there is no such class.
     """
     if not isinstance(config, Mapping) or TARGET not in config:
-        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {quoted(config)}")
+        raise ConfigError(key, f"must be a mapping with a {TARGET}, got {quote(config)}")
     target = config[TARGET]
     module_name, _, name = str(target).rpartition(".")
     if not module_name:
-        raise ConfigError(f"{key}.{TARGET}", f"must be module.Class, got {quoted(target)}")
+        raise ConfigError(f"{key}.{TARGET}", f"must be module.Class, got {quote(target)}")
     check_allowed(module_name, f"{key}.{TARGET}", allowed)
     try:
         component = getattr(importlib.import_module(module_name), name)
     except Exception as error:  # a module of one's own may raise anything
         kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
         raise ConfigError(
-            f"{key}.{TARGET}", f"cannot import {quoted(target)} ({kind}{words(error)})"
+            f"{key}.{TARGET}", f"cannot import {quote(target)} ({kind}{words(error)})"
         ) from error
     if not inspect.isclass(component):
         raise ConfigError(f"{key}.{TARGET}", f"{target} is not a class")
@@ -109,7 +109,7 @@ def _adapter(fields: dict[str, Any]) -> TypeAdapter:
     return TypeAdapter(schema)
 
 
-def validated(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dict[str, Any]:
+def validate(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dict[str, Any]:
     """The values converted to the fields' types.
 
     Raises
@@ -137,4 +137,4 @@ def _in_one_line(error: ValidationError, key: str) -> ConfigError:
     if first["type"] == "missing":
         return ConfigError(where, "missing")
     problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)
-    return ConfigError(where, f"{problem}, got {quoted(first['input'])}")
+    return ConfigError(where, f"{problem}, got {quote(first['input'])}")

@@ -62,7 +62,7 @@ class Composition:
         return replace(self, config=config, choices=choices)
 
 
-def shipped(folder: str) -> Path:
+def resource_folder(folder: str) -> Path:
     """The folder `conf` or `sweeps`: inside an installed package, beside it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     inside = package / folder
@@ -73,7 +73,7 @@ def options() -> dict[str, list[str]]:
     """The shipped options of every group, defaults first."""
     from omegaconf import OmegaConf
 
-    root = shipped("conf")
+    root = resource_folder("conf")
     defaults = OmegaConf.load(root / "config.yaml").defaults
     chosen = {group: option for entry in defaults if entry != "_self_" for group, option in entry.items()}
     return {
@@ -84,7 +84,7 @@ def options() -> dict[str, list[str]]:
 
 def sweeps() -> list[str]:
     """The shipped sweeps."""
-    return sorted(file.stem for file in _files(shipped("sweeps")))
+    return sorted(file.stem for file in _files(resource_folder("sweeps")))
 
 
 def _files(folder: Path) -> list[Path]:
@@ -180,7 +180,7 @@ class Variations:
             sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
             if sweeps:
                 _register_sweeps(self._config_dir, sweeps[-1])
-            with hydra.initialize_config_dir(str(shipped("conf")), version_base="1.3"):
+            with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
             choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
@@ -229,7 +229,7 @@ def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
 
     store = ConfigStore.instance()
     store.repo.pop("sweep", None)  # those of another config_dir
-    for folder in (shipped("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
+    for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
         for file in _files(folder):
             try:
                 node = OmegaConf.load(file)

@@ -21,6 +21,9 @@ from simbias.config.components import (
 )
 
 SCHEME = 2  # of identities: raised when all of them change
+LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
+    "identification": {TARGET: "simbias.identification.none.NoIdentification"},
+}
 DIGITS = 12  # hexadecimal
 
 
@@ -34,7 +37,9 @@ def essence(
     ConfigError
         If a component cannot be found, or a value has the wrong type or range.
     """
-    relevant = {key: value for key, value in config.items() if key not in left_out}
+    relevant = {
+        key: value for key, value in config.items() if key not in left_out and value != LATER.get(key)
+    }
     return {
         key: _component(value, key, allowed) if _is_component(value) else value
         for key, value in relevant.items()

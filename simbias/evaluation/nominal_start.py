@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.interfaces import Cost, Evaluation, Model, Objective, Task
 from simbias.records import Array
-from simbias.simulation.closed_loop import Worlds, joined, simulator
+from simbias.simulation.closed_loop import Worlds, join, simulator
 
 
 @dataclass(eq=False)
@@ -41,4 +41,4 @@ class NominalStart(Evaluation):
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
         """Z (Eq. 8) of a policy's rollout in simulation."""
-        return CostOfOneRollout(joined([simulator(model)]), cost, self._start)
+        return CostOfOneRollout(join([simulator(model)]), cost, self._start)

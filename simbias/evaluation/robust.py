@@ -12,7 +12,7 @@ import numpy as np
 from simbias.config.numbers import Count, Share
 from simbias.interfaces import Cost, Evaluation, Model, Objective, Simulator, Task
 from simbias.records import Array, Indices
-from simbias.simulation.closed_loop import joined, simulator
+from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.noise import QUIET, Noise, Variances
 
 Aggregate = Literal["mean", "max", "cvar"]
@@ -34,7 +34,7 @@ class CostOfScenarios:
 
     def __init__(self, scenarios: Sequence[Scenario], cost: Cost, worst: int, screening: int) -> None:
         self.scenarios = scenarios
-        self._simulators = joined([scenario.simulator for scenario in scenarios])
+        self._simulators = join([scenario.simulator for scenario in scenarios])
         self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
         self._cost = cost
         self._worst = worst  # of the costs, so many worst ones are averaged

@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.config.numbers import Count, CountOrZero, Positive
 from simbias.learning import Stopwatch, experiment, search
-from simbias.records import Array, Iteration, Learning
+from simbias.records import Array, Iteration, Learning, Rollout
 from simbias.study import Method, Observer, Study
 
 
@@ -62,39 +62,42 @@ class Algorithm1(Method):
         search_rng, hardware_rng = rng.spawn(2)
         max_cost = study.cost.max_cost
         data = study.no_data  # 1
-        bias = study.bias.fit(data)
+        model = study.model(study.bias.fit(data))
+        experiments: list[Rollout] = []
+        taught: list[tuple[Rollout, ...]] = []  # those of them that D comes from
         earlier: list[Array] = []
-        total_experiments = 0
         for i in range(self.max_iterations):  # 2, 3, 15
             clock = Stopwatch()
             with clock("search"):
                 proposal = search(
-                    study, bias, search_rng, observer, earlier, self._retry_search, self._satisfactory_cost
+                    study, model, search_rng, observer, earlier, self._retry_search, self._satisfactory_cost
                 )  # 4, 5
             theta = proposal.optimum.parameters
             if self._warm_start:
                 earlier.append(theta)
             reset = proposal.predicted_cost > max_cost and not self._keep_data  # 6
             if reset:
-                data = study.no_data  # 7
+                data, taught = study.no_data, []  # 7
             with clock("experiments"):
                 rollouts = experiment(
                     study, theta, hardware_rng, observer, self._experiments, self._stop_at_failure
                 )  # 9
-            total_experiments += len(rollouts)
+            experiments += rollouts
             succeeded = all(map(study.cost.passes, rollouts))  # 10
             with clock("learning"):
-                selection = study.samples.select(rollouts, study.nominal)
                 if not succeeded:
-                    data = data | selection.transitions  # 13
-                    bias = study.bias.fit(data)  # 14
+                    taught.append(rollouts)
+                    nominal = study.identification.fit(study.nominal, experiments)
+                    data = study.data_from(taught, nominal)  # 13
+                    model = study.model(study.bias.fit(data), nominal)  # 14
+                selection = study.samples.select(rollouts, model.nominal)
             yield Iteration(
                 index=i,
                 parameters=theta,
                 experiments=rollouts,
                 hardware_cost=max(rollout.cost for rollout in rollouts),
                 succeeded=succeeded,
-                total_experiments=total_experiments,
+                total_experiments=len(experiments),
                 search=proposal,
                 learning=Learning(selection, data, reset),
                 seconds=clock.seconds,

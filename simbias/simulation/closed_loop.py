@@ -30,7 +30,7 @@ class Worlds(Protocol):
         """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
 
 
-def joined(simulators: Sequence[Simulator]) -> Worlds:
+def join(simulators: Sequence[Simulator]) -> Worlds:
     """Simulators as one, for a policy search: in step, if they share enough.
 
     Compiled ones have to share all but the nominal model's parameters and the noise.
@@ -40,7 +40,7 @@ def joined(simulators: Sequence[Simulator]) -> Worlds:
     if plain:
         _say_what_is_slow(plain[0].models[0])
     if len(compiled) == len(simulators):
-        return CompiledSimulator.joined(compiled) or Apart(simulators)
+        return CompiledSimulator.join(compiled) or Apart(simulators)
     if len(plain) == len(simulators):
         models = [model for simulator in plain for model in simulator.models]
         return PlainSimulator(models, [d for simulator in plain for d in simulator.disturbances])

@@ -53,7 +53,7 @@ class CompiledSimulator:
         )
 
     @staticmethod
-    def joined(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
+    def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
         """Simulators in step; None if they differ in more than the nominal parameters and the noise."""
         first = simulators[0]
         if not all(map(first._runs_in_step_with, simulators)):

@@ -1,6 +1,6 @@
 """Numbers of sixteen rollouts that run in step, one in each lane of a vector register.
 
-A type for compiled functions: `loaded` and `stored` move a row of an array, `everywhere` fills all lanes with
+A type for compiled functions: `load` and `store` move a row of an array, `everywhere` fills all lanes with
 a number, `broadcast` with an element of an array, and `+`, `-`, `*` act lane by lane. What a lane gives does
 not depend on the others. Without it, the compiler keeps sums in memory, or vectorises them over the samples,
 and adds up at the end of each.
@@ -87,7 +87,7 @@ def _address(context, builder, array_type, array, index):
 
 
 @intrinsic
-def loaded(context, array, index):
+def load(context, array, index):
     """A row of an array (k, LANES), or the LANES elements of an array (k,) from an index on."""
 
     def generate(context, builder, signature, arguments):
@@ -98,8 +98,8 @@ def loaded(context, array, index):
 
 
 @intrinsic
-def stored(context, array, index, lanes):
-    """Lanes, to where `loaded` finds them."""
+def store(context, array, index, lanes):
+    """Lanes, to where `load` finds them."""
 
     def generate(context, builder, signature, arguments):
         address = _address(context, builder, signature.args[0], *arguments[:2])
@@ -141,16 +141,16 @@ def broadcast(context, array, index):
 
 
 @intrinsic
-def fused(context, a, b, c):
+def fma(context, a, b, c):
     """a b + c, rounded once where the processor can.
 
     Where it is for the compiler to pair products with sums, it does so in other ways for other processors.
     """
 
     def generate(context, builder, signature, arguments):
-        fused = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
+        fma = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
         name = f"llvm.fmuladd.v{LANES}f32"
-        return builder.call(cgutils.get_or_insert_function(builder.module, fused, name), arguments)
+        return builder.call(cgutils.get_or_insert_function(builder.module, fma, name), arguments)
 
     return REGISTERS(a, b, c), generate
 
@@ -199,8 +199,8 @@ def exp(v):
     """exp of v <= 0, to 1e-6 relative."""
     v = _at_least(v, everywhere(_LEAST))
     n = _rounded(v * everywhere(_LOG2_E))
-    remainder = fused(n, everywhere(-_LN_2), v)
+    remainder = fma(n, everywhere(-_LN_2), v)
     series = everywhere(_SERIES[0])
     for coefficient in _SERIES[1:]:
-        series = fused(series, remainder, everywhere(coefficient))
+        series = fma(series, remainder, everywhere(coefficient))
     return series * _power_of_two(n)

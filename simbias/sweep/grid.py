@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NotRequired, Required
 from pydantic import Field
 
 from simbias.config import Composition, ConfigError, Variations
-from simbias.config.components import construct, validated
+from simbias.config.components import construct, validate
 from simbias.config.composition import overridden
 from simbias.interfaces import Task
 from simbias.pictures.sweep.swept import SweepFigure
@@ -49,7 +49,7 @@ class Axis:
     def numeric(self) -> bool:
         """Whether its labels are its values, and these are numbers."""
         numbers = (isinstance(value, int | float) for point in self.values for value in point)
-        own = all(label == joined(value) for label, value in zip(self.labels, self.values, strict=True))
+        own = all(label == join(value) for label, value in zip(self.labels, self.values, strict=True))
         return own and all(numbers)
 
     def settings(self, index: int) -> dict[str, Any]:
@@ -179,7 +179,7 @@ def _specification(base: Composition) -> dict[str, Any]:
         "figures": NotRequired[dict[FileName, Any]],
         "figures_to": NotRequired[str | None],
     }
-    return validated(node, fields, "sweep")
+    return validate(node, fields, "sweep")
 
 
 def _axis(name: str, spec: Any) -> Axis:
@@ -196,11 +196,11 @@ def _axis(name: str, spec: Any) -> Axis:
     }
     if not isinstance(spec.get("values"), list):
         raise ConfigError(where, f"must be a list of values, got {spec.get('values')!r}")
-    checked = validated(spec, fields, where)
+    checked = validate(spec, fields, where)
     one = isinstance(checked["keys"], str)
     keys = (checked["keys"],) if one else tuple(checked["keys"])
     values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])
-    labels = tuple(map(label, checked.get("labels", map(joined, values))))
+    labels = tuple(map(label, checked.get("labels", map(join, values))))
     if not values:
         raise ConfigError(where, "has no values")
     if len(labels) != len(values):
@@ -225,7 +225,7 @@ def label(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def joined(values: Sequence[Any]) -> str:
+def join(values: Sequence[Any]) -> str:
     """The values of a point as tables show them."""
     return "/".join(map(label, values))
 
@@ -292,7 +292,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
         "measures": NotRequired[list[Measure]],
         "paper": NotRequired[dict[Any, Any]],
     }
-    checked = validated(spec, fields, "sweep.report")
+    checked = validate(spec, fields, "sweep.report")
     columns = checked.get("columns")
     names = [axis.name for axis in axes]
     if columns is not None and columns not in names:

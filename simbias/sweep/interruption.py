@@ -51,7 +51,7 @@ class Interruption:
             raise KeyboardInterrupt
 
     @contextmanager
-    def deferred(self) -> Iterator[None]:
+    def defer(self) -> Iterator[None]:
         """Inside, nothing is interrupted; what came meanwhile interrupts at the end."""
         self._deferring = True
         try:

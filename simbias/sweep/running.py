@@ -101,7 +101,7 @@ def run_sweep(
             observer.begun(sweep, trials[trials["hash"].isin(tracked.finished)], tracked.keeps)
             try:
                 for trial, record in _records(trials_engine, tracked, missing):
-                    with interruption.deferred():
+                    with interruption.defer():
                         tracked.keep(trial, build(trial.composition), record)
                         observer.ended(trial, record)
             finally:

@@ -74,10 +74,10 @@ def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
     """The cells as text."""
     rows = dict(zip((cell.labels for cell in sweep.cells), table.to_dict("records"), strict=True))
     measures = sweep.report.measures
-    return arranged(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
+    return arrange(sweep, measures, lambda labels: [TEXTS[name](rows[labels]) for name in measures])
 
 
-def arranged(
+def arrange(
     sweep: Sweep, measures: Sequence[str], texts: Callable[[tuple[str, ...]], Sequence[str]]
 ) -> Layout:
     """Texts of every cell, by its labels: the report's column axis side by side, the other axes downwards."""

@@ -45,7 +45,7 @@ def _light(iteration: Iteration) -> Iteration:
     """An iteration without its fitted bias, which follows from the data."""
     if iteration.search is None:
         return iteration
-    return replace(iteration, search=replace(iteration.search, fitted_bias=None))
+    return replace(iteration, search=replace(iteration.search, fitted_bias=None, nominal=None))
 
 
 def lost(reason: str) -> TrialRecord:

@@ -24,7 +24,7 @@ from simbias.study import Study
 from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
-from simbias.sweep.tables import BLANK, Layout, arranged, cells, layout, legend, plain
+from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
 from simbias.terminal.trial import traceback_file
 from simbias.trial import Outcome, TrialRecord
 
@@ -111,7 +111,7 @@ class SweepConsole(SweepObserver):
 
     def _view(self) -> Group:
         """The table as far as it is, and the bar."""
-        return Group(_rich(arranged(self._sweep, ["done, mean"], self._cell)), self._progress)
+        return Group(_rich(arrange(self._sweep, ["done, mean"], self._cell)), self._progress)
 
     def _cell(self, labels: tuple[str, ...]) -> list[str]:
         """How far a cell is, and its mean so far."""

@@ -19,7 +19,7 @@ Shape = tuple[str, ...]  # axes after the leading ones, by their names in the co
 _Component = TypeVar("_Component")
 
 
-def watched(study: Study) -> Study:
+def watch(study: Study) -> Study:
     """The study, whose task, policy, nominal model and bias raise where a shape is not the contract's.
 
     Sizes are n states, m inputs, q outputs, c criteria, p policy parameters and s numbers in its memory.

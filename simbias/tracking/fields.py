@@ -37,14 +37,14 @@ TRIAL_METRICS = ("trial/experiments", "trial/iterations", SECONDS)
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 
 
-def shown(uri: str) -> str:
+def redact(uri: str) -> str:
     """A URI without its user and password."""
     return re.sub(r"//[^/@]*@", "//", uri)
 
 
 def shown_config(config: Mapping[str, Any]) -> dict[str, Any]:
     """A resolved config without a password of the store."""
-    tracking = {k: shown(v) if isinstance(v, str) else v for k, v in config["tracking"].items()}
+    tracking = {k: redact(v) if isinstance(v, str) else v for k, v in config["tracking"].items()}
     return {**config, "tracking": tracking}
 
 

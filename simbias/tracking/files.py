@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simbias.interfaces import Policy, Quantity, Task
-from simbias.messages import printable, quoted
+from simbias.messages import printable, quote
 from simbias.records import Iteration, Rollout, Transitions
 
 TEXTS = "UST"  # kinds of NumPy's types that are no numbers
@@ -96,7 +96,7 @@ def _parts(returned: Any) -> dict[str, Any]:
             named = vars(returned).items()
     parts: dict[str, Any] = {}
     for name, part in named:
-        key = re.sub(r"\W", "_", name if isinstance(name, str) else quoted(name))
+        key = re.sub(r"\W", "_", name if isinstance(name, str) else quote(name))
         while key in parts:
             key += "_"
         parts[key] = part

@@ -62,7 +62,7 @@ class Journal(Recorder):
         self.pictures = pictures
         self._next = 0
         taken = ConfigError(str(folder), "another process is running this trial")
-        self._lock = acquired(folder / "lock", LOCK_SECONDS, taken)
+        self._lock = acquire(folder / "lock", LOCK_SECONDS, taken)
         for file in folder.glob(f"*{PART}"):  # of a process that was killed while it wrote
             file.unlink()
 
@@ -178,7 +178,7 @@ class KeptHardware(Conducted):
         self._journal.keep(EXPERIMENT, lambda file: save_rollout(file, rollout))
         return rollout
 
-    def refused(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep it in the journal."""
         try:
             paths = self._journal.refuse(returned, theta, start, why)
@@ -221,12 +221,12 @@ class KeptOptimizer(Optimizer):
         return optimum
 
 
-def refused(folder: Path) -> list[Path]:
+def refusals(folder: Path) -> list[Path]:
     """The files of what was refused in a journal."""
     return sorted(path for path in folder.glob(f"{REFUSED}*") if path.suffix != PART)
 
 
-def acquired(path: Path, timeout: float, taken: ConfigError) -> FileLock:
+def acquire(path: Path, timeout: float, taken: ConfigError) -> FileLock:
     """The lock of this file, in a folder that is made if need be.
 
     Raises

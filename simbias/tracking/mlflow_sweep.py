@@ -20,7 +20,7 @@ from simbias.tracking import fields, pages, results
 from simbias.tracking.artifacts import log_text, remove_uploads
 from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
-from simbias.tracking.mlflow import NOTE, MlflowTrial
+from simbias.tracking.mlflow_trial import NOTE, MlflowTrial
 from simbias.tracking.nested import nested_runs
 from simbias.tracking.rows import is_finished
 from simbias.trial import Outcome, TrialRecord
@@ -150,7 +150,7 @@ class MlflowSweep(TrackedSweep):
 
     def results(self) -> DataFrame:
         """The trials that are in the store: nobody else writes them while this sweep runs."""
-        return results.ordered(self._rows, self._sweep)
+        return results.in_order(self._rows, self._sweep)
 
     def load(self, run_id: str) -> RecordedTrial:
         """A trial, read back."""

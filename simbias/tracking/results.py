@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from simbias.config.composition import ConfigError, shipped
+from simbias.config.composition import ConfigError, resource_folder
 from simbias.tracking.rows import FINISHED, RunRow, is_whole
 from simbias.trial import Outcome
 
@@ -48,10 +48,10 @@ def of_sweep(runs: Iterable[RunRow], sweep: Sweep) -> pd.DataFrame:
         if trial.hash not in rows or rows[trial.hash]["outcome"] == Outcome.ERROR:
             raised = run.tags.get("error", "")
             rows[trial.hash] = row(trial, sweep, str(outcome), run.metrics, raised, run.run_id)
-    return ordered(rows, sweep)
+    return in_order(rows, sweep)
 
 
-def ordered(rows: Mapping[str, Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
+def in_order(rows: Mapping[str, Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
     """Rows of trials, by hash, in the sweep's order."""
     return frame([rows[trial.hash] for trial in sweep.trials if trial.hash in rows], sweep)
 
@@ -69,7 +69,7 @@ def published(sweep: Sweep) -> pd.DataFrame:
     ConfigError
         If there are none, or their file lacks a column.
     """
-    path = shipped("sweeps") / "results" / sweep.name / "trials.csv"
+    path = resource_folder("sweeps") / "results" / sweep.name / "trials.csv"
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from simbias.cache import cache_folder
 from simbias.config import ConfigError
-from simbias.tracking.fields import shown
+from simbias.tracking.fields import redact
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -60,7 +60,7 @@ def find_run(uri: str, run_id: str) -> tuple[MlflowClient, Run]:
         Within seconds, if the store cannot be used or has no such run.
     """
     if not exists(uri):
-        raise ConfigError("tracking.uri", f"{shown(uri)}: no such store")
+        raise ConfigError("tracking.uri", f"{redact(uri)}: no such store")
     with reaching(uri):
         from mlflow.exceptions import MlflowException
 
@@ -70,7 +70,7 @@ def find_run(uri: str, run_id: str) -> tuple[MlflowClient, Run]:
         except MlflowException as error:
             if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                 raise
-            raise ConfigError(run_id, f"no such run in {shown(uri)}") from error
+            raise ConfigError(run_id, f"no such run in {redact(uri)}") from error
 
 
 @contextmanager
@@ -92,7 +92,7 @@ def reaching(uri: str) -> Iterator[None]:
     except Exception as error:
         words = cause(error)
         problem = OTHER_VERSION if "out-of-date database schema" in words else words
-        raise ConfigError("tracking.uri", f"{shown(uri)}: {problem}") from error
+        raise ConfigError("tracking.uri", f"{redact(uri)}: {problem}") from error
 
 
 def _client(uri: str) -> MlflowClient:
@@ -240,4 +240,4 @@ def cause(error: BaseException) -> str:
         chain.append(deeper)
     own = [link for link in chain if isinstance(link, OSError | sqlite3.Error)]
     words = str(own[-1] if own else error).strip() or type(error).__name__
-    return shown(textwrap.shorten(words.splitlines()[0], 200, placeholder=" ..."))
+    return redact(textwrap.shorten(words.splitlines()[0], 200, placeholder=" ..."))

@@ -113,7 +113,8 @@ def _iterations(
     study: Study, folder: Path, metrics: Mapping[int, Mapping[str, float]]
 ) -> Iterator[Iteration]:
     """The records, as the method yielded them."""
-    data, total = study.no_data, 0
+    data, total, nominal = study.no_data, 0, study.nominal
+    made: list[Rollout] = []
     for index in sorted(metrics):
         before, total = total, int(metrics[index]["experiments/total"])
         names = [experiment_name(index, experiment) for experiment in range(total - before)]
@@ -123,10 +124,13 @@ def _iterations(
         if "search" in policy:
             optimum = Optimum(np.array(policy["parameters"]), **policy["search"])
             diagnostics = _of_group("bias", metrics[index])
-            search = Search(optimum, policy["predicted_cost"], study.bias.fit(data), diagnostics)
+            search = Search(optimum, policy["predicted_cost"], study.bias.fit(data), diagnostics, nominal)
+        made += experiments
         if RESET in metrics[index]:
             data = load_transitions(folder / data_name(index))
-            selection = study.samples.select(experiments, study.nominal)
+            if not policy["succeeded"]:
+                nominal = study.identification.fit(study.nominal, made)
+            selection = study.samples.select(experiments, nominal)
             learning = Learning(selection, data, bool(metrics[index][RESET]))
         yield Iteration(
             index=index,

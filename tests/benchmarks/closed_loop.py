@@ -20,7 +20,7 @@ import simbias
 from simbias.bias.none import ZeroBias
 from simbias.interfaces import FittedBias, SlowWarning
 from simbias.records import Disturbance, Transitions
-from simbias.simulation.closed_loop import joined, simulator
+from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.plain import PlainSimulator
 
 ROUNDS, WORLDS = 7, 8
@@ -49,7 +49,7 @@ def way(bias: FittedBias, noisy: bool, plain: bool, policies: int, horizon: int)
     worlds = np.tile(np.arange(WORLDS), policies)
     starts = np.array([task.draw_start(rng) for _ in range(WORLDS)])[worlds]
     thetas = np.tile(BALANCING, (len(worlds), 1))
-    together = joined(loops)
+    together = join(loops)
     steps = sum(rollout.frames for rollout in together.rollouts(thetas, starts, worlds))
 
     def run() -> int:

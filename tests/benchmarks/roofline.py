@@ -22,7 +22,7 @@ import simbias
 from simbias.bias.none import ZeroBias
 from simbias.interfaces import Kernel
 from simbias.simulation.kernels import LANES
-from simbias.simulation.lanes import everywhere, fused, stored
+from simbias.simulation.lanes import everywhere, fma, store
 from simbias.simulation.trigonometry import _by_polynomials
 from simbias.study import Study
 
@@ -124,11 +124,11 @@ def chains(repetitions, out):  # type: ignore[no-untyped-def]
     a, b = everywhere(np.float32(0.999)), everywhere(np.float32(0.001))
     v0 = v1 = v2 = v3 = v4 = v5 = v6 = v7 = v8 = v9 = v10 = v11 = b
     for _ in range(repetitions):
-        v0, v1, v2, v3 = fused(v0, a, b), fused(v1, a, b), fused(v2, a, b), fused(v3, a, b)
-        v4, v5, v6, v7 = fused(v4, a, b), fused(v5, a, b), fused(v6, a, b), fused(v7, a, b)
-        v8, v9, v10, v11 = fused(v8, a, b), fused(v9, a, b), fused(v10, a, b), fused(v11, a, b)
+        v0, v1, v2, v3 = fma(v0, a, b), fma(v1, a, b), fma(v2, a, b), fma(v3, a, b)
+        v4, v5, v6, v7 = fma(v4, a, b), fma(v5, a, b), fma(v6, a, b), fma(v7, a, b)
+        v8, v9, v10, v11 = fma(v8, a, b), fma(v9, a, b), fma(v10, a, b), fma(v11, a, b)
     for row, v in enumerate((v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10, v11)):
-        stored(out, row, v)
+        store(out, row, v)
 
 
 def peak() -> int:

@@ -56,7 +56,7 @@ def test_draws_have_the_posteriors_covariance() -> None:
     inputs, scale = transitions.inputs[10:15], np.sqrt(np.mean(np.sin(t) ** 2))
     rng = np.random.default_rng(0)
     values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale
-    hyper, points = posterior._hyper, posterior._hyper.scaled(transitions.inputs)
+    hyper, points = posterior._hyper, posterior._hyper.scale(transitions.inputs)
     K = hyper.covariance(points, points)
     k = K[10:15]
     expected = k[:, 10:15] - k @ np.linalg.solve(K + hyper.noise_variance * np.eye(len(K)), k.T)

@@ -12,7 +12,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 import simbias
 from simbias.bias.covariance import Hyperparameters
-from simbias.bias.likelihood import LEAST_NOISE, Learning, learned, log_marginal_likelihood
+from simbias.bias.likelihood import LEAST_NOISE, Learning, learn, log_marginal_likelihood
 from simbias.records import Array, Transitions
 from simbias.study import Study
 
@@ -29,7 +29,7 @@ def drawn(hyper: Hyperparameters, N: int, outputs: int, seed: int = 0) -> Transi
     """Residuals that were drawn from the process, at uniform inputs."""
     rng = np.random.default_rng(seed)
     inputs = rng.uniform(-2, 2, (N, len(hyper.length_scale)))
-    points = hyper.scaled(inputs)
+    points = hyper.scale(inputs)
     K = hyper.covariance(points, points) + hyper.noise_variance * np.eye(N)
     return Transitions(inputs, np.linalg.cholesky(K) @ rng.standard_normal((N, outputs)))
 
@@ -61,7 +61,7 @@ def test_likelihood_is_scikit_learns_and_its_gradient_is_that_of_finite_differen
 
 def test_optimum_is_scikit_learns() -> None:
     data = drawn(Hyperparameters(np.ones(2), np.array([0.7, 1.5]), 1.0, 0.1, 1.0), 60, 1)
-    hyper = learned(medians(2), data, FLAT)
+    hyper = learn(medians(2), data, FLAT)
     scale = np.sqrt(np.mean(data.residuals**2))
     start = np.log([1.0, 1.0, 1.0, np.exp(-4)])
     reference = scikit_learn(start, Transitions(data.inputs, data.residuals / scale)).kernel_
@@ -74,7 +74,7 @@ def test_known_hyperparameters_are_found_again() -> None:
     """With shared hyper-parameters, 200 points of six outputs fix them to 15%, but the signal's variance."""
     truth = Hyperparameters(np.ones(3), np.array([0.5, 1.0, 3.0]), 1.0, 0.05, 1.0)
     data = drawn(truth, 200, 6)
-    hyper = learned(medians(3), data, FLAT)
+    hyper = learn(medians(3), data, FLAT)
     per_mean_square = np.mean(1 / np.mean(data.residuals**2, axis=0))  # the unit of the learned variances
     np.testing.assert_allclose(hyper.length_scale, truth.length_scale, rtol=0.15)
     assert hyper.signal_variance == pytest.approx(truth.signal_variance * per_mean_square, rel=0.3)
@@ -85,9 +85,9 @@ def test_prior_rules_without_data_and_yields_to_it() -> None:
     truth = Hyperparameters(np.ones(3), np.full(3, 0.3), 1.0, 0.05, 1.0)
     data = drawn(truth, 150, 3)
     nothing = Transitions(data.inputs[:0], data.residuals[:0])
-    np.testing.assert_allclose(learned(medians(3), nothing, Learning()).length_scale, 1.0)
+    np.testing.assert_allclose(learn(medians(3), nothing, Learning()).length_scale, 1.0)
     sure, unsure = (
-        np.abs(np.log(learned(medians(3), data, Learning(deviation)).length_scale / 0.3)).max()
+        np.abs(np.log(learn(medians(3), data, Learning(deviation)).length_scale / 0.3)).max()
         for deviation in (1e-2, 1.0)
     )
     assert unsure < 0.2 < sure
@@ -95,12 +95,12 @@ def test_prior_rules_without_data_and_yields_to_it() -> None:
 
 def test_what_has_no_deviation_is_kept() -> None:
     data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
-    before, every = medians(2), learned(medians(2), data, Learning())
+    before, every = medians(2), learn(medians(2), data, Learning())
     assert (every.length_scale != 1).all()
-    lengths_kept = learned(before, data, Learning(length_scale=0))
+    lengths_kept = learn(before, data, Learning(length_scale=0))
     np.testing.assert_allclose(lengths_kept.length_scale, 1.0, rtol=1e-12)
     assert lengths_kept.noise_variance > 2 * before.noise_variance
-    all_kept = learned(before, data, Learning(0, 0, 0))
+    all_kept = learn(before, data, Learning(0, 0, 0))
     assert all_kept.signal_variance == pytest.approx(before.signal_variance, rel=1e-12)
     assert all_kept.noise_variance == pytest.approx(before.noise_variance, rel=1e-12)
 

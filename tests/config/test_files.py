@@ -49,7 +49,7 @@ def conf(tmp_path: Path) -> Path:
 
 def test_nobody_asks_for_them(conf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(expand(["+sweep=good", "bias=good", "tracking=none"], conf).trials) == 1
-    monkeypatch.setattr(composition, "shipped", lambda folder: conf / folder)
+    monkeypatch.setattr(composition, "resource_folder", lambda folder: conf / folder)
     assert all(name.isprintable() for name in composition.sweeps())
     assert {"good", "cut"} <= set(composition.sweeps())
     assert not {"folder", "dangling", "circle", "pipe"} & set(composition.sweeps())
@@ -87,7 +87,7 @@ def test_a_folder_may_have_any_name(tmp_path: Path, name: str) -> None:
 
 
 def test_an_error_that_cannot_speak_is_one_line() -> None:
-    from simbias.messages import quoted, words
+    from simbias.messages import quote, words
 
     class Mute(Exception):  # noqa: N818
         def __str__(self) -> str:
@@ -95,4 +95,4 @@ def test_an_error_that_cannot_speak_is_one_line() -> None:
 
     assert words(Mute()) == "(its message cannot be read)"
     assert words(ValueError()) == "ValueError"
-    assert quoted(10**5000) == "a value of type int"
+    assert quote(10**5000) == "a value of type int"

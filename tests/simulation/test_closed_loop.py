@@ -17,7 +17,7 @@ import simbias
 from simbias.bias.none import ZeroBias
 from simbias.interfaces import FittedBias, Kernel, Policy, SlowWarning
 from simbias.records import Array, Disturbance, Transitions
-from simbias.simulation.closed_loop import Apart, joined, simulator
+from simbias.simulation.closed_loop import Apart, join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.plain import PlainSimulator
 from simbias.study import Study
@@ -162,7 +162,7 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
     worlds = rng.integers(0, 3, 40)
     thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
     for several, in_step in ((simulators, True), (own, False), ([*simulators[:2], own[0]], False)):
-        made = joined(several)
+        made = join(several)
         assert isinstance(made, CompiledSimulator if in_step else Apart)
         for index, rollout in enumerate(made.rollouts(thetas, starts, worlds)):
             alone = several[worlds[index]].rollout(thetas[index], starts[index])
@@ -219,7 +219,7 @@ def test_plain_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None
     worlds = rng.integers(0, 2, 9)
     thetas, starts = rng.uniform(-10, 10, (9, 5)), np.array([study.task.draw_start(rng) for _ in range(9)])
     with pytest.warns(SlowWarning):
-        together = joined(loops).rollouts(thetas, starts, worlds)
+        together = join(loops).rollouts(thetas, starts, worlds)
     for index, rollout in enumerate(together):
         alone = loops[worlds[index]].rollout(thetas[index], starts[index])
         np.testing.assert_array_equal(rollout.states, alone.states)

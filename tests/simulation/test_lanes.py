@@ -11,7 +11,7 @@ from numba import njit
 
 from simbias.simulation.compilation import Compilation
 from simbias.simulation.kernels import LANES
-from simbias.simulation.lanes import everywhere, exp, loaded, stored
+from simbias.simulation.lanes import everywhere, exp, load, store
 
 rows = arrays(np.float32, (3, LANES), elements=st.floats(-1e3, 1e3, width=32))
 
@@ -21,8 +21,8 @@ def combined(a, b, scale):
     """Every operation: (a - b) * scale + a * b."""
     out = np.empty_like(a)
     for row in range(len(a)):
-        x, y = loaded(a, row), loaded(b, row)
-        stored(out, row, (x - y) * everywhere(scale) + x * y)
+        x, y = load(a, row), load(b, row)
+        store(out, row, (x - y) * everywhere(scale) + x * y)
     return out
 
 
@@ -30,7 +30,7 @@ def exponentials(z):
     """Of every row."""
     out = np.empty_like(z)
     for row in range(len(z)):
-        stored(out, row, exp(loaded(z, row)))
+        store(out, row, exp(load(z, row)))
     return out
 
 
@@ -59,7 +59,7 @@ def test_exponential() -> None:
 def test_lanes_do_not_mix_with_numbers() -> None:
     @njit
     def wrong(a):
-        return loaded(a, 0) + 1.0
+        return load(a, 0) + 1.0
 
     with pytest.raises(Exception, match="No implementation of function"):
         wrong(np.ones((1, LANES), np.float32))

@@ -25,7 +25,7 @@ def side_by_side() -> str:
         its, own = theirs[labels], ours[labels]
         return [paper(its), experiments(its), experiments(own), iterations(own)]
 
-    return tables.markdown(tables.arranged(sweep, MEASURES, texts))
+    return tables.markdown(tables.arrange(sweep, MEASURES, texts))
 
 
 def cells(sweep: Sweep) -> dict[tuple[str, ...], Mapping[Any, Any]]:

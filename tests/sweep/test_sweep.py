@@ -31,8 +31,8 @@ from simbias.sweep.tables import cells, interval, layout, legend, markdown
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.sweep import SweepConsole
 from simbias.tracking import fields, results
-from simbias.tracking.mlflow import MlflowTrial
 from simbias.tracking.mlflow_sweep import MlflowSweep
+from simbias.tracking.mlflow_trial import MlflowTrial
 from simbias.tracking.store import connect
 from simbias.trial import Outcome, TrialRecord
 

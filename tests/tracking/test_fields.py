@@ -59,4 +59,4 @@ def test_a_sweep_in_numbers() -> None:
     ],
 )
 def test_shown_uri_has_no_password(uri: str, expected: str) -> None:
-    assert fields.shown(uri) == expected
+    assert fields.redact(uri) == expected

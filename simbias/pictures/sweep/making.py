@@ -55,7 +55,7 @@ def make_figures(
             batches = figure.experiments(trials)
             outcomes = _outcomes(name, batches, engine, tracked, observer, interruption)
             picture = figure.draw(trials, outcomes)
-        with temporary_folder() as folder, interruption.deferred():
+        with temporary_folder() as folder, interruption.defer():
             files = picture.write(Path(folder), name)
             tracked.publish(name, picture.caption, files)
             observer.drawn(name, picture.caption, _copy(files, sweep.figures_to))
@@ -93,7 +93,7 @@ def _outcomes(
             for index, result in results:
                 if isinstance(result, WorkerLostError) or result.error:
                     raise FigureError(str(getattr(result, "error", result)))
-                with interruption.deferred():
+                with interruption.defer():
                     outcomes[missing[index]] = result
                     tracked.keep_outcomes(missing[index], result)
                     advance()
