@@ -13,10 +13,13 @@ import json
 import os
 import random
 import signal
+import sqlite3
 import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pandas as pd
@@ -42,11 +45,19 @@ def begun(folder: Path) -> Counter[str]:
     return Counter(log.read_text().splitlines() if log.exists() else [])
 
 
-def leftovers() -> set[str]:
-    """Semaphores and temporary folders that a process may leave behind."""
-    places = (Path("/dev/shm"), Path(tempfile.gettempdir()))
-    names = ("sem.loky", "loky-", "joblib_memmapping", "simbias")
-    return {str(path) for place in places for path in place.glob("*") if path.name.startswith(names)}
+def semaphores(pids: Sequence[int]) -> int:
+    """How many are left of processes of these numbers."""
+    return sum(len(list(Path("/dev/shm").glob(f"sem.loky-{pid}-*"))) for pid in pids)
+
+
+def ended(folder: Path) -> bool:
+    """Whether all that the store holds has come to its end, though the process has not."""
+    store = folder / "mlflow.db"
+    if not store.exists():
+        return False
+    with closing(sqlite3.connect(store)) as database:
+        states = {state for (state,) in database.execute("SELECT status FROM runs")}
+    return states == {"FINISHED"}
 
 
 def prepared(folder: Path) -> Path:
@@ -88,19 +99,26 @@ def campaign(
 ) -> dict[str, object]:
     """Kill the command so often, then leave it alone; what came of it."""
     store, experiments, seconds = expected
-    with tempfile.TemporaryDirectory() as name:
+    command = ["--config-dir", "conf", *COMMANDS[kind]]
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as temporary:
         folder = prepared(Path(name))
+        pids, struck, at_the_end = [], 0, 0
         for _ in range(kills):
-            process = start("--config-dir", "conf", *COMMANDS[kind], folder=folder)
+            process = start(*command, folder=folder, temporary=Path(temporary))
+            pids.append(process.pid)
             time.sleep(rng.uniform(0.0, 1.1 * seconds))
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
+                struck, at_the_end = struck + 1, at_the_end + ended(folder)
             finish(process)
-        status, _, err = run("--config-dir", "conf", *COMMANDS[kind], folder=folder, timeout=300)
+        left_by_kills = semaphores(pids), len(list(Path(temporary).iterdir()))
+        status, _, err = run(*command, folder=folder, timeout=300, temporary=Path(temporary))
         made = begun(folder)
         return {
             "kind": kind,
             "kills": kills,
+            "struck": struck,  # the others found that the process had ended
+            "at_the_end": at_the_end,  # struck when all was kept: pictures were drawn, files tidied up
             "status": status,
             "as_undisturbed": kept(kind, folder) == store,
             "experiments": sum(experiments.values()),
@@ -108,6 +126,10 @@ def campaign(
             "missing": sum((experiments - made).values()),
             "strange": len(set(made) - set(experiments)),
             "journals_left": (folder / "journals").exists(),
+            "semaphores_by_kills": left_by_kills[0],
+            "semaphores_left": semaphores(pids),  # when the last process has ended in peace
+            "temporary_by_kills": left_by_kills[1],
+            "temporary_left": len(list(Path(temporary).iterdir())),
             "said": json.dumps(err[-200:]),
         }
 
@@ -119,7 +141,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=30, help="of each kind (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
     parsed = parser.parse_args()
-    rng, before = random.Random(parsed.seed), leftovers()
+    rng = random.Random(parsed.seed)
     rows = []
     for kind in COMMANDS:
         expected, left = undisturbed(kind), parsed.kills
@@ -131,8 +153,7 @@ def main() -> None:
     parsed.folder.mkdir(parents=True, exist_ok=True)
     table = pd.DataFrame(rows)
     table.to_csv(parsed.folder / "soak.csv", index=False)
-    left_behind = sorted(leftovers() - before)
-    print(f"left behind: {len(left_behind)} {left_behind[:5]}")
+    print(table.drop(columns=["kind", "said"]).sum().to_string())
     good = (
         table["as_undisturbed"] & (table["missing"] == 0) & (table["strange"] == 0) & ~table["journals_left"]
     )
