@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -177,7 +178,9 @@ class Variations:
                 overrides.append(
                     f"hydra.searchpath=[{_quoted(f'file://{Path(self._config_dir).resolve()}')}]"
                 )
-            sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
+            parsed = _parsed(overrides)
+            self._check_files(parsed)
+            sweeps = [each.value() for each in parsed if each.key_or_group == "sweep"]
             if sweeps:
                 _register_sweeps(self._config_dir, sweeps[-1])
             with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
@@ -188,6 +191,14 @@ class Variations:
             OmegaConf.set_struct(own, True)
             self._composed[options] = _Composed(own, choices)
         return self._composed[options]
+
+    def _check_files(self, overrides: Sequence[Override]) -> None:
+        """Refuse an option that is a pipe or a device: Hydra would wait for who writes into it."""
+        for each in overrides:
+            for folder in self._folders:
+                path = folder / each.key_or_group / f"{each.value()}.yaml"
+                if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+                    raise ConfigError(str(path), "is no file with a config")
 
 
 def overridden(overrides: Sequence[str]) -> list[str]:

@@ -58,8 +58,6 @@ def test_nobody_asks_for_them(conf: Path, monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("name", BROKEN)
 @pytest.mark.parametrize("group", ["bias", "+sweep"])
 def test_somebody_asks_for_one(conf: Path, group: str, name: str) -> None:
-    if (group, name) == ("bias", "pipe"):
-        pytest.skip("Hydra would wait for who writes into it")
     use: Callable = expand if group == "+sweep" else simbias.load
     with pytest.raises(ConfigError) as error:
         use([f"{group}={name}", "tracking=none"], conf)

@@ -1,8 +1,8 @@
 """An attack on all that comes from outside, of so many minutes: is anything but refused in one line, or run?
 
-`python tests/studies/attack FOLDER [--minutes 12] [--seed 0]` writes FOLDER/attack_<seed>.csv, how many cases of each
-surface ended how, and FOLDER/finds_<seed>.csv, a row for each that ended as none should. A case is drawn by
-the seed, but how many there is time for depends on the machine.
+`python tests/studies/attack FOLDER [--minutes 12] [--seed 0]` writes FOLDER/attack_<seed>.csv, how many cases
+of each surface ended how, and FOLDER/finds_<seed>.csv, a row for each that ended as none should. A case is
+drawn by the seed, but how many there is time for depends on the machine.
 
 A trial that runs for long, as it was told to, is interrupted after some seconds, and has to end then.
 """
@@ -23,6 +23,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # whose threads no fork has
 sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[2])]
 
 import pandas as pd
+
 from attack.surfaces import SURFACES, template
 from attack.values import form_case, value_case
 from attack.verdict import Result, attempt

@@ -203,7 +203,8 @@ def form_case(rng: random.Random) -> tuple[str, list[str]]:
     elif kind == 2:
         name, (_, _) = rng.choice(sorted(keys().items(), key=lambda item: item[0]))
         values = ",".join(rng.sample([*NUMBERS[:-7], *TYPES[:14]], rng.randint(1, 3)))
-        override = f"+sweep={{trials: 1, dry_run: {rng.choice(['true', 'false'])}, axes: {{{name.rpartition(' ')[2]}: [{values}]}}}}"
+        axes = f"{{{name.rpartition(' ')[2]}: [{values}]}}"
+        override = f"+sweep={{trials: 1, dry_run: {rng.choice(['true', 'false'])}, axes: {axes}}}"
     elif kind == 3:
         override = rng.choice([text, f"{text}=1", f"+{text}={text}", f"~{text}", f"{text}@{text}={text}"])
     elif kind == 4:
