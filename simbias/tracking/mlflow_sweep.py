@@ -76,6 +76,9 @@ class MlflowSweep(TrackedSweep):
         done = results.of_sweep(runs, sweep)
         self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
+        for journal in journals.glob("*"):
+            if journal.name in self.finished:  # who kept the trial was killed before it removed this
+                remove(journal)
         self._note("**Running**")
 
     def _begin(self) -> str:

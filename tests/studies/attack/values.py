@@ -7,7 +7,10 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from simbias.config import compose, options, sweeps
+from omegaconf import OmegaConf
+
+from simbias.config import options, sweeps
+from simbias.config.composition import resource_folder
 
 QUICK = [
     "task.horizon=200",
@@ -148,11 +151,11 @@ def keys() -> dict[str, tuple[str, Any]]:
     found: dict[str, tuple[str, Any]] = {}
     for group, names in options().items():
         for name in names:
-            choice = f"{group}={name}"
-            for key, value in _leaves(compose([choice]).config, ""):
-                found.setdefault(
-                    key if not key.startswith(f"{group}.") else f"{choice} {key}", (choice, value)
-                )
+            node = OmegaConf.load(resource_folder("conf") / group / f"{name}.yaml")
+            for key, value in _leaves(OmegaConf.to_container(node), f"{group}."):
+                found[f"{group}={name} {key}"] = (f"{group}={name}", value)
+    for key in ("seed", "experiment_timeout"):
+        found[key] = ("bias=gp", 1)
     return found
 
 
