@@ -129,7 +129,7 @@ class Study:
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
-        """Run the method; the same seed gives the same records."""
+        """Run the method; the same seed gives the same records on one kind of machine."""
         return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
 
     def simulate(

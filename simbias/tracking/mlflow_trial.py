@@ -92,7 +92,11 @@ class MlflowTrial(TrackedTrial):
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept in the journal."""
-        return self._journal.recalling(study) if self._journal else study
+        if self._journal is None:
+            return study
+        recalled = self._journal.recalling(study)
+        self.machines = self._journal.machines
+        return recalled
 
     def iterated(self, iteration: Iteration) -> None:
         """Keep an iteration, unless an earlier process did."""
@@ -135,7 +139,7 @@ class MlflowTrial(TrackedTrial):
         numbers = fields.trial_metrics(whole).items()
         writes.metrics.append([(name, value, 0, self._time) for name, value in numbers])
         self._note(notes.verdict(self._rows, record))
-        writes.tags["outcome"] = record.outcome
+        writes.tags |= {"outcome": record.outcome, **fields.machine_tags(record)}
         if record.held_out:
             writes.tags[fields.HELD_OUT] = fields.holds(record)
             text = files.held_out_text(record.held_out, self._study.task)
