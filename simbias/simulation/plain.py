@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.interfaces import Cost, Model
+from simbias.interfaces import Cost, Model, failure_name
 from simbias.records import Array, Disturbance, Indices, Rollout
 
 MOST = 256  # rollouts side by side: their records take memory
@@ -50,6 +50,7 @@ class PlainSimulator:
         frames, violated = np.full(k, task.horizon), np.full(k, -1)
         states[:, 0] = starts
         going, memory = np.arange(k), np.zeros((k, policy.memory_size))
+        hidden = np.zeros((k, self.models[0].nominal.memory_size))
         for t in range(task.horizon + 1):
             failing = task.violated(states[going, t])
             stay = failing < 0
@@ -58,12 +59,12 @@ class PlainSimulator:
             if t == task.horizon or not stay.any():
                 break
             if len(ended):
-                going, memory = going[stay], memory[stay]
+                going, memory, hidden = going[stay], memory[stay], hidden[stay]
             x, own = states[going, t], worlds[going]
             seen, unknown = self._noise(x, own, t)
             inputs[going, t], memory = policy.act(thetas[going], seen, t * task.time_step, memory)
             u = inputs[going, t] + unknown
-            f = self._by_world([model.nominal.step for model in self.models], x, u, own)
+            f, hidden = self._advance(x, u, hidden, own)
             g = self._by_world([model.bias.correction for model in self.models], x, u, own)
             states[going, t + 1] = f + g
         return [self._record(*each) for each in zip(states, inputs, frames, violated, strict=True)]
@@ -76,6 +77,19 @@ class PlainSimulator:
         return x + np.array([d.sensors[t] for d in noise])[worlds], np.array([d.inputs[t] for d in noise])[
             worlds
         ]
+
+    def _advance(self, x: Array, u: Array, hidden: Array, worlds: Indices) -> tuple[Array, Array]:
+        """What each world's nominal model makes of its rows, and what it then keeps (k, s)."""
+        models = [model.nominal for model in self.models]
+        if models[0].batched and all(type(model) is type(models[0]) for model in models):
+            return models[0].step_in_worlds(models, x, u, worlds), hidden
+        if not hidden.shape[1]:
+            return self._by_world([model.step for model in models], x, u, worlds), hidden
+        f, kept = np.empty_like(x), np.empty_like(hidden)
+        for world in np.unique(worlds):
+            rows = worlds == world
+            f[rows], kept[rows] = models[world].advance(x[rows], u[rows], hidden[rows])
+        return f, kept
 
     def _by_world(
         self, functions: Sequence[Callable[[Array, Array], Array]], x: Array, u: Array, worlds: Indices
@@ -97,12 +111,18 @@ class PlainSimulator:
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
     """Costs (k,) of rollouts, and their frames (k,)."""
     frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
-    return np.array([cost.of(rollout) for rollout in rollouts]), frames
+    costs = np.array([cost.of(rollout) for rollout in rollouts])
+    if not np.isfinite(costs).all():
+        got = costs[~np.isfinite(costs)][0]
+        raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
+    return costs, frames
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
     """The record of a rollout that a criterion ended after so many frames, or the horizon if it is -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
     return (
-        Rollout(states, inputs) if violated < 0 else Rollout(states, inputs, frames, criteria[violated].name)
+        Rollout(states, inputs)
+        if violated < 0
+        else Rollout(states, inputs, frames, failure_name(criteria, violated))
     )
