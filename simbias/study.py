@@ -13,6 +13,7 @@ import numpy as np
 
 from simbias.config.components import construct
 from simbias.config.composition import Composition
+from simbias.config.conditions import HARDWARE, split
 from simbias.config.numbers import CountOrZero, Seconds
 from simbias.dialogue import Dialogue
 from simbias.experiments import UNCONDITIONED, Conditions, Conducted
@@ -209,8 +210,8 @@ class Study:
 
         Its costs are those of the old horizon.
         """
-        task, config = self.task.with_horizon(horizon), self.config["hardware"]
-        hardware = construct(config, Hardware, "hardware", self.composition.allowed, task=task)
+        task, (config, _) = self.task.with_horizon(horizon), split(self.config[HARDWARE])
+        hardware = construct(config, Hardware, HARDWARE, self.composition.allowed, task=task)
         return replace(self, task=task, hardware=self.conducted.wrap(hardware, task))
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
