@@ -19,14 +19,16 @@ CHECK = "check"  # in place of a first override: put components through the conf
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
   seed=3                               another trial
+  preset=cartpole                      another robot; 'preset=[cartpole,robust]': and another method
+  method.max_iterations=10             N_out; method.experiments=2 in each
+  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
+  task.horizon=5000                    T, frames of task.time_step in s
+  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
+  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
+of the default robot:
   hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
   hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
   hardware.feet=separate               two feet that can tip
-  method.max_iterations=10             N_out; method.experiments=2 in each
-  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
-  task.horizon=5000                    T, frames of task.time_step=0.001 s
-  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
-  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
 
 examples:
   python -m simbias

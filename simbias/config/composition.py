@@ -177,13 +177,17 @@ class Variations:
                 overrides.append(
                     f"hydra.searchpath=[{_quoted(f'file://{Path(self._config_dir).resolve()}')}]"
                 )
-            sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
+            parsed = _parsed(overrides)
+            sweeps = [each.value() for each in parsed if each.key_or_group == "sweep"]
             if sweeps:
                 _register_sweeps(self._config_dir, sweeps[-1])
             with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
             choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
+            presets = [each.value() for each in parsed if each.key_or_group == "preset"]
+            if presets and isinstance(presets[-1], list):  # of which Hydra does not tell
+                choices["preset"] = ",".join(map(str, presets[-1]))
             own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
             OmegaConf.set_struct(own, True)
             self._composed[options] = _Composed(own, choices)
