@@ -109,9 +109,12 @@ class TwoSimulators(SweepFigure):
 
 def _write(axes: Axes, words: str, place: tuple[float, float], **style: Any) -> None:
     """Write words at a place in units of the axes' cell of the grid, which a wide drawing does not fill."""
-    cell = axes.get_subplotspec().get_position(axes.figure)
+    figure, spec = axes.get_figure(root=True), axes.get_subplotspec()
+    assert figure is not None
+    assert spec is not None
+    cell = spec.get_position(figure)
     x, y = cell.x0 + place[0] * cell.width, cell.y0 + place[1] * cell.height
-    axes.figure.text(x, y, words, **({"fontsize": SMALL} | style))
+    figure.text(x, y, words, **({"fontsize": SMALL} | style))
 
 
 def _runs(study: Study, iteration: Iteration) -> list[Run]:
