@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextvars import copy_context
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,14 @@ class Conducted(Hardware):
         self._task = task
         self._timeout = timeout
         self.sets_start = hardware.sets_start
+
+    def wrap(self, hardware: Hardware, task: Task) -> Conducted:
+        """The same of another hardware, on a task whose experiments may take longer or shorter."""
+        other = copy(self)
+        other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
+        if self._timeout is not None:
+            other._timeout = self._timeout * task.horizon / self._task.horizon
+        return other
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment.

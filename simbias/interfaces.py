@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -109,6 +110,16 @@ class Task(ABC):
         words = {criterion.name: criterion.words for criterion in self.criteria}
         return words.get(failure, failure.replace("_", " "))
 
+    def with_horizon(self, horizon: int) -> Task:
+        """The task, which now takes so many frames."""
+        longer = copy(self)
+        longer.horizon = horizon
+        return longer
+
+    def frames(self, seconds: float) -> int:
+        """How many frames so many seconds take, at least one."""
+        return max(1, round(seconds / self.time_step))
+
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,): start_mean + N(0, start_deviation^2) (Section VI-A)."""
         return self.start_mean + self.start_deviation * rng.standard_normal(len(self.states))
@@ -118,7 +129,7 @@ class Nominal(ABC):
     """The simulation model f' (Section IV-A).
 
     A model of what the state does not show, as an actuator's lag or a delay, keeps it in its memory, which is
-    zero at the start.
+    zero at the start (`simbias.simulation.actuator`).
     """
 
     kernel: Kernel | None = None
@@ -143,6 +154,23 @@ class Nominal(ABC):
         Only batched models need it; all of them are of one class.
         """
         raise NotImplementedError(f"{type(self).__name__} is batched, but has no `step_in_worlds`")
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on, of states (k, n) and inputs (k, m)."""
+        kept, memory = np.zeros((len(inputs), self.memory_size)), np.zeros(self.memory_size)
+        for t in range(len(inputs) if self.memory_size else 0):
+            kept[t] = memory
+            _, memory = self.advance(states[t], inputs[t], memory)
+        return kept
+
+    def along(self, states: Array, inputs: Array) -> Array:
+        """x_next (k, n) predicted from each state (k, n) of a recorded rollout under its inputs (k, m).
+
+        What the states do not show is simulated from the inputs that came before.
+        """
+        if not self.memory_size:
+            return self.step(states, inputs)
+        return self.advance(states, inputs, self.memories(states, inputs))[0]
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""
@@ -328,6 +356,10 @@ class Cost(ABC):
         """Z (k,) of rollouts that the kernel summed up as totals (k, s), of frames (k,) lost by failure."""
         raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
 
+    def with_horizon(self, horizon: int) -> Cost:
+        """The cost of rollouts that may take so many frames; only what simulates for longer needs it."""
+        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`")
+
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""
         return rollout.failed_at is None and rollout.cost < self.max_cost
@@ -337,6 +369,7 @@ class Evaluation(ABC):
     """How the cost of a policy is predicted in simulation."""
 
     noisy_rollouts: int = 0  # of each policy, whose noise is kept as long as a search goes on
+    horizon: int | None = None  # frames of its rollouts; None is the task's
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from simbias.config.components import construct
 from simbias.config.composition import Composition
+from simbias.config.numbers import CountOrZero, Seconds
 from simbias.experiments import Conducted
 from simbias.interfaces import (
     Bias,
@@ -47,6 +49,9 @@ class Observer:
     def iterated(self, iteration: Iteration) -> None:
         """An iteration has ended."""
 
+    def trying(self, number: int, count: int) -> None:
+        """The last policy is tried from a held-out start, the first of which has the number 0."""
+
 
 class Method(ABC):
     """An algorithm that searches, experiments and learns, in the steps of `simbias.learning`.
@@ -62,6 +67,15 @@ class Method(ABC):
     @abstractmethod
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration as it ends."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """From how many starts a trial's last policy is tried after its end, and for how long."""
+
+    starts: CountOrZero = 0
+    lasting: CountOrZero = 2  # so many of them go on beyond the task's horizon,
+    seconds: Seconds = 60.0  # until then
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +96,7 @@ class Study:
     seed: int
     composition: Composition  # what the components were built from
     experiment_timeout: float | None = None  # s of wall time for each hardware experiment
+    held_out: HeldOut = HeldOut()
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -147,6 +162,15 @@ class Study:
         if isinstance(self.hardware, Conducted):
             return self.hardware
         return Conducted(self.hardware, self.task, self.experiment_timeout)
+
+    def with_horizon(self, horizon: int) -> Study:
+        """The study of a task that takes so many frames; its hardware is constructed anew for it.
+
+        Its costs are those of the old horizon.
+        """
+        task, config = self.task.with_horizon(horizon), self.config["hardware"]
+        hardware = construct(config, Hardware, "hardware", self.composition.allowed, task=task)
+        return replace(self, task=task, hardware=self.conducted().wrap(hardware, task))
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""

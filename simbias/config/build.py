@@ -13,10 +13,14 @@ from simbias.config.identity import LATER
 from simbias.config.memory import check_memory
 from simbias.config.numbers import Seed
 from simbias.interfaces import Task
-from simbias.study import Study
+from simbias.study import HeldOut, Study
 
-NO_COMPONENTS = ("seed", "experiment_timeout", "composition")
-VALUES = {"seed": Required[Seed], "experiment_timeout": NotRequired[PositiveFloat | None]}
+NO_COMPONENTS = ("seed", "experiment_timeout", "held_out", "composition")
+VALUES = {
+    "seed": Required[Seed],
+    "experiment_timeout": NotRequired[PositiveFloat | None],
+    "held_out": NotRequired[HeldOut],
+}
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
 

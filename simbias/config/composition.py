@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-NOT_HASHED = ("tracking", "experiment_timeout", *OF_SWEEPS)  # keys that do not affect a trial's result
+NOT_HASHED = ("tracking", "experiment_timeout", "held_out", *OF_SWEEPS)  # do not affect a trial's result
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.interfaces import Controller, Kernel, Policy, Task
+from simbias.policy.gains import signed_exponential
 from simbias.records import Array
 
 
@@ -41,7 +42,7 @@ class OutputFeedback(Policy):
 
     def gains(self, theta: Array) -> Array:
         """Gain matrices H (..., m, q) of the parameters h-hat (..., m q) (Eq. 10)."""
-        h = np.sign(theta) * np.expm1(np.abs(theta))
+        h = signed_exponential(theta)
         return h.reshape(*h.shape[:-1], len(self._task.inputs), len(self._task.outputs))
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:

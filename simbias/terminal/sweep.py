@@ -142,7 +142,7 @@ class SweepConsole(SweepObserver):
         """The table, what it means, and how to look at the rest."""
         arrangement = layout(cells(trials, self._sweep), self._sweep)
         self._console.print(plain(arrangement), soft_wrap=True, markup=False)
-        self._console.print(legend(self._sweep), soft_wrap=True, markup=False)
+        self._console.print(legend(self._sweep, trials), soft_wrap=True, markup=False)
         raised = [row for row in trials.to_dict("records") if row["outcome"] == Outcome.ERROR]
         for row in raised[:SHOWN_ERRORS]:
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)

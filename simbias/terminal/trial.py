@@ -84,6 +84,11 @@ class TrialConsole(Observer):
         self._experiments += 1
         self._progress.update(self._bar, description=f"hardware experiment {self._experiments} done")
 
+    def trying(self, number: int, count: int) -> None:
+        """Tell that the last policy is being tried."""
+        words = f"held-out start {number + 1} of {count}"
+        self._progress.update(self._bar, description=words, visible=True)
+
     def iterated(self, iteration: Iteration) -> None:
         """One line for an iteration."""
         self._progress.update(self._bar, visible=False)
@@ -110,9 +115,12 @@ class TrialConsole(Observer):
         experiments = f"after {counted(record.experiments, 'hardware experiment')}"
         effort = f"{counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
         words = self._study.task.words
+        self._progress.update(self._bar, visible=False)
         names = {each.failure for each in record.iterations[-1].experiments if each.failure}
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
         self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
+        if record.held_out:
+            self._console.print(record.held_out.words, soft_wrap=True)
         self.look(where)
 
     def recall(self, iterations: Sequence[Iteration], where: str | None) -> None:

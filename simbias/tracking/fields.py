@@ -33,6 +33,10 @@ VALUE_LENGTH = 6000
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
 SECONDS = "trial/seconds"  # the metric that tells how long a trial took
 TRIAL_METRICS = ("trial/experiments", "trial/iterations", SECONDS)
+HELD_OUT = "held_out"  # the tag that tells from which held-out starts the last policy holds: 1 where it does
+LATER_METRICS = (  # that trials of earlier versions lack, and those whose last policy was not tried
+    *("trial/hardware_seconds", "held_out/held", "held_out/lasted", "held_out/seconds"),
+)
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 
 
@@ -121,8 +125,16 @@ def _learning_metrics(learning: Learning) -> dict[str, float]:
 def trial_metrics(record: TrialRecord) -> dict[str, float]:
     """A trial in numbers: what a sweep's table takes from it."""
     numbers = (record.experiments_until_success, record.iterations_until_success, record.seconds)
-    named = zip(TRIAL_METRICS, numbers, strict=True)
-    return {name: value for name, value in named if not isnan(value)}
+    named = dict(zip(TRIAL_METRICS, numbers, strict=True))
+    tries = record.held_out
+    later = (tries.held, tries.lasted, tries.seconds) if tries else ()
+    named |= zip(LATER_METRICS, (record.hardware_seconds, *later), strict=False)
+    return {name: value for name, value in named.items() if not isnan(value)}
+
+
+def holds(record: TrialRecord) -> str:
+    """From which held-out starts the last policy holds, as the tag says it; empty if it was not tried."""
+    return "".join("1" if held else "0" for held in record.held_out.holds) if record.held_out else ""
 
 
 def sweep_metrics(trials: DataFrame) -> dict[str, float]:

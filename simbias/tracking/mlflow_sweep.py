@@ -122,7 +122,13 @@ class MlflowSweep(TrackedSweep):
         if record.outcome in results.TOLD:
             numbers = fields.trial_metrics(record)
             self._rows[trial.hash] = results.row(
-                trial, self._sweep, record.outcome, numbers, record.reason, run.info.run_id
+                trial,
+                self._sweep,
+                record.outcome,
+                numbers,
+                record.reason,
+                run.info.run_id,
+                fields.holds(record),
             )
         if time.monotonic() - self._noted > NOTE_SECONDS:
             self._note("**Running**")
@@ -210,7 +216,7 @@ class MlflowSweep(TrackedSweep):
         parts = [
             done,
             tables.markdown(arrangement),
-            tables.legend(self._sweep),
+            tables.legend(self._sweep, trials),
             *captions,
             markdown.code(self._again),
         ]

@@ -135,6 +135,10 @@ class MlflowTrial(TrackedTrial):
         writes.metrics.append([(name, value, 0, self._time) for name, value in numbers])
         self._note(notes.verdict(self._rows, record))
         writes.tags["outcome"] = record.outcome
+        if record.held_out:
+            writes.tags[fields.HELD_OUT] = fields.holds(record)
+            text = files.held_out_text(record.held_out, self._study.task)
+            writes.files.append((files.HELD_OUT, partial(_write_text, text)))
         self._flush()
         ended = int(1000 * self._time)
         self._client.set_terminated(self.run_id, STATUS.get(record.outcome, FINISHED), end_time=ended)

@@ -96,10 +96,11 @@ def running(rows: Sequence[Row]) -> str:
 def verdict(rows: Sequence[Row], record: TrialRecord) -> str:
     """How a trial ended."""
     count, reason = _count(rows, len(record.unfinished)), record.reason[:REASON_LENGTH]
+    worth = f" {record.held_out.words}" if record.held_out else ""
     if record.outcome is Outcome.SUCCEEDED:
-        return f"**Succeeded** on hardware in iteration {rows[-1].index}, after {count}."
+        return f"**Succeeded** on hardware in iteration {rows[-1].index}, after {count}.{worth}"
     if record.outcome is Outcome.NOT_SUCCEEDED:
-        return f"**Did not succeed**: no policy reached the goal on hardware, after {count}."
+        return f"**Did not succeed**: no policy reached the goal on hardware, after {count}.{worth}"
     if record.outcome is Outcome.WAITING:
         return f"**Waiting**, after {count}: {markdown.text(reason)}"
     if record.outcome is Outcome.INTERRUPTED:
