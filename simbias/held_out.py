@@ -101,7 +101,7 @@ def try_policy(
     for number, rng in enumerate(np.random.default_rng(SEED).spawn(held_out.starts)):
         own, start = studies[horizons[number]], task.draw_start(rng)
         trying(number, held_out.starts)
-        rollout = own.conducted().run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
+        rollout = own.conducted.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
         asked, lasted = own.task.horizon * task.time_step, rollout.frames * task.time_step
         each.append(Try(start, asked, lasted, rollout.failure))
     return Tries(task.horizon * task.time_step, tuple(each))

@@ -41,7 +41,9 @@ def search(
             evaluations=sum(one.evaluations for one, _ in searches),
             stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
-    return Search(optimum, predicted_cost, model.bias, model.bias.diagnostics, model.nominal)
+    found = Search(optimum, predicted_cost, model.bias, model.bias.diagnostics, model.nominal)
+    observer.searched(found)
+    return found
 
 
 def _search(

@@ -9,10 +9,12 @@ from enum import StrEnum
 
 from threadpoolctl import threadpool_limits
 
+from simbias import machine
+from simbias.blame import told
 from simbias.held_out import Tries, try_policy
 from simbias.interfaces import Waiting
-from simbias.messages import with_trace, with_type, words
-from simbias.records import Array, Iteration, Rollout
+from simbias.messages import with_trace, words
+from simbias.records import Array, Iteration, Rollout, Search
 from simbias.study import Observer, Study
 
 
@@ -47,6 +49,8 @@ class TrialRecord:
     seconds: float = 0.0  # wall time, without the pictures
     hardware_seconds: float = 0.0  # that the experiments lasted on the hardware
     held_out: Tries | None = None  # what the last policy is worth, if that was asked for
+    machines: tuple[str, ...] = ()  # kinds that it ran on: two if it went on elsewhere
+    processor: str = ""  # model of the last one's
     pictures: Mapping[str, bytes] = field(default_factory=dict)  # files by name
 
     @property
@@ -76,6 +80,7 @@ class Recorder:
     """Keeps a trial while it runs. This one keeps nothing."""
 
     pictures: Sequence[str] = ()  # those that are drawn at the trial's end
+    machines: Sequence[str] = ()  # kinds that the trial was run on before
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept, and those that were made before recalled."""
@@ -101,8 +106,8 @@ def run_trial(
     """Run a trial, or go on with it where it stopped.
 
     Experiments and searches that the recorder knows are not made again; what follows them is as if nothing
-    had come between. What a component raises is told in the record. Linear algebra runs on one thread, as
-    more would change the last bits of a factorisation.
+    had come between, on one kind of machine. What a component raises is told in the record. Linear algebra
+    runs on one thread, as more would change the last bits of a factorisation.
 
     Raises
     ------
@@ -122,7 +127,7 @@ def run_trial(
         except Waiting as reason:
             record = run.record(Outcome.WAITING, words(reason))
         except (Exception, SystemExit) as error:
-            record = run.record(Outcome.ERROR, with_type(error), with_trace(error))
+            record = run.record(Outcome.ERROR, told(error), with_trace(error))
             record = replace(record, traceback_file=recorder.explained(record.traceback))
         except BaseException:
             recorder.ended(run.record(Outcome.INTERRUPTED))
@@ -146,6 +151,10 @@ class _Run(Observer):
         self.iterations: list[Iteration] = []
         self._held_out: Tries | None = None
         self.searching = observer.searching  # type: ignore[method-assign]  # called thousands of times
+
+    def searched(self, search: Search) -> None:
+        """Pass it on."""
+        self._observer.searched(search)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Pass it on."""
@@ -184,6 +193,8 @@ class _Run(Observer):
             traceback=trace,
             max_experiments=self._method.max_experiments,
             max_iterations=self._method.max_iterations,
+            machines=tuple(dict.fromkeys([*self._recorder.machines, machine.kind()])),
+            processor=machine.processor(),
             started=self._started,
             seconds=time.perf_counter() - self._clock,
             hardware_seconds=self._time_step * sum(rollout.frames for rollout in self._made),

@@ -14,6 +14,7 @@ NEEDED = {  # by options that say nothing of a robot
         "hardware.environment=InvertedPendulum-v5",
         "hardware.action=[force/100]",
     ],
+    "hardware=process": ["hardware.command=cat"],
     "hardware=mujoco": ["preset=cartpole", f"hardware.file={MODEL}"],
     "nominal=mujoco": ["preset=cartpole", f"nominal.file={MODEL}"],
 }

@@ -178,6 +178,7 @@ def policy_text(policy: Policy, iteration: Iteration) -> str:
                 "cost": optimum.cost,
                 "evaluations": optimum.evaluations,
                 "stopped_by": optimum.stopped_by,
+                **({"flat": True} if optimum.flat else {}),
             },
         }
     return json.dumps(content, indent=2) + "\n"

@@ -11,6 +11,7 @@ from robots import overrides
 import simbias
 from simbias.config import ConfigError, compose, options
 from simbias.config.components import component_class, constructor_parameters
+from simbias.config.conditions import split
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
@@ -90,7 +91,7 @@ def test_presets_combine() -> None:
 @pytest.mark.parametrize(("group", "option"), COMPONENTS)
 def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
     """Every value a person may change stands in the YAML, to be seen."""
-    config = compose(overrides(group, option)).config[group]
+    config, _ = split(compose(overrides(group, option)).config[group])
     component = component_class(config, group)
     assert set(config) - {"_target_"} == set(constructor_parameters(component)) - {"task"}
 
