@@ -210,6 +210,9 @@ class Variations:
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
             choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
+            presets = [each.value() for each in parsed if each.key_or_group == "preset"]
+            if presets and isinstance(presets[-1], list):  # of which Hydra does not tell
+                choices["preset"] = ",".join(map(str, presets[-1]))
             own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
             OmegaConf.set_struct(own, True)
             self._composed[options] = _Composed(own, choices)
