@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-NOT_HASHED = ("tracking", "experiment_timeout", *OF_SWEEPS)  # keys that do not affect a trial's result
+PRIMARY = "config.yaml"  # the one that names the defaults
+NOT_HASHED = ("tracking", "experiment_timeout", "held_out", *OF_SWEEPS)  # do not affect a trial's result
 
 
 @dataclass(frozen=True)
@@ -69,22 +70,27 @@ def resource_folder(folder: str) -> Path:
     return inside if inside.is_dir() else package.parent / folder
 
 
-def options() -> dict[str, list[str]]:
-    """The shipped options of every group, defaults first."""
+def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
+    """The options of every group, defaults first; those of the user's folder too."""
     from omegaconf import OmegaConf
 
     root = resource_folder("conf")
-    defaults = OmegaConf.load(root / "config.yaml").defaults
+    own = Path(config_dir) if config_dir is not None else root
+    defaults = OmegaConf.load(root / PRIMARY).defaults
     chosen = {group: option for entry in defaults if entry != "_self_" for group, option in entry.items()}
     return {
-        group: [option, *sorted({f.stem for f in _files(root / group)} - {option})]
+        group: [
+            option,
+            *sorted({f.stem for folder in (root, own) for f in _files(folder / group)} - {option}),
+        ]
         for group, option in chosen.items()
     }
 
 
-def sweeps() -> list[str]:
-    """The shipped sweeps."""
-    return sorted(file.stem for file in _files(resource_folder("sweeps")))
+def sweeps(config_dir: Path | str | None = None) -> list[str]:
+    """The sweeps that are shipped, and those of the user's folder."""
+    folders = [resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir is not None else [])]
+    return sorted({file.stem for folder in folders for file in _files(folder)})
 
 
 def _files(folder: Path) -> list[Path]:
@@ -105,6 +111,23 @@ def compose(
         If an override names an unknown key or option, or cannot be parsed or resolved.
     """
     return Variations(overrides, config_dir, allow).composition({})
+
+
+def _check_no_primary(config_dir: Path | str | None) -> None:
+    """Refuse a folder whose `config.yaml` would be passed over in silence.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, and what takes its place.
+    """
+    if config_dir is None or Path(config_dir).resolve() == resource_folder("conf").resolve():
+        return
+    primary = Path(config_dir) / PRIMARY
+    if primary.exists():
+        raise ConfigError(
+            str(primary), "is not read; what it chooses belongs in preset/NAME.yaml, chosen by preset=NAME"
+        )
 
 
 class _Composed(NamedTuple):
@@ -131,6 +154,7 @@ class Variations:
         self._composed: dict[tuple[str, ...], _Composed] = {}
         if config_dir is not None and not Path(config_dir).is_dir():
             raise ConfigError("--config-dir", f"no such folder: {config_dir}")
+        _check_no_primary(config_dir)
         self._folders = [Path(config_dir)] if config_dir is not None else _searched(overrides)
         self._allowed = prefixes(self._folders, allow)
 

@@ -22,7 +22,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from simbias.config.errors import ConfigError
-from simbias.experiments import Conducted
+from simbias.experiments import Conditions, Conducted
 from simbias.interfaces import Hardware, Optimizer, Policy, Task
 from simbias.messages import words
 from simbias.records import Array, Optimum, Rollout
@@ -65,7 +65,7 @@ class Journal(Recorder):
     def recalling(self, study: Study) -> Study:
         """The study, its hardware and its optimizer kept here."""
         self._next = 0
-        hardware = KeptHardware(study.hardware, study.task, study.experiment_timeout, self)
+        hardware = KeptHardware(study.hardware, study.task, study.conditions, self)
         optimizer = KeptOptimizer(study.optimizer, self)
         return replace(study, hardware=hardware, optimizer=optimizer)
 
@@ -143,8 +143,8 @@ class Journal(Recorder):
 class KeptHardware(Conducted):
     """A hardware each of whose experiments is on disk before anyone sees it, and made but once."""
 
-    def __init__(self, hardware: Hardware, task: Task, timeout: float | None, journal: Journal) -> None:
-        super().__init__(hardware, task, timeout)
+    def __init__(self, hardware: Hardware, task: Task, conditions: Conditions, journal: Journal) -> None:
+        super().__init__(hardware, task, conditions)
         self._journal = journal
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:

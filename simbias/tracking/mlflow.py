@@ -84,14 +84,18 @@ class Mlflow(Tracking):
             remove_uploads(before, PICTURES_SECONDS)
             run_id = before.info.run_id
             where = self._where(experiment_id, run_id)
-            return FinishedTrial(self._uri, run_id, where, study.composition.allowed)
+            finished = FinishedTrial(self._uri, run_id, where, study.composition.allowed)
+            finished.changed = _changed(before, study, "is shown as it was; ")
+            return finished
         journal = Journal(folder, pictures)
         try:
             if before is None:
                 name, tags = notes.run_name(study), fields.tags(study.composition)
                 before = client.create_run(experiment_id, run_name=name, tags=tags)
             where = self._where(experiment_id, before.info.run_id)
-            return MlflowTrial(client, before, study, where, folder, journal)
+            trial = MlflowTrial(client, before, study, where, folder, journal)
+            trial.changed = _changed(before, study, "goes on, but ")
+            return trial
         except BaseException:
             journal.release()
             raise
@@ -151,6 +155,14 @@ def _earlier(client: MlflowClient, experiment_id: str, identity: str) -> Run | N
     ended = [run for run in runs if is_finished(row_of(run))]
     own = [run for run in runs if fields.PARENT not in run.data.tags]
     return next(iter([*ended, *own]), None)
+
+
+def _changed(run: Run, study: Study, what: str) -> str:
+    """What to say if code of the user's has changed since a run began."""
+    changed = fields.changed_code(run.data.tags, study.composition)
+    if not changed:
+        return ""
+    return f"the trial {what}its code has changed since it began ({changed}); seed=N makes a new one"
 
 
 class FinishedTrial(TrackedTrial):

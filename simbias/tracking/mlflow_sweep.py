@@ -20,7 +20,7 @@ from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
 from simbias.tracking.mlflow_trial import NOTE, MlflowTrial
 from simbias.tracking.nested import nested_runs
-from simbias.tracking.rows import is_finished
+from simbias.tracking.rows import RunRow, is_finished
 from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ class MlflowSweep(TrackedSweep):
         self._unfinished = {run.tags.get("hash", ""): run.run_id for run in runs if not is_finished(run)}
         done = results.of_sweep(runs, sweep)
         self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
+        self.changed = _changed(sweep, [run for run in runs if run.tags.get("hash") in self.finished])
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
         self._note("**Running**")
 
@@ -122,7 +123,13 @@ class MlflowSweep(TrackedSweep):
         if record.outcome in results.TOLD:
             numbers = fields.trial_metrics(record)
             self._rows[trial.hash] = results.row(
-                trial, self._sweep, record.outcome, numbers, record.reason, run.info.run_id
+                trial,
+                self._sweep,
+                record.outcome,
+                numbers,
+                record.reason,
+                run.info.run_id,
+                fields.holds(record),
             )
         if time.monotonic() - self._noted > NOTE_SECONDS:
             self._note("**Running**")
@@ -210,7 +217,7 @@ class MlflowSweep(TrackedSweep):
         parts = [
             done,
             tables.markdown(arrangement),
-            tables.legend(self._sweep),
+            tables.legend(self._sweep, trials),
             *captions,
             markdown.code(self._again),
         ]
@@ -220,6 +227,20 @@ class MlflowSweep(TrackedSweep):
     def _picture(self, name: str) -> str:
         """Address of a figure in MLflow's UI."""
         return pages.run_page(self._experiment_id, self.run_id, f"{FIGURES}/{name}.png")
+
+
+def _changed(sweep: Sweep, finished: Sequence[RunRow]) -> str:
+    """What to say if code of the user's has changed since trials were finished."""
+    compositions = {trial.hash: trial.composition for trial in sweep.trials}
+    changed = [
+        words for run in finished if (words := fields.changed_code(run.tags, compositions[run.tags["hash"]]))
+    ]
+    if not changed:
+        return ""
+    return (
+        f"{len(changed)} of {len(finished)} finished trials ran on code that has changed since "
+        f"({changed[0]}); tracking.experiment=NAME begins anew"
+    )
 
 
 def _ending(error: BaseException | None, raised: bool) -> tuple[str, str]:

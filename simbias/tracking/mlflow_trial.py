@@ -53,6 +53,7 @@ class MlflowTrial(TrackedTrial):
         self._journal = journal  # if the trial runs here
         self._writes = Writes()
         self._rows: list[notes.Row] = []
+        self._iterations: list[Iteration] = []  # of the rows
         self._logged = int(run.data.metrics.get(ITERATIONS, 0))
         self._time = self._last_time(run)  # s since the epoch, up to the last iteration
         self._seconds = run.data.metrics.get(fields.SECONDS, 0.0)  # that earlier processes took
@@ -135,6 +136,10 @@ class MlflowTrial(TrackedTrial):
         writes.metrics.append([(name, value, 0, self._time) for name, value in numbers])
         self._note(notes.verdict(self._rows, record))
         writes.tags["outcome"] = record.outcome
+        if record.held_out:
+            writes.tags[fields.HELD_OUT] = fields.holds(record)
+            text = files.held_out_text(record.held_out, self._study.task)
+            writes.files.append((files.HELD_OUT, partial(_write_text, text)))
         self._flush()
         ended = int(1000 * self._time)
         self._client.set_terminated(self.run_id, STATUS.get(record.outcome, FINISHED), end_time=ended)
@@ -170,8 +175,9 @@ class MlflowTrial(TrackedTrial):
 
     def _write(self, iterations: Sequence[Iteration]) -> None:
         """Keep iterations when all is written, unless an earlier process did."""
-        self._rows.extend(notes.row(self._study, iteration) for iteration in iterations)
         for iteration in iterations:
+            self._rows.append(notes.row(self._study, iteration, self._iterations))
+            self._iterations.append(iteration)
             if iteration.index < self._logged:
                 continue
             self._time += sum(iteration.seconds.values())

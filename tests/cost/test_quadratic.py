@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simbias.cost.quadratic import Quadratic
 from simbias.records import Rollout
 from simbias.study import Study
 
@@ -53,3 +54,33 @@ def test_the_start_does_not_count_in_the_peak(study: Study) -> None:
     states = np.zeros((3, 6))
     states[0] = 100.0
     assert study.cost.of(Rollout(states, np.zeros((2, 1)))) == 0.0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5))
+def test_over_a_longer_horizon_an_effort_that_lasts_costs_the_same(
+    study: Study, seed: int, times: int
+) -> None:
+    """And a failure costs as much as before for each frame that it loses."""
+    rng = np.random.default_rng(seed)
+    x, u = rng.normal(size=(101, 6)), 30 * rng.normal(size=(100, 1))
+    once = Rollout(x, u)
+    again = Rollout(np.concatenate([x, np.tile(x[1:], (times - 1, 1))]), np.tile(u, (times, 1)))
+    longer = study.cost.with_horizon(times * study.task.horizon)
+    assert longer.of(again) == pytest.approx(study.cost.of(once), rel=1e-12)
+    fallen = replace(once, failed_at=100, failure="a fall")
+    lost = (times - 1) * study.task.horizon
+    assert longer.of(fallen) - longer.of(once) == pytest.approx(
+        study.cost.of(fallen) - study.cost.of(once) + 200 * lost
+    )
+
+
+def test_weights_by_name_are_weights_by_place(study: Study) -> None:
+    """An own name goes before a kind, and what is not named weighs nothing."""
+    by_name = {"angle": 10.0, "velocity": 0.1, "d_theta": 0.5}
+    named = Quadratic(study.task, 200.0, by_name, {"torque": 1e-6}, 200.0)
+    placed = Quadratic(study.task, 200.0, [10, 10, 10, 0.1, 0.1, 0.5], [1e-6], 200.0)
+    rng = np.random.default_rng(0)
+    rollout = Rollout(rng.normal(size=(11, 6)), rng.normal(size=(10, 1)))
+    assert named.of(rollout) == placed.of(rollout)
+    with pytest.raises(ValueError, match="state_weights: nothing is called size; there is alpha_w, angle"):
+        Quadratic(study.task, 200.0, {"size": 1.0}, [1e-6], 200.0)
