@@ -84,6 +84,18 @@ def kept(kind: str, folder: Path) -> object:
     return everything(client, only)
 
 
+def difference(there: object, expected: object, where: str = "") -> str:
+    """The first place where what a store holds is not as expected; "" if it is."""
+    if isinstance(there, dict) and isinstance(expected, dict):
+        for key in [*expected, *there]:
+            if key not in there or key not in expected:
+                return f"{where}/{key} is {'missing' if key in expected else 'strange'}"
+            if found := difference(there[key], expected[key], f"{where}/{key}"):
+                return found
+        return ""
+    return "" if there == expected else f"{where}: {str(there)[:200]}, expected {str(expected)[:200]}"
+
+
 def undisturbed(kind: str) -> tuple[object, Counter[str], float]:
     """The store, the experiments and the seconds of a run that is left alone, once all is compiled."""
     with tempfile.TemporaryDirectory() as name:
@@ -124,7 +136,7 @@ def campaign(
             "kills": struck,
             "at_the_end": at_the_end,  # when all was kept: pictures were drawn, files tidied up
             "status": status,
-            "as_undisturbed": kept(kind, folder) == store,
+            "differs": difference(kept(kind, folder), store),
             "experiments": sum(experiments.values()),
             "begun_again": sum((made - experiments).values()),  # under way when killed: at most one a worker
             "missing": sum((experiments - made).values()),
@@ -157,9 +169,9 @@ def main() -> None:
         table = pd.DataFrame(rows)
         table.to_csv(parsed.folder / "soak.csv", index=False)
         print(rows[-1], flush=True)
-    print(table.drop(columns=["kind", "said"]).sum().to_string())
+    print(table.drop(columns=["kind", "said", "differs"]).sum().to_string())
     good = (
-        table["as_undisturbed"] & (table["missing"] == 0) & (table["strange"] == 0) & ~table["journals_left"]
+        (table["differs"] == "") & (table["missing"] == 0) & (table["strange"] == 0) & ~table["journals_left"]
     )
     sys.exit(0 if good.all() else 1)
 
