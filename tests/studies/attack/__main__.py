@@ -85,7 +85,8 @@ def main() -> None:
     finds.to_csv(parsed.folder / f"finds_{parsed.seed}.csv", index=False)
     print(counts["cases"].unstack(fill_value=0).to_string())
     print(f"{len(results)} cases, {len(finds)} finds")
-    sys.exit(1 if len(finds) else 0)
+    sys.stdout.flush()
+    os._exit(1 if len(finds) else 0)  # threads that strangers left may wait for ever
 
 
 if __name__ == "__main__":
