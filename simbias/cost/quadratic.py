@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from simbias.config.numbers import NonNegative, Positive
-from simbias.interfaces import Cost, Kernel, Task
+from simbias.interfaces import Cost, Kernel, Quantity, Task
 from simbias.records import Array, Indices, Rollout
 
 
@@ -20,27 +22,29 @@ def _peak_and_effort(x, u, weights, totals):
     return max(peak, distance), effort
 
 
+Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
+
+
 class Quadratic(Cost):
-    """Z = c (T - t_fail) + max x^T R x + sum u^T Q u (Eq. 8), R and Q diagonal."""
+    """Z = c (T - t_fail) + max x^T R x + sum u^T Q u (Eq. 8), R and Q diagonal.
+
+    Weights are a list, one for each state or input, or stand by the name or the kind of a quantity; what is
+    not named then weighs nothing.
+    """
 
     def __init__(
         self,
         task: Task,
         failure_weight: Positive,
-        state_weights: list[NonNegative],
-        input_weights: list[NonNegative],
+        state_weights: Weights,
+        input_weights: Weights,
         max_cost: Positive,
     ) -> None:
-        for name, weights, quantities in (
-            ("state_weights", state_weights, task.states),
-            ("input_weights", input_weights, task.inputs),
-        ):
-            if len(weights) != len(quantities):
-                raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
         self.max_cost = max_cost
         self._horizon = task.horizon
         self._failure_weight = failure_weight
-        self._R, self._Q = np.array(state_weights), np.array(input_weights)  # diagonals (n,), (m,)
+        self._R = _diagonal("state_weights", state_weights, task.states)  # (n,)
+        self._Q = _diagonal("input_weights", input_weights, task.inputs)  # (m,)
         self.kernel = Kernel(_peak_and_effort, np.concatenate([self._R, self._Q]))
         self.totals = 2
 
@@ -54,3 +58,17 @@ class Quadratic(Cost):
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (k,) of rollouts whose peaks and efforts are totals (k, 2) and who lost so many frames (k,)."""
         return self._failure_weight * lost + totals.sum(axis=1)
+
+
+def _diagonal(name: str, weights: Weights, quantities: Sequence[Quantity]) -> Array:
+    """The weight of each quantity: by its place, or by its own name or else its kind."""
+    if not isinstance(weights, dict):
+        if len(weights) != len(quantities):
+            raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
+        return np.array(weights)
+    known = dict.fromkeys(name for quantity in quantities for name in quantity.names)
+    for key in weights:
+        if key not in known:
+            raise ValueError(f"{name}: nothing is called {key}; there is {', '.join(known)}")
+    own = [[weights[key] for key in quantity.names if key in weights] for quantity in quantities]
+    return np.array([values[0] if values else 0.0 for values in own])

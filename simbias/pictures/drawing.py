@@ -10,9 +10,10 @@ For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
         artists["arm"].set_xy(corners(task, state))
         artists["arm"].set_alpha(0.4 if muted else 1.0)
 
-`draw` is all that snapshots need; animations need `move` too. All lengths are in one unit, so that all
-pictures of a trial have one scale. A task without such a module has all other pictures; its overview lacks
-the snapshots.
+`draw` is all that snapshots need; animations need `move` too; `draws(task)`, if there is one, says whether
+this task can be drawn at all. All lengths are in one unit, so that all pictures of a trial have one scale. A task
+that is declared in YAML declares its drawing there (`simbias.task.declared`). A task without a drawing has all
+other pictures; its overview lacks the snapshots.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def _function(task: Task, name: str) -> Any:
     module = f"{type(task).__module__}_drawing"
     if importlib.util.find_spec(module) is None:
         return None
-    return getattr(importlib.import_module(module), name, None)
+    found = importlib.import_module(module)
+    draws = getattr(found, "draws", None)
+    return getattr(found, name, None) if draws is None or draws(task) else None
 
 
 def share_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:

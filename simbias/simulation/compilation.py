@@ -43,6 +43,22 @@ def compiled_as(substitute: Callable) -> Callable[[_Function], _Function]:
     return mark
 
 
+_FUNCTIONS: dict[tuple[str, str], Callable] = {}
+
+
+def function_of(text: str, name: str, **names: Any) -> Callable:
+    """The function that a text defines, in which these names have a meaning; of the same text, the same one.
+
+    Nothing in it may be a config's: see `simbias.simulation.expressions`.
+    """
+    key = (text, name)
+    if key not in _FUNCTIONS:
+        namespace = {**names, "__name__": __name__}
+        exec(compile(text, f"<{name}>", "exec"), namespace)
+        _FUNCTIONS[key] = namespace[name]
+    return _FUNCTIONS[key]
+
+
 class Compilation:
     """Functions to be compiled together; their hash."""
 

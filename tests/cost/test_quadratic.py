@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simbias.cost.quadratic import Quadratic
 from simbias.records import Rollout
 from simbias.study import Study
 
@@ -53,3 +54,15 @@ def test_the_start_does_not_count_in_the_peak(study: Study) -> None:
     states = np.zeros((3, 6))
     states[0] = 100.0
     assert study.cost.of(Rollout(states, np.zeros((2, 1)))) == 0.0
+
+
+def test_weights_by_name_are_weights_by_place(study: Study) -> None:
+    """An own name goes before a kind, and what is not named weighs nothing."""
+    by_name = {"angle": 10.0, "velocity": 0.1, "d_theta": 0.5}
+    named = Quadratic(study.task, 200.0, by_name, {"torque": 1e-6}, 200.0)
+    placed = Quadratic(study.task, 200.0, [10, 10, 10, 0.1, 0.1, 0.5], [1e-6], 200.0)
+    rng = np.random.default_rng(0)
+    rollout = Rollout(rng.normal(size=(11, 6)), rng.normal(size=(10, 1)))
+    assert named.of(rollout) == placed.of(rollout)
+    with pytest.raises(ValueError, match="state_weights: nothing is called size; there is alpha_w, angle"):
+        Quadratic(study.task, 200.0, {"size": 1.0}, [1e-6], 200.0)
