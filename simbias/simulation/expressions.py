@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from simbias.interfaces import Kernel
-from simbias.messages import quoted
+from simbias.messages import quote
 from simbias.records import Array
 from simbias.simulation.compilation import compiled_as, function_of
 from simbias.simulation.kernels import elementwise
@@ -132,9 +132,9 @@ class _Writer:
             return self._node(parsed)
         except (SyntaxError, MemoryError, RecursionError, OverflowError) as error:
             why = error.msg if isinstance(error, SyntaxError) else "too large"
-            raise ValueError(f"{name}: {quoted(text)} is no expression: {why}") from error
+            raise ValueError(f"{name}: {quote(text)} is no expression: {why}") from error
         except _NotAllowedError as error:
-            raise ValueError(f"{name}: {quoted(text)}: {error}") from error
+            raise ValueError(f"{name}: {quote(text)}: {error}") from error
 
     def _add(self, name: str, written: str) -> None:
         """Let a name have a meaning."""
