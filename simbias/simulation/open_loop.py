@@ -1,0 +1,239 @@
+"""Predictions of recorded experiments under their recorded inputs, many models in step.
+
+Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one; what
+the state does not show, the memory of the nominal model, runs on. What comes out are means over chunks of
+successive frames, as they are predicted: they hold what single noisy frames say, in fewer numbers.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from simbias.interfaces import FittedBias, Kernel, Nominal
+from simbias.records import Array, Indices, Rollout
+from simbias.simulation.compilation import OPTIONS, Compilation
+from simbias.simulation.fused import _lines as lines_of
+from simbias.simulation.fused import _puts as puts
+from simbias.simulation.fused import _tuple as tuple_of
+from simbias.simulation.kernels import LANES
+from simbias.simulation.open_loop_template import TEMPLATE
+from simbias.simulation.threads import in_threads
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Recorded experiments, cut into windows of `window` frames, and these into chunks of `chunk` frames."""
+
+    states: Array  # (F, n), of all experiments
+    inputs: Array  # (F, m)
+    firsts: Indices  # (r,) first frame of each experiment
+    frames: Indices  # (r,) how many of each are used: whole chunks
+    window: int
+    chunk: int
+
+    @staticmethod
+    def of(rollouts: Sequence[Rollout], window: int, chunk: int) -> Windows:
+        """Windows of a whole number of chunks; of a rollout's end, less than a chunk is left out."""
+        window = max(1, round(window / chunk)) * chunk
+        states = [rollout.states for rollout in rollouts]
+        pads = [np.concatenate([r.inputs, np.zeros((1, r.inputs.shape[1]))]) for r in rollouts]
+        firsts = np.cumsum([0, *(len(each) for each in states)])[:-1]
+        frames = np.array([rollout.frames // chunk * chunk for rollout in rollouts], np.int64)
+        return Windows(np.concatenate(states), np.concatenate(pads), firsts, frames, window, chunk)
+
+    @property
+    def chunks(self) -> Indices:
+        """How many chunks each experiment has, (r,)."""
+        return self.frames // self.chunk
+
+    @property
+    def places(self) -> Indices:
+        """Of each chunk (c,): its place in its window."""
+        return np.concatenate([np.arange(k) for k in self.chunks]) % (self.window // self.chunk)
+
+    @property
+    def experiments(self) -> Indices:
+        """Of each chunk (c,): its experiment."""
+        return np.repeat(np.arange(len(self.chunks)), self.chunks)
+
+    @property
+    def means(self) -> Array:
+        """Means (c, n) of the recorded states over each chunk: x_1 to x_chunk is the first one's."""
+        each = [
+            self.states[first + 1 : first + 1 + k].reshape(-1, self.chunk, self.states.shape[1]).mean(axis=1)
+            for first, k in zip(self.firsts, self.frames, strict=True)
+        ]
+        return np.concatenate(each)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A model that experiments are predicted with."""
+
+    nominal: Nominal
+    weight: float = 1.0  # of the bias
+    offset: Array | None = None  # (n,) added to the state at the beginning of each window
+
+
+def predict(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
+    """Means (w, c, n) over each chunk as each world predicts it; the bias is the same in all of them."""
+    if not windows.frames.sum():
+        return np.zeros((len(worlds), 0, windows.states.shape[1]))
+    kernels = [world.nominal.kernel for world in worlds]
+    first = kernels[0]
+    if first is None or any(kernel is None or kernel.function is not first.function for kernel in kernels):
+        return plain(worlds, windows, bias)
+    if bias is not None and bias.kernel is None:
+        return plain(worlds, windows, bias)
+    return _compiled(worlds, windows, bias, first.function, worlds[0].nominal.memory_size)
+
+
+def _compiled(
+    worlds: Sequence[World], windows: Windows, bias: FittedBias | None, step: Callable, hidden: int
+) -> Array:
+    """Without Python, in lanes and threads."""
+    n, m = windows.states.shape[1], windows.inputs.shape[1]
+    parameters = np.array([world.nominal.kernel.parameters for world in worlds if world.nominal.kernel])
+    correct = None if bias is None else bias.kernel
+    loop = compiled_open_loop(Composition.of(step, correct, n, m, hidden, parameters.shape[1]))
+    means = np.empty((len(worlds), windows.chunks.sum(), n))
+    offsets = np.array([np.zeros(n) if world.offset is None else world.offset for world in worlds])
+    weights = np.array([world.weight for world in worlds])
+    first_chunks = np.cumsum([0, *windows.chunks])[:-1]
+    given = correct.parameters if correct else np.empty(0)
+
+    def run(begin: int, end: int) -> None:
+        loop(
+            windows.window, windows.chunk, parameters, given, weights, offsets,
+            windows.firsts, windows.frames, first_chunks, windows.states, windows.inputs, begin, end, means,
+        )  # fmt: skip
+
+    in_threads(run, len(worlds) * len(windows.firsts))
+    return means
+
+
+def plain(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
+    """The same in NumPy: for any components; the compiled loop's reference."""
+    return np.array([_plain(world, windows, bias) for world in worlds])
+
+
+def _plain(world: World, windows: Windows, bias: FittedBias | None) -> Array:
+    """Of one world. Pieces run side by side: experiments if the model has a memory, else windows."""
+    nominal, piece = world.nominal, windows.window
+    if nominal.memory_size:
+        piece = int(windows.frames.max())
+    pieces = [
+        (first + t, min(piece, last - t))
+        for first, last in zip(windows.firsts.tolist(), windows.frames.tolist(), strict=True)
+        for t in range(0, last, piece)
+    ]
+    begins, lengths = np.array(pieces).T
+    x = np.empty((len(pieces), windows.states.shape[1]))
+    memory = np.zeros((len(pieces), nominal.memory_size))
+    made = np.full((len(pieces), lengths.max(), x.shape[1]), np.nan)
+    for t in range(lengths.max()):
+        going = np.flatnonzero(lengths > t)
+        rows = begins[going] + t
+        if t % windows.window == 0:
+            x[going] = windows.states[rows] + (0.0 if world.offset is None else world.offset)
+        u = windows.inputs[rows]
+        x_next, kept = nominal.advance(x[going], u, memory[going])
+        if bias is not None:
+            x_next = x_next + world.weight * bias.correction(x[going], u)
+        x[going], memory[going], made[going, t] = x_next, kept, x_next
+    each = [
+        states[:k].reshape(-1, windows.chunk, x.shape[1]).mean(axis=1)
+        for states, k in zip(made, lengths, strict=True)
+    ]
+    return np.concatenate(each)
+
+
+@dataclass(frozen=True)
+class Composition:
+    """Kernels of an open loop, and the sizes of what they take."""
+
+    step: Callable
+    correct: Callable | None
+    states: int  # n
+    inputs: int  # m
+    hidden: int  # s of the nominal model
+    nominal_parameters: int
+    bias_parameters: int
+
+    @staticmethod
+    def of(step: Callable, bias: Kernel | None, n: int, m: int, hidden: int, nominal: int) -> Composition:
+        """Of a nominal model's kernel and a bias'."""
+        if bias is None:
+            return Composition(step, None, n, m, hidden, nominal, 0)
+        size = 0 if isinstance(bias.parameters, tuple) else len(bias.parameters)
+        return Composition(step, bias.function, n, m, hidden, nominal, size)
+
+    @property
+    def corrects_all_lanes(self) -> bool:
+        """Whether the bias is a kernel for all lanes."""
+        return self.correct is not None and len(inspect.signature(self.correct).parameters) == len(
+            ("x", "u", "data", "correction")
+        )
+
+
+def source(c: Composition) -> str:
+    """The text of a composition's loop."""
+    n, m = c.states, c.inputs
+    sizes = {"x": n, "u": m, "correction": n, "total": n, "nominal": c.nominal_parameters, "weight": 1}
+    sizes |= {"hidden": c.hidden}
+    ends = np.cumsum(list(sizes.values())).tolist()
+    rows = [f"lanes = zeros(({ends[-1]}, {LANES}))"]
+    rows += [
+        f"{name} = lanes[{end - size}:{end}]" for (name, size), end in zip(sizes.items(), ends, strict=True)
+    ]
+    parameters = tuple_of("nominal[{}, lane]", c.nominal_parameters)
+    advance = [f"y = step(x_, u_, {parameters})"]
+    if c.hidden:
+        advance = [
+            f"y, kept = step(x_, u_, {parameters}, {tuple_of('hidden[{}, lane]', c.hidden)})",
+            *puts("hidden", "kept", c.hidden),
+        ]
+    constants: list[str] = []
+    x_new = "y[{0}]"
+    if c.corrects_all_lanes:
+        x_new = "y[{0}] + weight[0, lane] * correction[{0}, lane]"
+    elif c.correct:
+        constants = [f"bias_data = {tuple_of('bias_parameters[{}]', c.bias_parameters)}"]
+        advance.append("d = correct(x_, u_, bias_data)")
+        x_new = "y[{0}] + weight[0, lane] * d[{0}]"
+    settle = [f"x_new = {tuple_of(x_new, n)}", *puts("x", "x_new", n)]
+    settle += [f"total[{i}, lane] += x_new[{i}]" for i in range(n)]
+    return TEMPLATE.format(
+        n=n,
+        m=m,
+        LANES=LANES,
+        nominal=c.nominal_parameters,
+        hidden=c.hidden,
+        rows=lines_of(rows, 4),
+        constants=lines_of(constants, 4),
+        correct_all="correct(x, u, bias_parameters, correction)" if c.corrects_all_lanes else "",
+        x=tuple_of("x[{}, lane]", n),
+        u=tuple_of("u[{}, lane]", m),
+        advance=lines_of(advance, 12),
+        settle=lines_of(settle, 12),
+    )
+
+
+@lru_cache(maxsize=64)
+def compiled_open_loop(c: Composition) -> Any:
+    """The composition's loop, ready to be called."""
+    compilation = Compilation()
+    names = {"step": compilation.compiled(c.step)}
+    if c.correct:
+        names["correct"] = compilation.compiled(c.correct, inline=not c.corrects_all_lanes)
+    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64)
+    if not hasattr(module, "compiled"):
+        module.compiled = njit(**OPTIONS, cache=True)(module.open_loop)
+    return module.compiled
