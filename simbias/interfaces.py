@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from simbias.parameters import Parameter, values_at
+from simbias.parameters import Estimate, Parameter, values_at
 from simbias.records import Array, Indices, Optimum, Rollout, Selection, Transitions
 from simbias.search import Evaluations
 
@@ -124,6 +124,8 @@ class Nominal(ABC):
     kernel: Kernel | None = None
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     memory_size: int = 0  # s
+    estimates: Sequence[Estimate] = ()  # what has been identified
+    diagnostics: Mapping[str, float] = MappingProxyType({})  # what the identification says of its fit
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:

@@ -29,48 +29,56 @@ from simbias.simulation.threads import in_threads
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Recorded experiments, cut into windows of `window` frames, and these into chunks of `chunk` frames."""
+    """Recorded experiments, cut into w windows of `window` frames, and these into J chunks of `chunk` frames.
+
+    Windows are counted from the end, where those who fall are the fastest. What is left over at the beginning
+    is no window: it only fills the memory of models that have one.
+    """
 
     states: Array  # (F, n), of all experiments
     inputs: Array  # (F, m)
-    firsts: Indices  # (r,) first frame of each experiment
-    frames: Indices  # (r,) how many of each are used: whole chunks
+    firsts: Indices  # (r,) frame in which the windows of each experiment begin
+    leads: Indices  # (r,) frames of each experiment before that
+    frames: Indices  # (r,) and after that: whole windows
     window: int
     chunk: int
 
     @staticmethod
     def of(rollouts: Sequence[Rollout], window: int, chunk: int) -> Windows:
-        """Windows of a whole number of chunks; of a rollout's end, less than a chunk is left out."""
+        """Windows of a whole number of chunks."""
         window = max(1, round(window / chunk)) * chunk
         states = [rollout.states for rollout in rollouts]
-        pads = [np.concatenate([r.inputs, np.zeros((1, r.inputs.shape[1]))]) for r in rollouts]
-        firsts = np.cumsum([0, *(len(each) for each in states)])[:-1]
-        frames = np.array([rollout.frames // chunk * chunk for rollout in rollouts], np.int64)
-        return Windows(np.concatenate(states), np.concatenate(pads), firsts, frames, window, chunk)
+        inputs = [np.concatenate([r.inputs, np.zeros((1, r.inputs.shape[1]))]) for r in rollouts]
+        k = np.array([rollout.frames for rollout in rollouts], np.int64)
+        begins = np.cumsum([0, *(k + 1)])[:-1]
+        return Windows(
+            np.concatenate(states), np.concatenate(inputs), begins + k % window, k % window, k - k % window, window, chunk
+        )  # fmt: skip
 
-    @property
-    def chunks(self) -> Indices:
-        """How many chunks each experiment has, (r,)."""
-        return self.frames // self.chunk
-
-    @property
-    def places(self) -> Indices:
-        """Of each chunk (c,): its place in its window."""
-        return np.concatenate([np.arange(k) for k in self.chunks]) % (self.window // self.chunk)
+    def __len__(self) -> int:
+        return int(self.frames.sum()) // self.window
 
     @property
     def experiments(self) -> Indices:
-        """Of each chunk (c,): its experiment."""
-        return np.repeat(np.arange(len(self.chunks)), self.chunks)
+        """Of each window (w,): its experiment."""
+        return np.repeat(np.arange(len(self.frames)), self.frames // self.window)
+
+    @property
+    def starts(self) -> Indices:
+        """Of each window (w,): the row in which it begins."""
+        each = [first + np.arange(0, k, self.window) for first, k in zip(self.firsts, self.frames, strict=True)]
+        return np.concatenate(each)
 
     @property
     def means(self) -> Array:
-        """Means (c, n) of the recorded states over each chunk: x_1 to x_chunk is the first one's."""
-        each = [
-            self.states[first + 1 : first + 1 + k].reshape(-1, self.chunk, self.states.shape[1]).mean(axis=1)
-            for first, k in zip(self.firsts, self.frames, strict=True)
-        ]
-        return np.concatenate(each)
+        """Means (w, J, n) of the recorded states over each chunk: the first one's are x_1 to x_chunk."""
+        rows = self.starts[:, None] + np.arange(1, self.window + 1)
+        return self._chunked(self.states[rows])
+
+    def _chunked(self, states: Array) -> Array:
+        """Means (w, J, n) of states (w, window, n)."""
+        chunks = self.window // self.chunk
+        return states.reshape(len(states), chunks, self.chunk, states.shape[2]).mean(axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +91,9 @@ class World:
 
 
 def predict(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
-    """Means (w, c, n) over each chunk as each world predicts it; the bias is the same in all of them."""
-    if not windows.frames.sum():
-        return np.zeros((len(worlds), 0, windows.states.shape[1]))
+    """Means (k, w, J, n) over each chunk as each of k worlds predicts it; they share the bias."""
+    if not len(windows):
+        return np.zeros((len(worlds), *windows.means.shape))
     kernels = [world.nominal.kernel for world in worlds]
     first = kernels[0]
     if first is None or any(kernel is None or kernel.function is not first.function for kernel in kernels):
@@ -103,20 +111,22 @@ def _compiled(
     parameters = np.array([world.nominal.kernel.parameters for world in worlds if world.nominal.kernel])
     correct = None if bias is None else bias.kernel
     loop = compiled_open_loop(Composition.of(step, correct, n, m, hidden, parameters.shape[1]))
-    means = np.empty((len(worlds), windows.chunks.sum(), n))
+    chunks = windows.frames // windows.chunk
+    means = np.empty((len(worlds), chunks.sum(), n))
     offsets = np.array([np.zeros(n) if world.offset is None else world.offset for world in worlds])
     weights = np.array([world.weight for world in worlds])
-    first_chunks = np.cumsum([0, *windows.chunks])[:-1]
+    first_chunks = np.cumsum([0, *chunks])[:-1]
     given = correct.parameters if correct else np.empty(0)
 
     def run(begin: int, end: int) -> None:
         loop(
             windows.window, windows.chunk, parameters, given, weights, offsets,
-            windows.firsts, windows.frames, first_chunks, windows.states, windows.inputs, begin, end, means,
+            windows.firsts, windows.leads, windows.frames, first_chunks, windows.states, windows.inputs,
+            begin, end, means,
         )  # fmt: skip
 
     in_threads(run, len(worlds) * len(windows.firsts))
-    return means
+    return means.reshape(len(worlds), len(windows), windows.window // windows.chunk, n)
 
 
 def plain(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
@@ -125,34 +135,25 @@ def plain(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = N
 
 
 def _plain(world: World, windows: Windows, bias: FittedBias | None) -> Array:
-    """Of one world. Pieces run side by side: experiments if the model has a memory, else windows."""
-    nominal, piece = world.nominal, windows.window
+    """Of one world, all windows side by side."""
+    nominal, starts = world.nominal, windows.starts
+    x = windows.states[starts] + (0.0 if world.offset is None else world.offset)
+    memory, made = _memories(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
+    for t in range(windows.window):
+        u = windows.inputs[starts + t]
+        x_next, memory = nominal.advance(x, u, memory)
+        made[:, t] = x = x_next if bias is None else x_next + world.weight * bias.correction(x, u)
+    return windows._chunked(made)
+
+
+def _memories(nominal: Nominal, windows: Windows) -> Array:
+    """The memory (w, s) of the model at the beginning of each window: what the inputs before leave in it."""
+    kept = np.zeros((len(windows.states), nominal.memory_size))
     if nominal.memory_size:
-        piece = int(windows.frames.max())
-    pieces = [
-        (first + t, min(piece, last - t))
-        for first, last in zip(windows.firsts.tolist(), windows.frames.tolist(), strict=True)
-        for t in range(0, last, piece)
-    ]
-    begins, lengths = np.array(pieces).T
-    x = np.empty((len(pieces), windows.states.shape[1]))
-    memory = np.zeros((len(pieces), nominal.memory_size))
-    made = np.full((len(pieces), lengths.max(), x.shape[1]), np.nan)
-    for t in range(lengths.max()):
-        going = np.flatnonzero(lengths > t)
-        rows = begins[going] + t
-        if t % windows.window == 0:
-            x[going] = windows.states[rows] + (0.0 if world.offset is None else world.offset)
-        u = windows.inputs[rows]
-        x_next, kept = nominal.advance(x[going], u, memory[going])
-        if bias is not None:
-            x_next = x_next + world.weight * bias.correction(x[going], u)
-        x[going], memory[going], made[going, t] = x_next, kept, x_next
-    each = [
-        states[:k].reshape(-1, windows.chunk, x.shape[1]).mean(axis=1)
-        for states, k in zip(made, lengths, strict=True)
-    ]
-    return np.concatenate(each)
+        for first, lead, frames in zip(windows.firsts, windows.leads, windows.frames, strict=True):
+            for row in range(first - lead, first + frames - 1):
+                _, kept[row + 1] = nominal.advance(windows.states[row], windows.inputs[row], kept[row])
+    return kept[windows.starts]
 
 
 @dataclass(frozen=True)

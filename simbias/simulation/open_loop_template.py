@@ -1,16 +1,17 @@
 """The text of a compiled open loop, with gaps that `simbias.simulation.open_loop` fills for a composition.
 
 Arrays of all lanes have a row for each component: `x[i, lane]`. Pass b is world b // r on experiment b % r of
-r experiments, which lie one after the other in states (F, n) and inputs (F, m).
+r experiments, which lie one after the other in states (F, n) and inputs (F, m); their windows begin at `firsts`,
+`leads` frames after the experiments.
 """
 
 TEMPLATE = """\
 def open_loop(
     window, chunk, nominal_parameters, bias_parameters, weights, offsets,
-    firsts, frames, first_chunks, states, inputs, begin, end, means,
+    firsts, leads, frames, first_chunks, states, inputs, begin, end, means,
 ):
     {rows}
-    frame, last, experiment = zeros({LANES}, int64), zeros({LANES}, int64), zeros({LANES}, int64)
+    time, last, experiment = zeros({LANES}, int64), zeros({LANES}, int64), zeros({LANES}, int64)
     world, running = zeros({LANES}, int64), zeros({LANES}, int64)
     {constants}
     count, ended = 0, 1
@@ -22,7 +23,8 @@ def open_loop(
                     world[lane], experiment[lane] = begin // firsts.shape[0], begin % firsts.shape[0]
                     begin += 1
                     count += 1
-                    running[lane], frame[lane], last[lane] = 1, 0, frames[experiment[lane]]
+                    running[lane], last[lane] = 1, frames[experiment[lane]]
+                    time[lane] = -leads[experiment[lane]]
                     weight[0, lane] = weights[world[lane]]
                     for i in range({nominal}):
                         nominal[i, lane] = nominal_parameters[world[lane], i]
@@ -34,8 +36,8 @@ def open_loop(
                 return
         for lane in range({LANES}):
             if running[lane] == 1:
-                row = firsts[experiment[lane]] + frame[lane]
-                if frame[lane] % window == 0:
+                row = firsts[experiment[lane]] + time[lane]
+                if time[lane] % window == 0 or time[lane] == -leads[experiment[lane]]:
                     for i in range({n}):
                         x[i, lane] = states[row, i] + offsets[world[lane], i]
                 for i in range({m}):
@@ -47,13 +49,14 @@ def open_loop(
             {settle}
         for lane in range({LANES}):
             if running[lane] == 1:
-                frame[lane] += 1
-                if frame[lane] % chunk == 0:
-                    row = first_chunks[experiment[lane]] + frame[lane] // chunk - 1
+                time[lane] += 1
+                if time[lane] % chunk == 0:
+                    row = first_chunks[experiment[lane]] + time[lane] // chunk - 1
                     for i in range({n}):
-                        means[world[lane], row, i] = total[i, lane] / chunk
+                        if time[lane] > 0:
+                            means[world[lane], row, i] = total[i, lane] / chunk
                         total[i, lane] = 0.0
-                if frame[lane] >= last[lane]:
+                if time[lane] >= last[lane]:
                     running[lane] = 0
                     count -= 1
                     ended += 1
