@@ -221,6 +221,10 @@ class Bias(ABC):
     def fit(self, transitions: Transitions) -> FittedBias:
         """Learn from the data; without data the bias is zero everywhere."""
 
+    def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
+        """Learn from the data, or from the rollouts and the (identified) nominal model that it comes from."""
+        return self.fit(transitions)
+
 
 @dataclass(frozen=True, eq=False)
 class Model:

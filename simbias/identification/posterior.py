@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from simbias.config.numbers import Count, Seconds
-from simbias.identification.errors import Errors
+from simbias.simulation.errors import Errors
 from simbias.interfaces import Identification, Nominal, Task
 from simbias.parameters import Estimate, values_at
 from simbias.records import Array, Rollout

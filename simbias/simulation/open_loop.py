@@ -138,7 +138,7 @@ def _plain(world: World, windows: Windows, bias: FittedBias | None) -> Array:
     """Of one world, all windows side by side."""
     nominal, starts = world.nominal, windows.starts
     x = windows.states[starts] + (0.0 if world.offset is None else world.offset)
-    memory, made = _memories(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
+    memory, made = memories(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
     for t in range(windows.window):
         u = windows.inputs[starts + t]
         x_next, memory = nominal.advance(x, u, memory)
@@ -146,7 +146,7 @@ def _plain(world: World, windows: Windows, bias: FittedBias | None) -> Array:
     return windows._chunked(made)
 
 
-def _memories(nominal: Nominal, windows: Windows) -> Array:
+def memories(nominal: Nominal, windows: Windows) -> Array:
     """The memory (w, s) of the model at the beginning of each window: what the inputs before leave in it."""
     kept = np.zeros((len(windows.states), nominal.memory_size))
     if nominal.memory_size:
