@@ -118,7 +118,7 @@ class Nominal(ABC):
     """The simulation model f' (Section IV-A).
 
     A model of what the state does not show, as an actuator's lag or a delay, keeps it in its memory, which is
-    zero at the start.
+    zero at the start (`simbias.simulation.actuator`).
     """
 
     kernel: Kernel | None = None
@@ -137,6 +137,23 @@ class Nominal(ABC):
     def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
         """x_next (..., n), and the memory (..., s) for the next frame; only models with memory need it."""
         return self.step(x, u), memory
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on, of states (k, n) and inputs (k, m)."""
+        kept, memory = np.zeros((len(inputs), self.memory_size)), np.zeros(self.memory_size)
+        for t in range(len(inputs) if self.memory_size else 0):
+            kept[t] = memory
+            _, memory = self.advance(states[t], inputs[t], memory)
+        return kept
+
+    def along(self, states: Array, inputs: Array) -> Array:
+        """x_next (k, n) predicted from each state (k, n) of a recorded rollout under its inputs (k, m).
+
+        What the states do not show is simulated from the inputs that came before.
+        """
+        if not self.memory_size:
+            return self.step(states, inputs)
+        return self.advance(states, inputs, self.memories(states, inputs))[0]
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""

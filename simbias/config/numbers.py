@@ -30,6 +30,9 @@ Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # m
 Force = Annotated[float, Field(ge=1e-6, le=1e9)]  # N or N m
 Acceleration = Annotated[float, Field(ge=1e-6, le=1e3)]  # m/s^2
 Angle = Annotated[float, Field(gt=0, le=1e3)]  # rad
+Slope = Annotated[float, Field(ge=-1, le=1)]  # rad
+SlopeSpread = Annotated[float, Field(ge=0, le=1)]  # rad
+Lag = Annotated[float, Field(ge=0, le=10)]  # s, also of a delay
 Rate = Annotated[float, Field(gt=0, le=1e6)]  # rad/s
 Variance = Annotated[float, Field(ge=0, le=1e6)]  # in the square of any unit
 

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import final
 
 import numpy as np
 
-from simbias.config.numbers import MassOrZero, Spread
+from simbias.config.numbers import MassOrZero
 from simbias.interfaces import Kernel, Nominal
-from simbias.nominal.bongoboard_equations import accelerations, coefficients, energy, step
+from simbias.nominal import bongoboard_equations, bongoboard_losses
+from simbias.nominal.bongoboard_uncertainty import MASSES, MECHANICAL, MOTOR, Uncertainty, declared, priors
+from simbias.parameters import values_at
 from simbias.records import Array
+from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.kernels import elementwise
-from simbias.task.bongoboard import Bongoboard, Robot
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """How well the parameters are known."""
-
-    masses: Spread = 0.0  # standard deviation of the logarithm of each mass and inertia
-    foot_mass: MassOrZero = 0.0  # kg; the feet weigh anything from 0 to this
-
+from simbias.task.bongoboard import Bongoboard
 
 _CERTAIN = Uncertainty()
 
@@ -32,7 +27,13 @@ class LagrangianBongoboard(Nominal):
     """f' of Eq. 1: perfect rolling, perfect joints, feet of `foot_mass` kg glued to the board.
 
     The kernel's parameters are the time step and the lumped coefficients of the robot, so that a robot with
-    other masses needs other parameters only.
+    other masses needs other parameters only. Slope, losses, payload and motor are as if they were not there,
+    and cost nothing, unless they are uncertain.
+
+    Raises
+    ------
+    ValueError
+        If the delay may be too many frames to remember.
     """
 
     kernel: Kernel
@@ -43,31 +44,78 @@ class LagrangianBongoboard(Nominal):
         self._time_step = task.time_step
         self._robot = task.robot
         self._uncertainty = uncertainty
-        self.kernel = self._compiled(task.robot, foot_mass)
+        self._taps = taps_of(uncertainty.delay, task.time_step)
+        self._declared = declared(task.robot, foot_mass)
+        self.parameters = tuple(priors(task.robot, float(task.input_limit[0]), uncertainty))
+        self._names = [parameter.name for parameter in self.parameters]
+        self._build({})
 
-    def _compiled(self, robot: Robot, foot_mass: float) -> Kernel:
-        """The step of a robot whose feet are glued to the board."""
-        return Kernel(step, np.concatenate(([self._time_step], coefficients(robot, foot_mass))))
+    def _build(self, values: Mapping[str, float]) -> None:
+        """Take values of some parameters, the others as declared, for the kernel."""
+        known = {**self._declared, **values}
+        robot = replace(self._robot, **{name: known[name] for name in MASSES})
+        self._is_disturbed = not MECHANICAL.keys().isdisjoint(self._names)
+        if self._is_disturbed:
+            parameters = bongoboard_losses.parameters(robot, self._time_step, known)
+            mechanics = Kernel(bongoboard_losses.step, parameters)
+        else:
+            lumped = bongoboard_equations.coefficients(robot, known["foot_mass"])
+            mechanics = Kernel(bongoboard_equations.step, np.concatenate(([self._time_step], lumped)))
+        self._mechanics = self.kernel = mechanics
+        self._actuators: Actuators | None = None
+        if not MOTOR.keys().isdisjoint(self._names):
+            self._actuators = Actuators(
+                [Actuator(*(known[name] for name in MOTOR))], self._time_step, self._taps
+            )
+            self.kernel = self._actuators.before(mechanics)
+            self.memory_size = self._actuators.memory_size
+
+    def with_parameters(self, values: Array) -> LagrangianBongoboard:
+        """The model with other values (k,) of its `parameters`."""
+        changed = copy(self)
+        changed._build(dict(zip(self._names, values.tolist(), strict=True)))
+        return changed
 
     def draw(self, rng: np.random.Generator) -> LagrangianBongoboard:
-        """A model with other masses and inertias, each on its own, as uncertain as declared."""
-        masses = {
-            name: value for name, value in vars(self._robot).items() if name.endswith(("_mass", "_inertia"))
-        }
+        """A model as uncertain as declared: masses and inertias, each on its own, the feet's, and the rest.
+
+        What is added to the uncertainty changes nothing in what was drawn before.
+        """
+        masses = [*MASSES[:2], "foot_mass", *MASSES[2:]]  # a draw for the feet, too, though another is used
         factors = np.exp(self._uncertainty.masses * rng.standard_normal(len(masses)))
-        robot = replace(self._robot, **dict(zip(masses, factors * list(masses.values()), strict=True)))
-        drawn = copy(self)
-        drawn.kernel = self._compiled(robot, rng.uniform(0.0, self._uncertainty.foot_mass))
-        return drawn
+        drawn = dict(zip(masses, (factors * [self._declared[name] for name in masses]).tolist(), strict=True))
+        foot_mass = rng.uniform(0.0, self._uncertainty.foot_mass)
+        drawn["foot_mass"] = foot_mass if self._uncertainty.foot_mass else self._declared["foot_mass"]
+        others = [parameter for parameter in self.parameters if parameter.name not in drawn]
+        values = values_at(others, rng.standard_normal(len(others))).tolist()
+        drawn |= {parameter.name: value for parameter, value in zip(others, values, strict=True)}
+        return self.with_parameters(np.array([drawn[name] for name in self._names]))
 
     def step(self, x: Array, u: Array) -> Array:
         """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""
-        return elementwise(step, x, u, parameters=self.kernel.parameters)
+        return self._stepped(x, u if self._actuators is None else self._actuators.settled(u))
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., 6) under what the motor makes of u (..., 1), and its memory (..., s)."""
+        if self._actuators is None:
+            return self._stepped(x, u), memory
+        acting, memory = self._actuators.acting(u, memory)
+        return self._stepped(x, acting), memory
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on: what the motor makes of the inputs."""
+        return np.empty((len(inputs), 0)) if self._actuators is None else self._actuators.memories(inputs)
+
+    def _stepped(self, x: Array, torque: Array) -> Array:
+        """x_next (..., 6) under a torque (..., 1) that acts."""
+        return elementwise(self._mechanics.function, x, torque, parameters=self._mechanics.parameters)
 
     def accelerations(self, x: Array, u: Array) -> Array:
-        """Accelerations (..., 3) of alpha_w, alpha_b, theta in rad/s^2 at x (..., 6) under u (..., 1)."""
-        return elementwise(accelerations, x, u, parameters=self.kernel.parameters)
+        """Accelerations (..., 3) of alpha_w, alpha_b, theta in rad/s^2 at x (..., 6), acting u (..., 1)."""
+        equations = bongoboard_losses if self._is_disturbed else bongoboard_equations
+        return elementwise(equations.accelerations, x, u, parameters=self._mechanics.parameters)
 
     def energy(self, x: Array) -> Array:
         """Kinetic and potential energy (...) in J at x (..., 6), heights counted from the wheel's centre."""
-        return energy(np.moveaxis(x, -1, 0), self.kernel.parameters)
+        equations = bongoboard_losses if self._is_disturbed else bongoboard_equations
+        return equations.energy(np.moveaxis(x, -1, 0), self._mechanics.parameters)

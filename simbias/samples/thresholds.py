@@ -103,7 +103,7 @@ class Thresholds(Samples):
         if rollout.frames < window:
             nothing = Transitions.empty(states.shape[1], inputs.shape[1])
             return _Candidates(nothing.inputs, nothing.residuals, [])
-        residuals = states[1:] - nominal.step(states[:-1], inputs)  # Eq. 6
+        residuals = states[1:] - nominal.along(states[:-1], inputs)  # Eq. 6
         weights = line_weights(window)
         columns = (states[:-1], inputs, states[1:], residuals)
         x, u, x_next, residuals = (

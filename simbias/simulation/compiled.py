@@ -26,7 +26,8 @@ class CompiledSimulator:
     measure: Kernel
     output: Kernel
     policy: Callable[[Array], Kernel]
-    memory: int
+    memory: int  # s of the policy
+    hidden: int  # s of the nominal model
     nominal: Kernel  # its parameters (w, .) in each world
     bias: Kernel
     noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
@@ -35,6 +36,7 @@ class CompiledSimulator:
     def of(model: Model, disturbance: Disturbance | None) -> CompiledSimulator | None:
         """The model's closed loop; None if one of its parts has no kernel."""
         task, policy, nominal, bias = model.task, model.policy, model.nominal.kernel, model.bias.kernel
+        sizes = policy.memory_size, model.nominal.memory_size
         measure, output = task.measure_kernel, task.output_kernel
         if measure is None or output is None or policy.kernel is None or nominal is None or bias is None:
             return None
@@ -44,9 +46,7 @@ class CompiledSimulator:
             noise[0, :-1, : len(task.inputs)] = disturbance.inputs
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
-        return CompiledSimulator(
-            task, measure, output, policy.kernel, policy.memory_size, nominal, bias, noise
-        )
+        return CompiledSimulator(task, measure, output, policy.kernel, *sizes, nominal, bias, noise)
 
     @staticmethod
     def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
@@ -69,6 +69,7 @@ class CompiledSimulator:
             and self.bias.function is other.bias.function
             and self.bias.parameters is other.bias.parameters
             and self.nominal.function is other.nominal.function
+            and self.hidden == other.hidden
             and self.nominal.parameters.shape[1:] == other.nominal.parameters.shape[1:]
             and self.noise.shape[1:] == other.noise.shape[1:]
         )
@@ -151,6 +152,7 @@ class CompiledSimulator:
             criteria=len(task.criteria),
             totals=totals,
             memory=self.memory,
+            hidden=self.hidden,
             measure_parameters=len(self.measure.parameters),
             output_parameters=len(self.output.parameters),
             policy_parameters=policy.parameters.shape[1],

@@ -21,7 +21,7 @@ from numba import njit
 
 from simbias.simulation.compilation import OPTIONS, Compilation
 from simbias.simulation.kernels import LANES
-from simbias.simulation.loop_template import CORRECT_ALL_LANES, GATHER, RECORD, TEMPLATE
+from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, RECORD, TEMPLATE
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Composition:
     inputs: int  # m
     criteria: int  # c
     totals: int  # of the cost
-    memory: int  # s
+    memory: int  # s of the policy
+    hidden: int  # s of the nominal model
     measure_parameters: int
     output_parameters: int
     policy_parameters: int
@@ -95,7 +96,8 @@ def source(c: Composition) -> str:
         seen=seen,
         control=_lines(_controlled(c), 12),
         force=force,
-        nominal_data=_tuple("nominal[{}, lane]", c.nominal_parameters),
+        forget=FORGET.format(hidden=c.hidden) if c.hidden else "",
+        advance=_lines(_advanced(c), 12),
         correct=_lines([*corrected, *_puts("command", "u", m), *_puts("force", "u_", m)], 12),
         record=after + ("" if c.total else RECORD.format(**sizes)),
     )
@@ -116,6 +118,7 @@ def _rows(c: Composition) -> list[str]:
         "before": c.totals,
         "memory": c.memory,
     }
+    sizes |= {"hidden": c.hidden} if c.hidden else {}
     ends = np.cumsum(list(sizes.values())).tolist()
     slices = [
         f"{name} = lanes[{end - size}:{end}]" for (name, size), end in zip(sizes.items(), ends, strict=True)
@@ -132,6 +135,18 @@ def _controlled(c: Composition) -> list[str]:
     return [
         f"u, kept = control(z, {parameters}, frame[lane] * time_step, {memory})",
         *_puts("memory", "kept", c.memory),
+    ]
+
+
+def _advanced(c: Composition) -> list[str]:
+    """What the nominal model makes of it."""
+    parameters = _tuple("nominal[{}, lane]", c.nominal_parameters)
+    if not c.hidden:
+        return [f"y = step(x_, u_, {parameters})"]
+    hidden = _tuple("hidden[{}, lane]", c.hidden)
+    return [
+        f"y, hidden_next = step(x_, u_, {parameters}, {hidden})",
+        *_puts("hidden", "hidden_next", c.hidden),
     ]
 
 

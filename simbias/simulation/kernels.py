@@ -24,6 +24,7 @@ numbers, as long as it has neither `min`, `max` nor branches: so the plain metho
     Policy.kernel(thetas)    (z, parameters) -> u                       parameters (k, r) of thetas (k, p)
                              (z, parameters, t, memory) -> u, memory    memory is zero at the start
     Nominal.kernel           (x, u, parameters) -> x_next               parameters may differ between worlds
+                             (x, u, parameters, memory) -> x_next, memory
     FittedBias.kernel        (x, u, parameters) -> correction
                              (x (n, LANES), u (m, LANES), data, correction (n, LANES)) -> None
     Cost.kernel              (x_next, u, parameters, totals) -> totals  totals are zero at the start

@@ -37,7 +37,7 @@ def closed_loop(
                         nominal[i, lane] = nominal_parameters[worlds[b], i]
                     for i in range({memory}):
                         memory[i, lane] = 0.0
-                    for i in range({totals}):
+{forget}                    for i in range({totals}):
                         totals[i, lane] = 0.0
             if count == 0:
                 return
@@ -52,7 +52,7 @@ def closed_loop(
             z = output({seen}, output_data)
             {control}
             u_ = {force}
-            y = step(x_, u_, {nominal_data})
+            {advance}
             {correct}
             ended += running[lane] if stop else 0
             criterion[lane] = failed
@@ -68,6 +68,11 @@ def closed_loop(
                     frames[b], violated[b] = frame[lane], criterion[lane]
                     for i in range({totals}):
                         final_totals[b, i] = before[i, lane]
+"""
+
+FORGET = """\
+                    for i in range({hidden}):
+                        hidden[i, lane] = 0.0
 """
 
 CORRECT_ALL_LANES = """

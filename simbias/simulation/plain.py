@@ -50,6 +50,7 @@ class PlainSimulator:
         frames, violated = np.full(k, task.horizon), np.full(k, -1)
         states[:, 0] = starts
         going, memory = np.arange(k), np.zeros((k, policy.memory_size))
+        hidden = np.zeros((k, self.models[0].nominal.memory_size))
         for t in range(task.horizon + 1):
             failing = task.violated(states[going, t])
             stay = failing < 0
@@ -58,12 +59,12 @@ class PlainSimulator:
             if t == task.horizon or not stay.any():
                 break
             if len(ended):
-                going, memory = going[stay], memory[stay]
+                going, memory, hidden = going[stay], memory[stay], hidden[stay]
             x, own = states[going, t], worlds[going]
             seen, unknown = self._noise(x, own, t)
             inputs[going, t], memory = policy.act(thetas[going], seen, t * task.time_step, memory)
             u = inputs[going, t] + unknown
-            f = self._by_world([model.nominal.step for model in self.models], x, u, own)
+            f, hidden = self._advanced(x, u, hidden, own)
             g = self._by_world([model.bias.correction for model in self.models], x, u, own)
             states[going, t + 1] = f + g
         return [self._record(*each) for each in zip(states, inputs, frames, violated, strict=True)]
@@ -76,6 +77,16 @@ class PlainSimulator:
         return x + np.array([d.sensors[t] for d in noise])[worlds], np.array([d.inputs[t] for d in noise])[
             worlds
         ]
+
+    def _advanced(self, x: Array, u: Array, hidden: Array, worlds: Indices) -> tuple[Array, Array]:
+        """What each world's nominal model makes of its rows, and what it then keeps (k, s)."""
+        if not hidden.shape[1]:
+            return self._by_world([model.nominal.step for model in self.models], x, u, worlds), hidden
+        f, kept = np.empty_like(x), np.empty_like(hidden)
+        for world in np.unique(worlds):
+            rows = worlds == world
+            f[rows], kept[rows] = self.models[world].nominal.advance(x[rows], u[rows], hidden[rows])
+        return f, kept
 
     def _by_world(
         self, functions: Sequence[Callable[[Array, Array], Array]], x: Array, u: Array, worlds: Indices

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from simbias.interfaces import Nominal
 from simbias.records import Array
 from simbias.study import Study
 from simbias.testing.check import check
@@ -80,11 +81,40 @@ def _nominal_draws(study: Study) -> None:
     equal(study.nominal.step(x, u), before, "nominal.draw", "the model itself to stay as it is", 0.0)
 
 
+@check("nominal", "what it keeps in its memory, with any leading axes")
+def _nominal_memory(study: Study) -> None:
+    nominal, x, u = study.nominal, states(study), inputs(study)
+    memory = np.zeros((POINTS, nominal.memory_size))
+    for t in range(3):  # the rows, as frames; from zero on
+        x_next, after = nominal.advance(np.roll(x, t, axis=0), np.roll(u, t, axis=0), memory)
+        equal(np.shape(x_next), x.shape, "nominal.advance", f"states of shape {x.shape}")
+        equal(np.shape(after), memory.shape, "nominal.advance", f"a memory of shape {memory.shape}")
+        memory = after
+
+    def advance(x: Array, u: Array, before: Array) -> Array:
+        return np.concatenate(nominal.advance(x, u, before), axis=-1)
+
+    expect_any_leading_axes(advance, "nominal.advance", x, u, memory)
+    expect_arguments_left(advance, "nominal.advance", x, u, memory)
+    one_by_one = Nominal.memories(nominal, x, u)
+    equal(nominal.memories(x, u), one_by_one, "nominal.memories", "the memory of one frame after the other")
+    equal(nominal.along(x, u), nominal.advance(x, u, one_by_one)[0], "nominal.along", "what advance gives")
+
+
 @check("nominal", "compiled functions give the same numbers")
 def _nominal_kernel(study: Study) -> None:
-    expect_kernel_agrees(
-        study.nominal.kernel, study.nominal.step, "nominal.step", states(study), inputs(study)
-    )
+    nominal, x, u = study.nominal, states(study), inputs(study)
+    if not nominal.memory_size:
+        expect_kernel_agrees(nominal.kernel, nominal.step, "nominal.step", x, u)
+    elif nominal.kernel is not None:
+        memory = nominal.memories(x, u)
+        function, parameters = nominal.kernel
+        compiled = [
+            np.concatenate(function(tuple(a), tuple(b), parameters, tuple(c)))
+            for a, b, c in zip(x, u, memory, strict=True)
+        ]
+        both = np.concatenate(nominal.advance(x, u, memory), axis=-1)
+        equal(np.array(compiled), both, "the kernel of nominal.advance", "what the method gives")
 
 
 @check("policy", "bounds")

@@ -22,7 +22,8 @@ _Component = TypeVar("_Component")
 def watch(study: Study) -> Study:
     """The study, whose task, policy, nominal model and bias raise where a shape is not the contract's.
 
-    Sizes are n states, m inputs, q outputs, c criteria, p policy parameters and s numbers in its memory.
+    Sizes are n states, m inputs, q outputs, c criteria, p policy parameters, s numbers in the policy's memory
+    and h in the nominal model's.
     Arrays may have leading axes, as the contracts say; those of a result are those of what it is made from.
 
     Raises
@@ -38,6 +39,7 @@ def watch(study: Study) -> Study:
         "c": len(task.criteria),
         "p": policy.n_parameters,
         "s": policy.memory_size,
+        "h": study.nominal.memory_size,
     }
 
     def fitted(bias: FittedBias) -> FittedBias:
@@ -46,7 +48,9 @@ def watch(study: Study) -> Study:
 
     def nominal(model: Nominal) -> Nominal:
         step = _shaped(model, "step", {"x": "n", "u": "m"}, {"x_next": "n"}, sizes)
-        return _with(model, step=step, draw=_then(model.draw, nominal))
+        takes, gives = {"x": "n", "u": "m", "memory": "h"}, {"x_next": "n", "memory": "h"}
+        more = {"advance": _shaped(model, "advance", takes, gives, sizes)} if model.memory_size else {}
+        return _with(model, step=step, draw=_then(model.draw, nominal), **more)
 
     return replace(
         study,

@@ -84,6 +84,7 @@ class Windows(NamedTuple):
 
     states: Array  # (w, k+1, n)
     inputs: Array  # (w, k, m)
+    memories: Array  # (w, s) of the nominal model where they begin
 
 
 def _models(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> dict[str, FittedBias]:
@@ -102,10 +103,12 @@ def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
         for rollout in iteration.experiments
         for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(iteration.experiments)))
     ]
-    n, m = len(study.task.states), len(study.task.inputs)
+    n, m, s = len(study.task.states), len(study.task.inputs), study.nominal.memory_size
+    memories = {id(r): study.nominal.memories(r.states[:-1], r.inputs) for r in iteration.experiments}
     return Windows(
         np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(-1, frames + 1, n),
         np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(-1, frames, m),
+        np.array([memories[id(rollout)][t] for rollout, t in starts]).reshape(len(starts), s),
     )
 
 
@@ -119,10 +122,11 @@ def prediction_error(
     study: Study, fitted_bias: FittedBias, pieces: Windows, horizons: Sequence[int]
 ) -> Array:
     """Errors (horizons, w, n) of predictions (Eq. 7) from the first state of each piece, under its inputs."""
-    x, errors = pieces.states[:, 0], []
+    x, memory, errors = pieces.states[:, 0], pieces.memories, []
     for k in range(1, max(horizons) + 1):
         u = pieces.inputs[:, k - 1]
-        x = study.nominal.step(x, u) + fitted_bias.correction(x, u)
+        predicted, memory = study.nominal.advance(x, u, memory)
+        x = predicted + fitted_bias.correction(x, u)
         if k in horizons:
             errors.append(x - pieces.states[:, k])
     return np.array(errors)

@@ -146,7 +146,7 @@ def test_without_bias_the_error_is_the_residual(short: Study, trial: list[Iterat
     """Eq. 6, one frame ahead; and many frames ahead as stepping through them one by one gives it."""
     pieces, zero = windows(short, trial[0], 30), short.bias.fit(short.no_data)
     one, many = prediction_error(short, zero, pieces, [1, 30])
-    for piece, (states, inputs) in enumerate(zip(*pieces, strict=True)):
+    for piece, (states, inputs) in enumerate(zip(pieces.states, pieces.inputs, strict=True)):
         x = states[0]
         for frame, u in enumerate(inputs):
             x = short.nominal.step(x, u)

@@ -1,0 +1,173 @@
+"""What lies between an input as it is commanded and as it acts: gain, limit, lag, delay and offset.
+
+    u_acts = offset + lag(limited(gain u(t - delay)))
+
+The kernels below put actuators before any robot's kernel, in the lanes of vector registers. Their memory is
+zero at the start: nothing was commanded before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from simbias.interfaces import Kernel
+from simbias.records import Array
+from simbias.simulation.compilation import compiled_as
+from simbias.simulation.kernels import elementwise
+
+MOST_TAPS = 100  # frames of delay that a model may remember
+
+
+class Actuator(NamedTuple):
+    """How an input acts; by default as commanded."""
+
+    gain: float = 1.0
+    offset: float = 0.0  # in the input's unit, as the limit is
+    limit: float = math.inf
+    lag: float = 0.0  # s, the time constant of a first-order lag
+    delay: float = 0.0  # s
+
+
+def taps_of(delay: float, time_step: float) -> int:
+    """How many earlier inputs a delay of up to so many seconds needs.
+
+    Raises
+    ------
+    ValueError
+        If these are too many to remember.
+    """
+    taps = math.ceil(delay / time_step - 1e-9)
+    if taps > MOST_TAPS:
+        raise ValueError(f"a delay of up to {delay:g} s is {taps} frames; at most {MOST_TAPS} are remembered")
+    return taps
+
+
+class Actuators:
+    """The actuators of all inputs of a robot, whose delays are at most `taps` frames.
+
+    A fraction of a frame is interpolated between the frames beside it, so what acts is continuous in the
+    delay. A lag is exact for an input that is constant in each frame; what acts in a frame is the lag's
+    value at its end, so that no lag is no delay.
+    """
+
+    def __init__(self, actuators: Sequence[Actuator], time_step: float, taps: int) -> None:
+        self._taps = taps
+        keep = [math.exp(-time_step / a.lag) if a.lag > 0 else 0.0 for a in actuators]
+        frames = [min(a.delay / time_step, taps) for a in actuators]
+        weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
+        columns = [[a.gain, a.offset, a.limit] for a in actuators]
+        self._parameters = np.column_stack([columns, keep, weights])  # (m, 5 + taps)
+        self.memory_size = len(actuators) * (1 + taps)
+        self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
+
+    def before(self, mechanics: Kernel) -> Kernel:
+        """The kernel, with memory, of a nominal model without, whose inputs these actuators deliver."""
+        act = self.kernel
+        function = _composed(act.function, len(act.parameters), mechanics.function)
+        return Kernel(function, np.concatenate([act.parameters, mechanics.parameters]))
+
+    def settled(self, u: Array) -> Array:
+        """What acts (..., m) once inputs u (..., m) have been commanded for long."""
+        gain, offset, limit = self._parameters[:, :3].T
+        return limited(gain * u, limit) + offset
+
+    def acting(self, u: Array, memory: Array) -> tuple[Array, Array]:
+        """What acts (..., m) of inputs u (..., m), and the memory (..., s) for the next frame."""
+        m, act = len(self._parameters), self.kernel.function
+
+        def both(u, memory, parameters):
+            acting, kept = act(u, parameters, memory)
+            return (*acting, *kept)
+
+        rows = elementwise(both, u, memory, parameters=self.kernel.parameters)
+        return rows[..., :m], rows[..., m:]
+
+    def memories(self, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record of inputs (k, m) from the start on."""
+        k, columns = len(inputs), []
+        for u, (gain, _, limit, keep, *weights) in zip(inputs.T, self._parameters, strict=True):
+            delayed = np.convolve(u, weights)[:k]
+            lagged = lfilter([1.0 - keep], [1.0, -keep], limited(gain * delayed, limit))
+            columns += [_earlier(lagged, 1), *(_earlier(u, j) for j in range(1, self._taps + 1))]
+        return np.stack(columns, axis=-1)
+
+
+class Drive:
+    """Actuators in a control loop: acting (m,) = drive(u), called once a frame; it keeps the memory."""
+
+    def __init__(self, actuators: Actuators) -> None:
+        self._act, parameters = actuators.kernel
+        self._parameters = tuple(parameters.tolist())
+        self._memory: tuple[float, ...] = (0.0,) * actuators.memory_size
+
+    def __call__(self, u: Sequence[float]) -> tuple[float, ...]:
+        """What acts in this frame."""
+        acting, self._memory = self._act(tuple(u), self._parameters, self._memory)
+        return acting
+
+
+def _within(x, limit):
+    """x within +-limit, without branches."""
+    return min(max(x, -limit), limit)
+
+
+@compiled_as(_within)
+def limited(x: Array, limit: Array) -> Array:
+    """X within +-limit, numbers or arrays."""
+    return np.minimum(np.maximum(x, -limit), limit)
+
+
+def _earlier(values: Array, frames: int) -> Array:
+    """Each value (k,) so many frames before, zero before the first."""
+    return np.concatenate([np.zeros(frames), values])[: len(values)]
+
+
+def _sum(weights: int, values: int, count: int) -> Callable:
+    """The sum of so many products, of weights and values from these indices on, written out for the lanes."""
+    products = [f"parameters[{weights + j}] * memory[{values + j}]" for j in range(count)]
+    return eval(f"lambda parameters, memory: {' + '.join(products) or '0.0'}")
+
+
+@lru_cache(maxsize=64)
+def _act(inputs: int, taps: int, first: int = 0) -> Callable:
+    """The kernel for so many inputs, from the first of them on.
+
+    Of each input, its parameters are gain, offset, limit, what is kept of the lag's state in a frame, and the
+    weights of this frame's input and of those before; its memory is the lag's state and these earlier inputs.
+    """
+    if first == inputs:
+        return lambda u, parameters, memory: ((), ())
+    others = _act(inputs, taps, first + 1)
+    p, s = first * (5 + taps), first * (1 + taps)
+    earlier, oldest = s + 1, s + taps
+    weighted = _sum(p + 5, earlier, taps)
+
+    def act(u, parameters, memory):
+        """What acts, and the memory for the next frame."""
+        delayed = parameters[p + 4] * u[first] + weighted(parameters, memory)
+        keep = parameters[p + 3]
+        target = limited(parameters[p] * delayed, parameters[p + 2])
+        lagged = keep * memory[s] + (1.0 - keep) * target
+        acting, kept = others(u, parameters, memory)
+        inputs_before = ((u[first],) + memory[earlier:oldest])[:taps]  # noqa: RUF005 (for Numba)
+        return (lagged + parameters[p + 1],) + acting, (lagged,) + inputs_before + kept  # noqa: RUF005
+
+    return act
+
+
+@lru_cache(maxsize=64)
+def _composed(act: Callable, count: int, step: Callable) -> Callable:
+    """The kernel of actuators before a robot's; the first so many parameters are theirs."""
+
+    def advance(x, u, parameters, memory):
+        """x_next, and the memory for the next frame."""
+        acting, kept = act(u, parameters, memory)
+        return step(x, acting, parameters[count:]), kept
+
+    return advance

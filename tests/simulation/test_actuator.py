@@ -1,0 +1,139 @@
+"""What lies between a command and what acts, against the theory of lags and delays; and in closed loops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import simbias
+from simbias.interfaces import Nominal
+from simbias.records import Array
+from simbias.simulation.actuator import Actuator, Actuators, Drive, taps_of
+from simbias.simulation.closed_loop import joined, simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.plain import PlainSimulator
+from simbias.study import Study
+from simbias.testing import conformance
+
+DT = 0.001
+actuators = st.builds(
+    Actuator,
+    gain=st.floats(0.1, 2.0),
+    offset=st.floats(-1.0, 1.0),
+    limit=st.floats(0.5, 5.0),
+    lag=st.sampled_from([0.0, 0.002, 0.03]),
+    delay=st.floats(0.0, 0.005),
+)
+
+
+def response(actuator: Actuator, u: Array, taps: int = 5) -> Array:
+    """What acts (k,) of inputs (k,)."""
+    drive = Drive(Actuators([actuator], DT, taps))
+    return np.array([drive((value,))[0] for value in u.tolist()])
+
+
+def test_by_default_it_acts_as_commanded() -> None:
+    u = np.random.default_rng(0).normal(size=50)
+    np.testing.assert_array_equal(response(Actuator(), u), u)
+    np.testing.assert_array_equal(response(Actuator(), u, 0), u)
+
+
+def test_gain_limit_and_offset() -> None:
+    acts = response(Actuator(gain=0.5, offset=1.0, limit=2.0), np.array([1.0, -3.0, 100.0, -100.0]))
+    np.testing.assert_allclose(acts, [1.5, -0.5, 3.0, -1.0])
+
+
+@pytest.mark.parametrize("frames", [0, 1, 3, 5])
+def test_a_delay_of_whole_frames_is_exact(frames: int) -> None:
+    u = np.random.default_rng(0).normal(size=50)
+    acts = response(Actuator(delay=frames * DT), u)
+    np.testing.assert_array_equal(acts, np.concatenate([np.zeros(frames), u])[:50])
+
+
+def test_a_delay_of_part_of_a_frame_is_between_those_beside_it() -> None:
+    u = np.random.default_rng(0).normal(size=50)
+    low, between, high = (response(Actuator(delay=frames * DT), u) for frames in (2, 2.25, 3))
+    np.testing.assert_allclose(between, 0.75 * low + 0.25 * high, atol=1e-12)
+
+
+def test_a_lag_answers_a_step_with_an_exponential() -> None:
+    acts = response(Actuator(lag=0.02), np.ones(100))
+    np.testing.assert_allclose(acts, 1.0 - np.exp(-DT * np.arange(1, 101) / 0.02), rtol=1e-12)
+
+
+@given(actuator=actuators, u=st.floats(-10.0, 10.0))
+@settings(deadline=None, max_examples=25)
+def test_it_settles_where_it_is_said_to(actuator: Actuator, u: float) -> None:
+    settled = Actuators([actuator], DT, 5).settled(np.array([u]))[0]
+    assert response(actuator, np.full(1000, u))[-1] == pytest.approx(settled, rel=1e-9, abs=1e-9)
+
+
+@given(both=st.tuples(actuators, actuators), seed=st.integers(0, 100))
+@settings(deadline=None, max_examples=25)
+def test_two_inputs_have_their_own_and_the_memory_of_a_record_is_that_of_the_loop(
+    both: tuple[Actuator, Actuator], seed: int
+) -> None:
+    inputs = np.random.default_rng(seed).normal(scale=3.0, size=(30, 2))
+    together = Actuators(both, DT, 5)
+    memories, drive = together.memories(inputs), Drive(together)
+    acts, after = together.acting(inputs, memories)
+    np.testing.assert_allclose(acts, [drive(u) for u in inputs.tolist()], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(after[:-1], memories[1:], rtol=1e-12, atol=1e-12)
+    for i, actuator in enumerate(both):
+        np.testing.assert_allclose(acts[:, i], response(actuator, inputs[:, i]), rtol=1e-12, atol=1e-12)
+
+
+def test_taps_are_frames() -> None:
+    assert [taps_of(delay, DT) for delay in (0.0, 0.003, 0.0031)] == [0, 3, 4]
+
+
+# In closed loops
+
+MOTOR = {"motor_gain": 0.3, "lag": 0.01, "delay": 0.004, "torque_limit": 60.0, "slope": 0.02}
+
+
+@pytest.fixture(scope="module")
+def driven() -> Study:
+    """A study whose nominal model has an uncertain motor."""
+    uncertainty = [f"nominal.uncertainty.{name}={spread}" for name, spread in MOTOR.items()]
+    return simbias.load(["tracking=none", "bias=none", "task.horizon=200", *uncertainty])
+
+
+@pytest.mark.slow
+def test_models_with_memory_run_compiled_as_in_numpy(driven: Study) -> None:
+    """In several worlds, some rollouts taking the places of others that ended."""
+    rng, model = np.random.default_rng(0), driven.model()
+    models = [replace(model, nominal=driven.nominal.draw(rng)) for _ in range(3)]
+    fast = joined([simulator(each) for each in models])
+    assert isinstance(fast, CompiledSimulator)
+    worlds, thetas = rng.integers(0, 3, 40), rng.uniform(-5, 5, (40, 5))
+    starts = np.array([driven.task.draw_start(rng) for _ in range(40)])
+    together = fast.rollouts(thetas, starts, worlds)
+    expected = PlainSimulator(models, [None] * 3).rollouts(thetas, starts, worlds)
+    assert len({rollout.frames for rollout in together}) > 10
+    for one, other in zip(together, expected, strict=True):
+        assert (one.frames, one.failure) == (other.frames, other.failure)
+        np.testing.assert_allclose(one.states, other.states, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_recorded_rollout_is_predicted_with_what_it_hides(driven: Study) -> None:
+    """Frame by frame to rounding, where the same step without memory is wrong."""
+    nominal = driven.nominal.draw(np.random.default_rng(1))
+    rollout = driven.simulate(np.array([3.0, 2.0, -3.0, -2.0, 1.0]), nominal=nominal)
+    assert rollout.frames > 50
+    before, after = rollout.states[:-1], rollout.states[1:]
+    np.testing.assert_allclose(nominal.along(before, rollout.inputs), after, atol=1e-10)
+    assert np.abs(nominal.step(before, rollout.inputs) - after).max() > 1e-3
+    memories = Nominal.memories(nominal, before, rollout.inputs)
+    np.testing.assert_allclose(nominal.memories(before, rollout.inputs), memories, atol=1e-9)
+    assert driven.samples.select([rollout], nominal).transitions.residuals == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_conforms(driven: Study) -> None:
+    problems = [str(v) for v in conformance.verdicts(driven, {"nominal"}) if v.problem]
+    assert not problems
