@@ -94,7 +94,11 @@ class HeldOut(Bias):
         if best is None:
             return self.fit(transitions)
         mean, covariance = best.fits.posterior(best.signal)
-        diagnostics = {"gain": best.gain, "inducing_points": len(best.Z), "length_scale": float(best.hyper.length_scale[0])}
+        diagnostics = {
+            "gain": best.gain,
+            "inducing_points": len(best.Z),
+            "length_scale": float(best.hyper.length_scale[0]),
+        }
         return OfWindows(best.hyper, best.Z, mean, covariance, best.signal, diagnostics)
 
     def _fold(self, windows: Windows) -> Indices:
@@ -113,7 +117,7 @@ class HeldOut(Bias):
         inputs = np.concatenate([windows.states[rows], windows.inputs[rows]], axis=1)
         scale = np.maximum(np.std(inputs, axis=0), 1e-9)
         hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, 0.0)
-        scaled = hyper.scaled(inputs)
+        scaled = hyper.scale(inputs)
         chosen, _ = choose(hyper, scaled, Inducing(self._points, 1e-3, 1e-3))
         return hyper, scaled[chosen]
 
@@ -179,7 +183,9 @@ class _Fits:
         for f in range(len(self.products)):
             own = self.fold == f
             mean, _ = self.posterior(signal, f)
-            gains[own] = np.sum(self.b[own] ** 2, axis=1) - np.sum((self.b[own] - self.A[own] @ mean) ** 2, axis=1)
+            gains[own] = np.sum(self.b[own] ** 2, axis=1) - np.sum(
+                (self.b[own] - self.A[own] @ mean) ** 2, axis=1
+            )
         return float(gains.mean() - gains.std() / np.sqrt(max(1.0, self.share * len(gains))))
 
 
@@ -196,7 +202,13 @@ class OfWindows(FittedBias):
     kernel: Kernel
 
     def __init__(
-        self, hyper: Hyperparameters, Z: Array, mean: Array, covariance: Array, signal: Array, diagnostics: dict[str, float]
+        self,
+        hyper: Hyperparameters,
+        Z: Array,
+        mean: Array,
+        covariance: Array,
+        signal: Array,
+        diagnostics: dict[str, float],
     ) -> None:
         self._hyper, self._Z, self._signal = hyper, Z, signal
         self._mean, self._covariance = mean, covariance  # (n R,), (n R, n R)
@@ -239,4 +251,4 @@ def root(hyper: Hyperparameters, Z: Array) -> Array:
 def features(hyper: Hyperparameters, Z: Array) -> Callable[[Array], Array]:
     """Features (k, R) of inputs (k, n+m), whose weights are independent a priori."""
     U = root(hyper, Z)
-    return lambda inputs: hyper.covariance(hyper.scaled(inputs), Z) @ U.T
+    return lambda inputs: hyper.covariance(hyper.scale(inputs), Z) @ U.T

@@ -29,7 +29,13 @@ class Sensitivity:
         cuts = range(0, len(starts), TOGETHER)
         return Sensitivity(
             [
-                _of(nominal, windows, features, starts[first : first + TOGETHER], memory[first : first + TOGETHER])
+                _of(
+                    nominal,
+                    windows,
+                    features,
+                    starts[first : first + TOGETHER],
+                    memory[first : first + TOGETHER],
+                )
                 for first in cuts
             ]
         )
@@ -55,7 +61,9 @@ def _of(
         u = windows.inputs[starts + t]
         phi = features(np.concatenate([x, u], axis=1))
         shifted = x[:, None] + STEP * np.eye(n)
-        advanced, _ = nominal.advance(shifted, np.repeat(u[:, None], n, axis=1), np.repeat(memory[:, None], n, axis=1))
+        advanced, _ = nominal.advance(
+            shifted, np.repeat(u[:, None], n, axis=1), np.repeat(memory[:, None], n, axis=1)
+        )
         x_next, memory = nominal.advance(x, u, memory)
         A = (advanced - x_next[:, None]).transpose(0, 2, 1) / STEP
         if t == 0:

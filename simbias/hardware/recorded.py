@@ -34,7 +34,11 @@ class Recorded(Hardware):
     sets_start = False
 
     def __init__(
-        self, task: Task, folder: str, files: list[str] | None = None, columns: Mapping[str, str] | None = None
+        self,
+        task: Task,
+        folder: str,
+        files: list[str] | None = None,
+        columns: Mapping[str, str] | None = None,
     ) -> None:
         names = [quantity.name for quantity in (*task.states, *task.inputs)]
         unknown = sorted(set(columns or {}) - {"time", *names})

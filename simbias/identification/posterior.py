@@ -47,7 +47,12 @@ class Posterior(Identification):
     """
 
     def __init__(
-        self, task: Task, window: Seconds = 0.1, chunks: Count = 10, rounds: Count = 6, evaluations: Count = 12
+        self,
+        task: Task,
+        window: Seconds = 0.1,
+        chunks: Count = 10,
+        rounds: Count = 6,
+        evaluations: Count = 12,
     ) -> None:
         frames = window / task.time_step
         self._chunk = max(1, round(frames / chunks))
@@ -63,7 +68,12 @@ class Posterior(Identification):
         z = np.zeros(len(nominal.parameters))
         observed = windows.means
         for _ in range(self._rounds):
-            problem = _Problem(nominal, windows, observed, Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows))
+            problem = _Problem(
+                nominal,
+                windows,
+                observed,
+                Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows),
+            )
             before, z = z, problem.mode(z, self._evaluations)
             precision = problem.precision(z)
             moved = (z - before) @ precision @ (z - before)
@@ -91,7 +101,12 @@ class _Problem:
     def mode(self, z: Array, evaluations: int) -> Array:
         """The most probable coordinates, searched from z."""
         return least_squares(
-            lambda at: self._at(at)[0], z, lambda at: self._at(at)[1], ftol=1e-5, xtol=1e-4, max_nfev=evaluations
+            lambda at: self._at(at)[0],
+            z,
+            lambda at: self._at(at)[1],
+            ftol=1e-5,
+            xtol=1e-4,
+            max_nfev=evaluations,
         ).x
 
     def precision(self, z: Array) -> Array:
@@ -103,7 +118,9 @@ class _Problem:
         """Residuals, the prior's last, and their derivatives by z."""
         if self._last is None or self._last[0] != z.tobytes():
             p = len(z)
-            errors = _predicted(self._nominal, self._windows, z + STEP * np.eye(p + 1, p, -1)) - self._observed
+            errors = (
+                _predicted(self._nominal, self._windows, z + STEP * np.eye(p + 1, p, -1)) - self._observed
+            )
             white = self.errors.whitened(errors)
             r, J = white[0].ravel(), (white[1:] - white[0]).reshape(p, -1).T / STEP
             r, slope = soft_l1(r)
@@ -145,6 +162,10 @@ class Identified(Nominal):
     def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
         """x_next (..., n), and the memory (..., s), of the most probable model."""
         return self._model.advance(x, u, memory)
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on."""
+        return self._model.memories(states, inputs)
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its parameters."""

@@ -12,7 +12,16 @@ from typing import Annotated, final
 import numpy as np
 from pydantic import Field
 
-from simbias.config.numbers import Acceleration, Inertia, Length, Mass, NonNegative, Positive, Spread, TimeStep
+from simbias.config.numbers import (
+    Acceleration,
+    Inertia,
+    Length,
+    Mass,
+    NonNegative,
+    Positive,
+    Spread,
+    TimeStep,
+)
 from simbias.interfaces import Kernel, Nominal, Task
 from simbias.parameters import Parameter
 from simbias.records import Array

@@ -37,7 +37,9 @@ class Errors:
         shrink = len(variances) / (len(variances) + w)
         factor = np.linalg.cholesky((1.0 - shrink) * covariance + np.diag(shrink * variances))
         made = Errors(factor, 1.0)
-        return Errors(factor, 1.0 / correlation_time(np.clip(made.whitened(errors), -CLIP, CLIP), windows.experiments))
+        return Errors(
+            factor, 1.0 / correlation_time(np.clip(made.whitened(errors), -CLIP, CLIP), windows.experiments)
+        )
 
     def whitened(self, errors: Array) -> Array:
         """Whitened errors (..., J n) of errors (..., J, n)."""

@@ -19,11 +19,9 @@ from numba import njit
 from simbias.interfaces import FittedBias, Kernel, Nominal
 from simbias.records import Array, Indices, Rollout
 from simbias.simulation.compilation import OPTIONS, Compilation
-from simbias.simulation.fused import _lines as lines_of
-from simbias.simulation.fused import _puts as puts
-from simbias.simulation.fused import _tuple as tuple_of
 from simbias.simulation.kernels import LANES
 from simbias.simulation.open_loop_template import TEMPLATE
+from simbias.simulation.text import assign, indent, tuple_of
 from simbias.simulation.threads import in_threads
 
 
@@ -66,7 +64,9 @@ class Windows:
     @property
     def starts(self) -> Indices:
         """Of each window (w,): the row in which it begins."""
-        each = [first + np.arange(0, k, self.window) for first, k in zip(self.firsts, self.frames, strict=True)]
+        each = [
+            first + np.arange(0, k, self.window) for first, k in zip(self.firsts, self.frames, strict=True)
+        ]
         return np.concatenate(each)
 
     @property
@@ -151,8 +151,8 @@ def memories(nominal: Nominal, windows: Windows) -> Array:
     kept = np.zeros((len(windows.states), nominal.memory_size))
     if nominal.memory_size:
         for first, lead, frames in zip(windows.firsts, windows.leads, windows.frames, strict=True):
-            for row in range(first - lead, first + frames - 1):
-                _, kept[row + 1] = nominal.advance(windows.states[row], windows.inputs[row], kept[row])
+            rows = slice(first - lead, first + frames)
+            kept[rows] = nominal.memories(windows.states[rows], windows.inputs[rows])
     return kept[windows.starts]
 
 
@@ -199,7 +199,7 @@ def source(c: Composition) -> str:
     if c.hidden:
         advance = [
             f"y, kept = step(x_, u_, {parameters}, {tuple_of('hidden[{}, lane]', c.hidden)})",
-            *puts("hidden", "kept", c.hidden),
+            *assign("hidden", "kept", c.hidden),
         ]
     constants: list[str] = []
     x_new = "y[{0}]"
@@ -209,7 +209,7 @@ def source(c: Composition) -> str:
         constants = [f"bias_data = {tuple_of('bias_parameters[{}]', c.bias_parameters)}"]
         advance.append("d = correct(x_, u_, bias_data)")
         x_new = "y[{0}] + weight[0, lane] * d[{0}]"
-    settle = [f"x_new = {tuple_of(x_new, n)}", *puts("x", "x_new", n)]
+    settle = [f"x_new = {tuple_of(x_new, n)}", *assign("x", "x_new", n)]
     settle += [f"total[{i}, lane] += x_new[{i}]" for i in range(n)]
     return TEMPLATE.format(
         n=n,
@@ -217,13 +217,13 @@ def source(c: Composition) -> str:
         LANES=LANES,
         nominal=c.nominal_parameters,
         hidden=c.hidden,
-        rows=lines_of(rows, 4),
-        constants=lines_of(constants, 4),
+        rows=indent(rows, 4),
+        constants=indent(constants, 4),
         correct_all="correct(x, u, bias_parameters, correction)" if c.corrects_all_lanes else "",
         x=tuple_of("x[{}, lane]", n),
         u=tuple_of("u[{}, lane]", m),
-        advance=lines_of(advance, 12),
-        settle=lines_of(settle, 12),
+        advance=indent(advance, 12),
+        settle=indent(settle, 12),
     )
 
 

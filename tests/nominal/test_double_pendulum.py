@@ -22,7 +22,11 @@ def task(time_step: float = 0.002) -> Task:
 
 
 def model(time_step: float = 0.002, **changes: float) -> DoublePendulum:
-    config = dict(compose(["task=double_pendulum", "nominal=double_pendulum", "samples=thresholds", "tracking=none"]).config["nominal"])
+    config = dict(
+        compose(
+            ["task=double_pendulum", "nominal=double_pendulum", "samples=thresholds", "tracking=none"]
+        ).config["nominal"]
+    )
     config["drives"] = config["drives"] | changes
     made = construct(config, Nominal, "nominal", task=task(time_step))
     assert isinstance(made, DoublePendulum)
@@ -45,7 +49,9 @@ def published(x: Array, u: Array, drives: dict[str, float]) -> Array:
     )
     C = m_2 * r_2 * l_1 * s * np.array([[-2 * v[1], -v[1]], [v[0], 0.0]])
     both = np.sin(q.sum())
-    G = np.array([-m_1 * g * r_1 * np.sin(q[0]) - m_2 * g * (l_1 * np.sin(q[0]) + r_2 * both), -m_2 * g * r_2 * both])
+    G = np.array(
+        [-m_1 * g * r_1 * np.sin(q[0]) - m_2 * g * (l_1 * np.sin(q[0]) + r_2 * both), -m_2 * g * r_2 * both]
+    )
     b = np.array([drives.get("damping_1", 0.0), drives.get("damping_2", 0.0)])
     c_f = np.array([drives.get("friction_1", 0.0), drives.get("friction_2", 0.0)])
     return np.concatenate([v, np.linalg.solve(M, u + G - C @ v - b * v - c_f * np.arctan(100 * v))])
@@ -61,9 +67,12 @@ def rollout(nominal: Nominal, x: Array, u: Array, frames: int) -> Array:
 def test_a_step_is_the_published_equations(drives: dict[str, float]) -> None:
     """Of order two, friction included: four times the steps, sixteen times less error."""
     u, duration, start = np.array([0.8, -0.5]), 0.064, np.array([0.4, -0.9, 3.0, -2.0])
-    exact = solve_ivp(lambda t, x: published(x, u, drives), (0, duration), start, rtol=1e-11, atol=1e-11).y[:, -1]
+    exact = solve_ivp(lambda t, x: published(x, u, drives), (0, duration), start, rtol=1e-11, atol=1e-11).y[
+        :, -1
+    ]
     errors = [
-        np.abs(rollout(model(h, **drives), start, u, round(duration / h)) - exact).max() for h in (1e-3, 2.5e-4)
+        np.abs(rollout(model(h, **drives), start, u, round(duration / h)) - exact).max()
+        for h in (1e-3, 2.5e-4)
     ]
     assert errors[0] < 2e-4
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
@@ -78,7 +87,9 @@ def test_energy_is_kept_without_friction_and_lost_with_it() -> None:
 
 
 def test_stiff_friction_brings_it_to_rest() -> None:
-    x = rollout(model(0.01, friction_1=2.0, friction_2=2.0), np.array([0.3, 0.2, 1.0, -1.0]), np.zeros(2), 500)
+    x = rollout(
+        model(0.01, friction_1=2.0, friction_2=2.0), np.array([0.3, 0.2, 1.0, -1.0]), np.zeros(2), 500
+    )
     assert np.abs(x[2:]).max() < 0.02
 
 
@@ -87,8 +98,12 @@ def test_parameters_are_those_of_the_equations() -> None:
     names = [parameter.name for parameter in nominal.parameters]
     assert len(names) == len(set(names)) == 11
     values = values_at(nominal.parameters, np.full(len(names), -30.0))
-    same = [p.value if p.prior == "log_normal" else v for p, v in zip(nominal.parameters, values, strict=True)]
+    same = [
+        p.value if p.prior == "log_normal" else v for p, v in zip(nominal.parameters, values, strict=True)
+    ]
     x, u = np.array([0.3, 0.2, 1.0, -1.0]), np.array([0.1, 0.2])
-    np.testing.assert_allclose(nominal.with_parameters(np.array(same)).step(x, u), nominal.step(x, u), rtol=1e-12)
+    np.testing.assert_allclose(
+        nominal.with_parameters(np.array(same)).step(x, u), nominal.step(x, u), rtol=1e-12
+    )
     heavier = np.array([p.value * (2 if p.name == "mass_2" else 1) for p in nominal.parameters])
     assert np.abs(nominal.with_parameters(heavier).step(x, u) - nominal.step(x, u)).max() > 1e-4

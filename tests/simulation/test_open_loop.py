@@ -17,7 +17,9 @@ from simbias.study import Study
 def experiments(study: Study, lengths: tuple[int, ...] = (37, 8, 64, 3)) -> list[Rollout]:
     """Short records of random states and inputs near the upright pose."""
     rng = np.random.default_rng(0)
-    return [Rollout(0.1 * rng.standard_normal((k + 1, 6)), 10.0 * rng.standard_normal((k, 1))) for k in lengths]
+    return [
+        Rollout(0.1 * rng.standard_normal((k + 1, 6)), 10.0 * rng.standard_normal((k, 1))) for k in lengths
+    ]
 
 
 class Lagging(Nominal):
@@ -48,7 +50,8 @@ def _lagging(x, u, parameters, memory):
 def worlds(study: Study) -> list[World]:
     rng = np.random.default_rng(1)
     return [
-        World(study.nominal.draw(rng), weight, 0.01 * rng.standard_normal(6)) for weight in np.linspace(0, 1, 21)
+        World(study.nominal.draw(rng), weight, 0.01 * rng.standard_normal(6))
+        for weight in np.linspace(0, 1, 21)
     ]
 
 
@@ -57,12 +60,16 @@ def test_compiled_agrees_with_plain(bias: str) -> None:
     study = simbias.load(["tracking=none", f"bias={bias}"])
     windows = Windows.of(experiments(study), 12, 3)
     rng = np.random.default_rng(2)
-    data = replace(study.no_data, inputs=rng.standard_normal((30, 7)), residuals=1e-3 * rng.standard_normal((30, 6)))
+    data = replace(
+        study.no_data, inputs=rng.standard_normal((30, 7)), residuals=1e-3 * rng.standard_normal((30, 6))
+    )
     fitted = study.bias.fit(data)
     made = predict(worlds(study), windows, fitted)
     assert made.shape == (21, 3 + 0 + 5 + 0, 4, 6)
     np.testing.assert_allclose(made, plain(worlds(study), windows, fitted), atol=1e-6)
-    np.testing.assert_allclose(predict(worlds(study), windows), plain(worlds(study), windows), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        predict(worlds(study), windows), plain(worlds(study), windows), rtol=1e-9, atol=1e-12
+    )
 
 
 def test_memory_runs_on_where_the_state_is_reset() -> None:
@@ -73,7 +80,9 @@ def test_memory_runs_on_where_the_state_is_reset() -> None:
     made = predict(models, windows)
     np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
     alone = Windows.of([Rollout(rollouts[0].states[20:31], rollouts[0].inputs[20:30])], 10, 5)
-    np.testing.assert_allclose(predict(models, alone)[0, 0], made[0, 2], rtol=1e-12)  # without a lag, all is in x
+    np.testing.assert_allclose(
+        predict(models, alone)[0, 0], made[0, 2], rtol=1e-12
+    )  # without a lag, all is in x
     assert np.abs(predict(models, alone)[2, 0] - made[2, 2]).max() > 1e-3
 
 
@@ -92,5 +101,3 @@ def test_without_a_whole_window_nothing_is_predicted(study: Study) -> None:
     windows = Windows.of(experiments(study, (3, 0)), 12, 3)
     assert len(windows) == 0
     assert predict([World(study.nominal)], windows).shape == (1, 0, 4, 6)
-
-
