@@ -105,6 +105,7 @@ class Learning:
     selection: Selection  # D_i
     data: Transitions  # D afterwards
     reset: bool = False  # whether D was cleared before
+    evidence: Mapping[str, float] = field(default_factory=dict)  # for each way to learn, if weighed, nats
 
 
 @dataclass(frozen=True, eq=False)

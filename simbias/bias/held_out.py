@@ -51,7 +51,7 @@ class HeldOut(Bias):
         task: Task,
         window: Seconds = 0.1,
         chunks: Count = 10,
-        length_scales: Sequence[Positive] = (1.0, 2.0),
+        length_scales: Sequence[Positive] = (1.0,),
         signals: Sequence[Positive] = (0.3, 1.0, 3.0),
         segment: Seconds = 1.0,
         folds: Count = 5,

@@ -47,6 +47,13 @@ class Errors:
         white = flat @ np.linalg.inv(self.factor).T
         return np.clip(np.nan_to_num(white, nan=1e6), -1e6, 1e6)
 
+    def log_likelihoods(self, errors: Array) -> Array:
+        """Log-likelihoods (w,) of errors (w, J, n), in nats; outliers count as soft L1 has it."""
+        r = self.whitened(errors)
+        rho = 2.0 * (np.sqrt(1.0 + r * r) - 1.0)
+        constant = np.sum(np.log(np.diag(self.factor))) + 0.5 * r.shape[-1] * np.log(2.0 * np.pi)
+        return -0.5 * rho.sum(axis=-1) - constant
+
 
 def correlation_time(e: Array, experiments: Array) -> float:
     """1 + 2 sum of the autocorrelations of errors e (w, d) of successive windows, pooled; at least 1.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from tempfile import NamedTemporaryFile
 from typing import TextIO
@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from simbias.evidence import WINDOW
 from simbias.interfaces import SlowWarning
 from simbias.messages import brief
 from simbias.records import Array, Iteration, Rollout
@@ -97,6 +98,8 @@ class TrialConsole(Observer):
             f"  {samples:>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
             soft_wrap=True,
         )
+        if learning and learning.evidence:
+            self._console.print(f"     {evidence_text(learning.evidence)}", soft_wrap=True)
 
     def _experiment_text(self, rollout: Rollout) -> str:
         """Cost and balanced time of an experiment."""
@@ -144,6 +147,13 @@ def traceback_file(record: TrialRecord) -> str:
     except OSError:
         return ""
     return file.name
+
+
+def evidence_text(evidence: Mapping[str, float]) -> str:
+    """What the experiments so far say for each model, and which one the next policy is searched on."""
+    values = ", ".join(f"{name} {value:.1f}" for name, value in evidence.items())
+    best = max(evidence, key=lambda name: evidence[name])
+    return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
 
 
 def counted(count: int, noun: str) -> str:
