@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from simbias.interfaces import Model
 from simbias.records import Rollout, Transitions
 from simbias.simulation.errors import Errors
@@ -61,8 +59,8 @@ def learn(
 def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, float]:
     """Of each way to learn, the mean log-likelihood (nats) of a window that it did not learn from.
 
-    The experiments or, of few, their parts are left out in turn. The errors of a window are normal, but for
-    outliers (soft L1), with the covariance that they have where was learned. Nothing if all are too short.
+    The experiments or, of few, their parts are left out in turn. The errors of a window are distributed as
+    those are from which was learned (`simbias.simulation.errors`). Nothing if all are too short.
     """
     folds = _folds(experiments, max(1, round(WINDOW / study.task.time_step)))
     values: dict[str, float] = {}

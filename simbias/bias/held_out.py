@@ -1,4 +1,4 @@
-"""A Gaussian process of what the nominal model leaves over windows, as far as it predicts what was not fitted."""
+"""What the nominal model leaves over windows, as far as that predicts what was not fitted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simbias.bias.none import NoBias
 from simbias.bias.posterior import Drawn
 from simbias.bias.sensitivity import Sensitivity
 from simbias.config.numbers import Count, Positive, Seconds
-from simbias.interfaces import Bias, FittedBias, Kernel, Nominal, Task
+from simbias.interfaces import Bias, FittedBias, Nominal, Task
 from simbias.records import Array, Indices, Rollout, Transitions
 from simbias.simulation.errors import Errors
 from simbias.simulation.open_loop import Windows, World, predict
@@ -154,11 +154,11 @@ class _Fits:
 
     @staticmethod
     def of(sensitivity: Sensitivity, left: Array, errors: Errors, fold: Indices) -> _Fits:
-        """Weighted as soft L1 weights the errors that there are without a bias."""
-        b = errors.whitened(left)
-        weights = (1.0 + b**2) ** -0.25
-        A = sensitivity.whitened(errors) * weights[:, :, None]
-        b = b * weights
+        """Weighted as the errors are that there are without a bias."""
+        b = errors.whiten(left)
+        weights = np.sqrt(errors.weights(b))
+        A = sensitivity.whiten(errors) * weights[:, None, None]
+        b = b * weights[:, None]
         folds = range(fold.max() + 1)
         products = np.array([_product(A[fold == f]) for f in folds])
         moments = np.array([np.einsum("wij,wi->j", A[fold == f], b[fold == f]) for f in folds])
@@ -174,10 +174,9 @@ class _Fits:
         return self.share * covariance @ g, covariance
 
     def gain(self, signal: Array) -> float:
-        """By how much less the held-out windows' squared errors are, in standard errors; 0 where it is not clear.
+        """By how much less the squared errors of held-out windows are, on average.
 
-        That is the lower end of an interval of one standard error, so that of signals that do as well the
-        surest is taken.
+        It is the lower end of an interval of one standard error: positive only beyond chance.
         """
         gains = np.empty(len(self.b))
         for f in range(len(self.products)):
@@ -198,8 +197,6 @@ def _product(A: Array) -> Array:
 @final
 class OfWindows(FittedBias):
     """Functions k(x, Z) K_ZZ^-1/2 W, W normal."""
-
-    kernel: Kernel
 
     def __init__(
         self,
@@ -245,7 +242,8 @@ class OfWindows(FittedBias):
 def root(hyper: Hyperparameters, Z: Array) -> Array:
     """U (R, R) with U^T U the inverse of the covariance of points Z (R, n+m), scaled."""
     K = hyper.covariance(Z, Z)
-    return np.linalg.inv(stable_cholesky(K + ITSELF * np.eye(len(K))))
+    inverse: Array = np.linalg.inv(stable_cholesky(K + ITSELF * np.eye(len(K))))
+    return inverse
 
 
 def features(hyper: Hyperparameters, Z: Array) -> Callable[[Array], Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simbias.interfaces import Nominal
-from simbias.records import Array
+from simbias.records import Array, Indices
 from simbias.simulation.errors import Errors
 from simbias.simulation.open_loop import Windows, memories
 
@@ -40,7 +40,7 @@ class Sensitivity:
             ]
         )
 
-    def whitened(self, errors: Errors) -> Array:
+    def whiten(self, errors: Errors) -> Array:
         """Derivatives (w, J n, n R) of whitened errors."""
         inverse = np.linalg.inv(errors.factor)
         each = [part.reshape(len(part), len(inverse), -1) for part in self.parts]
@@ -48,14 +48,13 @@ class Sensitivity:
 
 
 def _of(
-    nominal: Nominal, windows: Windows, features: Callable[[Array], Array], starts: Array, memory: Array
+    nominal: Nominal, windows: Windows, features: Callable[[Array], Array], starts: Indices, memory: Array
 ) -> Array:
     """Of some windows."""
     x = windows.states[starts]
     w, n = x.shape
     diagonal = np.arange(n)
-    S: Array | float = 0.0
-    total: Array | float = 0.0
+    S = total = np.zeros((w, n, n, 0))
     means = []
     for t in range(windows.window):
         u = windows.inputs[starts + t]
@@ -66,13 +65,12 @@ def _of(
         )
         x_next, memory = nominal.advance(x, u, memory)
         A = (advanced - x_next[:, None]).transpose(0, 2, 1) / STEP
-        if t == 0:
-            S = np.zeros((w, n, n, phi.shape[1]))
-        else:
-            S = (A @ S.reshape(w, n, -1)).reshape(S.shape)
+        if not t:
+            S = total = np.zeros((w, n, n, phi.shape[1]))
+        S = (A @ S.reshape(w, n, -1)).reshape(S.shape)
         S[:, diagonal, diagonal] += phi[:, None]
         x, total = x_next, total + S
         if (t + 1) % windows.chunk == 0:
             means.append(total / windows.chunk)
-            total = 0.0
+            total = np.zeros_like(S)
     return np.stack(means, axis=1).reshape(w, len(means), n, -1)

@@ -1,4 +1,4 @@
-"""The parameters of the nominal model, given hardware experiments: the mode and a normal approximation around it."""
+"""The nominal model's parameters, given hardware experiments: the mode, and a normal around it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from simbias.config.numbers import Count, Seconds
-from simbias.simulation.errors import Errors
 from simbias.interfaces import Identification, Nominal, Task
 from simbias.parameters import Estimate, values_at
 from simbias.records import Array, Rollout
+from simbias.simulation.errors import Errors
 from simbias.simulation.open_loop import Windows, World, predict
 
 STEP = 1e-4  # of a coordinate, for derivatives by differences
@@ -26,13 +26,14 @@ class Posterior(Identification):
 
     In the coordinates of the parameters' priors, the mode minimises
 
-        |z|^2 + share * sum over windows of rho(whitened errors),  rho(s) = 2 (sqrt(1 + s) - 1), s squared (soft L1).
+        |z|^2 + share * sum over windows of (nu + d) ln(1 + |whitened errors|^2 / nu).
 
-    Errors (J n) of a window are whitened by their own covariance over all windows, which is estimated in turn
-    with the mode. So it need not be known where they come from: noise of the sensors, also in the state that a
-    window begins with, noise that acts on the robot, or what the model lacks. The share makes successive
-    windows count less where their errors resemble each other, as they do where the model lacks something: so
-    the posterior is not surer than the data allows. Around the mode it is normal (Laplace's approximation).
+    The d errors of a window are whitened by their own covariance over all windows, which is estimated in turn
+    with the mode (`simbias.simulation.errors`). So it need not be known where errors come from: noise of the
+    sensors, also in the state that a window begins with, noise that acts on the robot, or what the model
+    lacks. The share makes windows count less where successive ones err alike, as they do where the model
+    lacks something: so the posterior is not surer than the data allows. Around the mode it is normal
+    (Laplace's approximation).
 
     Parameters
     ----------
@@ -121,19 +122,17 @@ class _Problem:
             errors = (
                 _predicted(self._nominal, self._windows, z + STEP * np.eye(p + 1, p, -1)) - self._observed
             )
-            white = self.errors.whitened(errors)
-            r, J = white[0].ravel(), (white[1:] - white[0]).reshape(p, -1).T / STEP
-            r, slope = soft_l1(r)
-            weight = np.sqrt(self.errors.share)
-            residuals = np.concatenate([weight * r, z])
-            self._last = z.tobytes(), residuals, np.concatenate([weight * slope[:, None] * J, np.eye(p)])
+            white = self.errors.whiten(errors)
+            J = (white[1:] - white[0]) / STEP
+            size = np.sum(white[0] ** 2, axis=1) + 1e-300
+            flatter = np.sqrt(
+                self.errors.share * self.errors.losses(white[0]) / size
+            )  # squares sum to the loss
+            slope = self.errors.share * self.errors.weights(white[0]) / flatter
+            r, J = flatter[:, None] * white[0], slope[:, None] * J
+            residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
+            self._last = z.tobytes(), residuals, derivatives
         return self._last[1], self._last[2]
-
-
-def soft_l1(r: Array) -> tuple[Array, Array]:
-    """Residuals whose squares are rho(r^2), and their derivatives by r."""
-    root = np.sqrt(1.0 + r * r)
-    return r * np.sqrt(2.0 / (1.0 + root)), np.sqrt((1.0 + root) / 2.0) / root
 
 
 @final

@@ -11,7 +11,6 @@ import numpy as np
 from simbias.interfaces import Cost, Kernel, Model, Task
 from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.fused import Composition, compiled_loop
-from simbias.simulation.kernels import LANES
 from simbias.simulation.plain import costs_of, record
 from simbias.simulation.threads import in_threads
 

@@ -1,8 +1,8 @@
 """Predictions of recorded experiments under their recorded inputs, many models in step.
 
-Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one; what
-the state does not show, the memory of the nominal model, runs on. What comes out are means over chunks of
-successive frames, as they are predicted: they hold what single noisy frames say, in fewer numbers.
+Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one;
+what the state does not show, the memory of the nominal model, runs on. What comes out are means over chunks
+of successive frames: they hold what single noisy frames say, in fewer numbers.
 """
 
 from __future__ import annotations
@@ -49,9 +49,16 @@ class Windows:
         inputs = [np.concatenate([r.inputs, np.zeros((1, r.inputs.shape[1]))]) for r in rollouts]
         k = np.array([rollout.frames for rollout in rollouts], np.int64)
         begins = np.cumsum([0, *(k + 1)])[:-1]
+        leads = k % window
         return Windows(
-            np.concatenate(states), np.concatenate(inputs), begins + k % window, k % window, k - k % window, window, chunk
-        )  # fmt: skip
+            np.concatenate(states),
+            np.concatenate(inputs),
+            firsts=begins + leads,
+            leads=leads,
+            frames=k - leads,
+            window=window,
+            chunk=chunk,
+        )
 
     def __len__(self) -> int:
         return int(self.frames.sum()) // self.window

@@ -1,8 +1,8 @@
 """The text of a compiled open loop, with gaps that `simbias.simulation.open_loop` fills for a composition.
 
-Arrays of all lanes have a row for each component: `x[i, lane]`. Pass b is world b // r on experiment b % r of
-r experiments, which lie one after the other in states (F, n) and inputs (F, m); their windows begin at `firsts`,
-`leads` frames after the experiments.
+Arrays of all lanes have a row for each component: `x[i, lane]`. Pass b is world b // r on experiment b % r
+of r experiments, which lie one after the other in states (F, n) and inputs (F, m). Their windows begin at
+`firsts`, `leads` frames after the experiments.
 """
 
 TEMPLATE = """\
