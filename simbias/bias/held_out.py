@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from simbias.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.bias.inducing import Inducing, choose
@@ -242,8 +243,7 @@ class OfWindows(FittedBias):
 def root(hyper: Hyperparameters, Z: Array) -> Array:
     """U (R, R) with U^T U the inverse of the covariance of points Z (R, n+m), scaled."""
     K = hyper.covariance(Z, Z)
-    inverse: Array = np.linalg.inv(stable_cholesky(K + ITSELF * np.eye(len(K))))
-    return inverse
+    return solve_triangular(stable_cholesky(K + ITSELF * np.eye(len(K))), np.eye(len(K)), lower=True)
 
 
 def features(hyper: Hyperparameters, Z: Array) -> Callable[[Array], Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import final
 
@@ -13,13 +14,16 @@ import numpy as np
 from simbias.interfaces import Hardware, HardwareError, Policy, Task
 from simbias.records import Array, Rollout
 
+ENDS = "recording_ends"
+
 
 @final
 class Recorded(Hardware):
     """Experiment i of a trial is recording i, again from the first one after the last.
 
     A recording is a CSV file with a line of names, also compressed (.csv.gz). Between its lines, states and
-    inputs change linearly; they are read off in each frame of the task, up to its horizon.
+    inputs change linearly; they are read off in each frame of the task, up to its horizon. One that is
+    shorter counts as failed in its last frame.
 
     Parameters
     ----------
@@ -75,7 +79,8 @@ class Recorded(Hardware):
             np.array([np.interp(at, time, column) for column in some]).T
             for some in (columns[1 : n + 1], columns[n + 1 :])
         )
-        return Rollout(states, inputs[:-1], measured=states, sensed=True)
+        rollout = Rollout(states, inputs[:-1], measured=states, sensed=True)
+        return rollout if frames == self._task.horizon else replace(rollout, failed_at=frames, failure=ENDS)
 
     def _read(self, path: Path) -> Array:
         """The columns."""

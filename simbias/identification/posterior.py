@@ -41,6 +41,8 @@ class Posterior(Identification):
         Duration of a prediction in s.
     chunks
         Means over so many parts of it are compared.
+    starts
+        So many draws from the prior, its median the first, are tried; the search begins at the likeliest.
     rounds
         At most so many times, covariance and mode are estimated in turn.
     evaluations
@@ -52,12 +54,14 @@ class Posterior(Identification):
         task: Task,
         window: Seconds = 0.1,
         chunks: Count = 10,
-        rounds: Count = 6,
+        starts: Count = 32,
+        rounds: Count = 8,
         evaluations: Count = 12,
     ) -> None:
         frames = window / task.time_step
         self._chunk = max(1, round(frames / chunks))
         self._window = max(1, round(frames / self._chunk)) * self._chunk
+        self._starts = starts
         self._rounds = rounds
         self._evaluations = evaluations
 
@@ -66,21 +70,24 @@ class Posterior(Identification):
         windows = Windows.of(rollouts, self._window, self._chunk) if rollouts else None
         if not nominal.parameters or not windows:
             return nominal
-        z = np.zeros(len(nominal.parameters))
         observed = windows.means
+        z = self._start(nominal, windows, observed)
         for _ in range(self._rounds):
-            problem = _Problem(
-                nominal,
-                windows,
-                observed,
-                Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows),
-            )
+            errors = Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows)
+            problem = _Problem(nominal, windows, observed, errors)
             before, z = z, problem.mode(z, self._evaluations)
             precision = problem.precision(z)
-            moved = (z - before) @ precision @ (z - before)
-            if moved < TOLERANCE**2 * len(z):
+            if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                 break
         return Identified(nominal, z, precision, {"windows": len(windows), "share": problem.errors.share})
+
+    def _start(self, nominal: Nominal, windows: Windows, observed: Array) -> Array:
+        """The likeliest coordinates (p,) among the prior's median and draws from it."""
+        z = np.random.default_rng(0).standard_normal((self._starts, len(nominal.parameters)))
+        z[0] = 0.0
+        errors = _predicted(nominal, windows, z) - observed
+        fits = [Errors.of(each, windows).log_likelihoods(each).sum() for each in errors]
+        return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
 
 
 def _predicted(nominal: Nominal, windows: Windows, z: Array) -> Array:

@@ -10,7 +10,7 @@ from scipy.special import gammaln
 from simbias.records import Array, Indices
 from simbias.simulation.open_loop import Windows
 
-FREEDOM = 1.0  # nu / d: a window whose errors are ten times as large as usual counts a fiftieth
+FREEDOM = 0.1  # nu / d: a window counts nearly in inverse proportion to the square of its errors
 ROUNDS = 5  # of expectation maximisation; the weights have settled then
 TINY = 1e-6  # of what a state varies: no error is known better
 HUGE = 1e6  # standard deviations, in place of what is no number

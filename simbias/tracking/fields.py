@@ -102,6 +102,7 @@ def _search_metrics(search: Search) -> dict[str, float]:
         "cost/predicted": search.predicted_cost,
         "search/evaluations": search.optimum.evaluations,
         **{f"bias/{name}": value for name, value in search.diagnostics.items()},
+        **{f"identification/{name}": value for name, value in search.identification.items()},
     }
 
 

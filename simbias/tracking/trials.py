@@ -36,7 +36,14 @@ if TYPE_CHECKING:
 NO_TRACKING = {"_target_": "simbias.tracking.none.NoTracking"}
 FOLDERS = ("policies", "experiments", "data")
 RESET = "model/reset"  # of iterations that learned
-PER_ITERATION = (RESET, "experiments/total", "bias/", "evidence/", "seconds/")  # metrics that are in no file
+PER_ITERATION = (
+    RESET,
+    "experiments/total",
+    "bias/",
+    "evidence/",
+    "identification/",
+    "seconds/",
+)  # metrics that are in no file
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +133,10 @@ def _iterations(
         if "search" in policy:
             optimum = Optimum(np.array(policy["parameters"]), **policy["search"])
             diagnostics = _of_group("bias", metrics[index])
-            search = Search(optimum, policy["predicted_cost"], model.bias, diagnostics, model.nominal)
+            search = Search(
+                *(optimum, policy["predicted_cost"], model.bias, diagnostics),
+                *(model.nominal, model.nominal.estimates, _of_group("identification", metrics[index])),
+            )
         made += experiments
         if RESET in metrics[index]:
             data, evidence = (

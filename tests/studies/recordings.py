@@ -31,7 +31,7 @@ from simbias.study import Study
 
 KINDS = ("acrobot", "pendubot", "excitation")
 COUNTS = (1, 2, 5)  # recordings that are learned from
-MOST = 5  # choices of them
+MOST = 3  # choices of several
 SHIFTS = (0, 10, 20, 30, 40)  # frames by which windows are shifted, to have more of them
 DURATION, CHANGE = 0.1, 0.3  # s, rad/s
 COLUMNS = {"pos1": "pos_meas1", "pos2": "pos_meas2", "vel1": "vel_meas1", "vel2": "vel_meas2"}
@@ -185,8 +185,10 @@ def figure(table: pd.DataFrame, file: Path) -> None:
 def main() -> None:
     """Write the table, the summary and the figure to the current folder."""
     folder, others = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve() if len(sys.argv) > 2 else None
-    table = pd.DataFrame(rows(folder, others))
-    table.to_csv("recordings.csv", index=False, float_format="%.5g")
+    table = pd.DataFrame()
+    for row in rows(folder, others):
+        table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
+        table.to_csv("recordings.csv", index=False, float_format="%.5g")
     Path("table.md").write_text(summary(table))
     figure(table, Path("recordings.png"))
     print(summary(table))
