@@ -17,7 +17,7 @@ from simbias.bias.sensitivity import Sensitivity
 from simbias.config.numbers import Count, Positive, Seconds
 from simbias.interfaces import Bias, FittedBias, Nominal, Task
 from simbias.records import Array, Indices, Rollout, Transitions
-from simbias.simulation.errors import Errors
+from simbias.simulation.errors import Errors, correlation_time
 from simbias.simulation.open_loop import Windows, World, predict
 
 ITSELF = 1e-6  # jitter of the inducing points' covariance, of the signal's variance
@@ -28,16 +28,17 @@ class HeldOut(Bias):
 
     What the (identified) nominal model leaves over a window is linear in the functions' values along it, to
     first order. So windows are fitted instead of single steps, in which noise drowns everything, and with
-    the same covariance of errors as the parameters. Lengths and signal are those that predict segments best
-    that were left out of the fit. Where none predicts them better than the nominal model alone, by more than
-    the standard error of that, the bias is zero everywhere.
+    the same distribution of errors as the parameters. Segments are left out of the fit in turn, and lengths
+    and signal taken that predict them well. Where none predicts them better than the nominal model alone, by
+    more than the standard error of that, the bias is zero everywhere.
 
     Parameters
     ----------
     window, chunks
         Duration of a prediction in s; means over so many parts of it are compared.
     length_scales
-        Tried; of inputs over their standard deviation in the data.
+        Tried from the shortest on, until one gains; of inputs over their standard deviation in the data. What
+        is short is zero again soon beyond the data.
     signals
         Tried; the standard deviation of a bias, over that which would make up for the mean square error if
         it were constant over a window.
@@ -52,7 +53,7 @@ class HeldOut(Bias):
         task: Task,
         window: Seconds = 0.1,
         chunks: Count = 10,
-        length_scales: Sequence[Positive] = (1.0,),
+        length_scales: Sequence[Positive] = (1.0, 2.0, 4.0),
         signals: Sequence[Positive] = (0.3, 1.0, 3.0),
         segment: Seconds = 1.0,
         folds: Count = 5,
@@ -86,12 +87,14 @@ class HeldOut(Bias):
         for length in sorted({length for length, _ in self._candidates}):
             hyper, Z = self._inducing(windows, length)
             sensitivity = Sensitivity.of(nominal, windows, features(hyper, Z))
-            fits = _Fits.of(sensitivity, left, errors, fold)
+            fits = _Fits.of(sensitivity, left, errors, fold, windows.experiments)
             for own, times in self._candidates:
                 if own == length:
                     gain = fits.gain(times * signal)
                     if gain > (best.gain if best else 0.0):
                         best = _Candidate(gain, hyper, Z, fits, times * signal)
+            if best is not None:
+                break
         if best is None:
             return self.fit(transitions)
         mean, covariance = best.fits.posterior(best.signal)
@@ -149,12 +152,15 @@ class _Fits:
     A: Array  # (w, J n, n R)
     b: Array  # (w, J n)
     fold: Indices  # (w,)
+    experiments: Indices  # (w,)
     share: float
     products: Array  # (f, n R, n R), A^T A of each fold
     moments: Array  # (f, n R)
 
     @staticmethod
-    def of(sensitivity: Sensitivity, left: Array, errors: Errors, fold: Indices) -> _Fits:
+    def of(
+        sensitivity: Sensitivity, left: Array, errors: Errors, fold: Indices, experiments: Indices
+    ) -> _Fits:
         """Weighted as the errors are that there are without a bias."""
         b = errors.whiten(left)
         weights = np.sqrt(errors.weights(b))
@@ -163,7 +169,7 @@ class _Fits:
         folds = range(fold.max() + 1)
         products = np.array([_product(A[fold == f]) for f in folds])
         moments = np.array([np.einsum("wij,wi->j", A[fold == f], b[fold == f]) for f in folds])
-        return _Fits(A, b, fold, errors.share, products, moments)
+        return _Fits(A, b, fold, experiments, errors.share, products, moments)
 
     def posterior(self, signal: Array, without: int | None = None) -> tuple[Array, Array]:
         """Mean (n R,) and covariance (n R, n R) of the weights, but for a fold that is left out."""
@@ -186,7 +192,8 @@ class _Fits:
             gains[own] = np.sum(self.b[own] ** 2, axis=1) - np.sum(
                 (self.b[own] - self.A[own] @ mean) ** 2, axis=1
             )
-        return float(gains.mean() - gains.std() / np.sqrt(max(1.0, self.share * len(gains))))
+        alike = correlation_time((gains - gains.mean())[:, None], self.experiments)
+        return float(gains.mean() - gains.std() * np.sqrt(alike / len(gains)))
 
 
 def _product(A: Array) -> Array:

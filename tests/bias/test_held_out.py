@@ -14,19 +14,20 @@ from simbias.study import Study
 
 
 class Sprung(Nominal):
-    """The double pendulum with a hard spring in its second joint, that no parameter knows."""
+    """The double pendulum with a hardening spring in its second joint, that no parameter knows."""
 
     def __init__(self, nominal: Nominal) -> None:
         self._nominal = nominal
 
     def step(self, x: Array, u: Array) -> Array:
-        torque = np.stack([np.zeros_like(x[..., 1]), -3.0 * x[..., 1] ** 3], axis=-1)
+        torque = np.stack([np.zeros_like(x[..., 1]), -0.2 * x[..., 1] ** 3], axis=-1)
         return self._nominal.step(x, u + torque)
 
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return pendulum("bias=held_out", "bias.points=30")
+    damping = [f"nominal.drives.damping_{i}=0.05" for i in (1, 2)]
+    return pendulum("bias=held_out", "bias.points=30", *damping)
 
 
 def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
