@@ -13,10 +13,11 @@ from simbias.config.numbers import Count, Seconds
 from simbias.interfaces import Identification, Nominal, Task
 from simbias.parameters import Estimate, values_at
 from simbias.records import Array, Rollout
-from simbias.simulation.errors import Errors
+from simbias.simulation.errors import FREEDOM, Errors
 from simbias.simulation.open_loop import Windows, World, predict
 
 STEP = 1e-4  # of a coordinate, for derivatives by differences
+ROBUST = 0.1  # nu / d at first: the mode is found whatever happens in some windows
 TOLERANCE = 0.05  # in standard deviations of the posterior: a round that moves the mode by less is the last
 QUANTILE = 1.6449  # 95% of a standard normal
 
@@ -44,7 +45,8 @@ class Posterior(Identification):
     starts
         So many draws from the prior, its median the first, are tried; the search begins at the likeliest.
     rounds
-        At most so many times, covariance and mode are estimated in turn.
+        At most so many times, covariance and mode are estimated in turn; first with outliers that count next
+        to nothing, then with the distribution that errors have.
     evaluations
         Steps of the search for the mode in each of them, at most.
     """
@@ -55,7 +57,7 @@ class Posterior(Identification):
         window: Seconds = 0.1,
         chunks: Count = 10,
         starts: Count = 32,
-        rounds: Count = 8,
+        rounds: Count = 4,
         evaluations: Count = 12,
     ) -> None:
         frames = window / task.time_step
@@ -72,13 +74,14 @@ class Posterior(Identification):
             return nominal
         observed = windows.means
         z = self._start(nominal, windows, observed)
-        for _ in range(self._rounds):
-            errors = Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows)
-            problem = _Problem(nominal, windows, observed, errors)
-            before, z = z, problem.mode(z, self._evaluations)
-            precision = problem.precision(z)
-            if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
-                break
+        for freedom in (ROBUST, FREEDOM):
+            for _ in range(self._rounds):
+                errors = Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows, freedom)
+                problem = _Problem(nominal, windows, observed, errors)
+                before, z = z, problem.mode(z, self._evaluations)
+                precision = problem.precision(z)
+                if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
+                    break
         return Identified(nominal, z, precision, {"windows": len(windows), "share": problem.errors.share})
 
     def _start(self, nominal: Nominal, windows: Windows, observed: Array) -> Array:
@@ -86,7 +89,7 @@ class Posterior(Identification):
         z = np.random.default_rng(0).standard_normal((self._starts, len(nominal.parameters)))
         z[0] = 0.0
         errors = _predicted(nominal, windows, z) - observed
-        fits = [Errors.of(each, windows).log_likelihoods(each).sum() for each in errors]
+        fits = [Errors.of(each, windows, ROBUST).log_likelihoods(each).sum() for each in errors]
         return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
 
 

@@ -10,7 +10,7 @@ from scipy.special import gammaln
 from simbias.records import Array, Indices
 from simbias.simulation.open_loop import Windows
 
-FREEDOM = 0.1  # nu / d: a window counts nearly in inverse proportion to the square of its errors
+FREEDOM = 1.0  # nu / d: a window whose errors are ten times as large as usual counts a fiftieth
 ROUNDS = 5  # of expectation maximisation; the weights have settled then
 TINY = 1e-6  # of what a state varies: no error is known better
 HUGE = 1e6  # standard deviations, in place of what is no number
@@ -25,10 +25,11 @@ class Errors:
     """
 
     factor: Array  # (d, d) lower factor L of the scale matrix
+    freedom: float = FREEDOM
     share: float = 1.0  # of the windows that tells something new; 1 if their errors are independent
 
     @staticmethod
-    def of(errors: Array, windows: Windows) -> Errors:
+    def of(errors: Array, windows: Windows, freedom: float = FREEDOM) -> Errors:
         """Estimated from errors (w, J, n), some of which may be outliers or no numbers.
 
         The scale matrix is shrunk towards its diagonal, the more the fewer windows there are.
@@ -38,13 +39,13 @@ class Errors:
         e = np.nan_to_num(errors.reshape(w, -1), nan=np.inf)
         scale = np.clip(np.median(np.abs(e), axis=0) / 0.6745, least, HUGE)
         e = np.clip(e, -HUGE * scale, HUGE * scale)
-        made = Errors(np.diag(scale))
+        made = Errors(np.diag(scale), freedom)
         shrink = len(least) / (len(least) + w)
         for _ in range(ROUNDS):
             weights = made.weights(made.whiten(errors))
             covariance = e.T @ (weights[:, None] * e) / w + np.diag(least**2)
             diagonal = np.diag(np.diag(covariance))
-            made = Errors(np.linalg.cholesky((1.0 - shrink) * covariance + shrink * diagonal))
+            made = Errors(np.linalg.cholesky((1.0 - shrink) * covariance + shrink * diagonal), freedom)
         white = made.whiten(errors)
         weighted = np.sqrt(made.weights(white))[:, None] * white
         return replace(made, share=1.0 / correlation_time(weighted, windows.experiments))
@@ -56,15 +57,15 @@ class Errors:
 
     def weights(self, white: Array) -> Array:
         """How much windows (w, d) of whitened errors count: less than 1 if they are large."""
-        return (FREEDOM + 1.0) / (FREEDOM + np.mean(white**2, axis=-1))
+        return (self.freedom + 1.0) / (self.freedom + np.mean(white**2, axis=-1))
 
     def losses(self, white: Array) -> Array:
         """Twice the negative logarithms (w,) of the density of whitened errors (w, d), but for a constant."""
-        return (FREEDOM + 1.0) * white.shape[-1] * np.log1p(np.mean(white**2, axis=-1) / FREEDOM)
+        return (self.freedom + 1.0) * white.shape[-1] * np.log1p(np.mean(white**2, axis=-1) / self.freedom)
 
     def log_likelihoods(self, errors: Array) -> Array:
         """Log-likelihoods (w,) of errors (w, J, n), in nats."""
-        d, nu = len(self.factor), FREEDOM * len(self.factor)
+        d, nu = len(self.factor), self.freedom * len(self.factor)
         constant = gammaln((nu + d) / 2) - gammaln(nu / 2) - 0.5 * d * np.log(nu * np.pi)
         return constant - np.sum(np.log(np.diag(self.factor))) - 0.5 * self.losses(self.whiten(errors))
 

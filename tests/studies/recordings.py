@@ -31,7 +31,7 @@ from simbias.study import Study
 
 KINDS = ("acrobot", "pendubot", "excitation")
 COUNTS = (1, 2, 5)  # recordings that are learned from
-MOST = 3  # choices of several
+MOST = 2  # choices of several
 SHIFTS = (0, 10, 20, 30, 40)  # frames by which windows are shifted, to have more of them
 DURATION, CHANGE = 0.1, 0.3  # s, rad/s
 COLUMNS = {"pos1": "pos_meas1", "pos2": "pos_meas2", "vel1": "vel_meas1", "vel2": "vel_meas2"}
