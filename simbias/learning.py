@@ -44,7 +44,7 @@ def search(
     nominal = model.nominal
     found = Search(
         *(optimum, predicted_cost, model.bias, model.bias.diagnostics),
-        *(nominal, nominal.estimates, nominal.diagnostics),
+        *(nominal, nominal.estimates, dict(nominal.diagnostics)),
     )
     observer.searched(found)
     return found
