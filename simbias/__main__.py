@@ -7,26 +7,37 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from simbias import __version__
 from simbias.commands import add_own_components, python
 from simbias.config import Composition, ConfigError, compose, options, sweeps
 
+if TYPE_CHECKING:
+    from simbias.study import Study
+    from simbias.tracking.contract import TrackedTrial
+
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
 CHECK = "check"  # in place of a first override: put components through the conformance suite
+PREVIEW = "preview"  # likewise: show what the first experiment is predicted to do
+NEW = "new"  # likewise: lay out a folder for a robot of one's own
 
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
   seed=3                               another trial
+  preset=cartpole                      another robot; 'preset=[cartpole,robust]': and another method
+  method.max_iterations=10             N_out; method.experiments=2 in each
+  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
+  task.horizon=5000                    T, frames of task.time_step in s
+  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
+  hardware.confirm=true                show what is predicted, and ask, before the first experiment
+  hardware.safety.states={angle: 0.5}  abort beyond; also inputs, input_rates (per s), criteria=true
+  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
+of the default robot:
   hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
   hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
   hardware.feet=separate               two feet that can tip
-  method.max_iterations=10             N_out; method.experiments=2 in each
-  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
-  task.horizon=5000                    T, frames of task.time_step=0.001 s
-  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
-  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
 
 examples:
   python -m simbias
@@ -35,6 +46,8 @@ examples:
   python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
   python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
+  python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
+  python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
              (the same command goes on), 130 interrupted (likewise)
@@ -44,7 +57,7 @@ of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an er
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
-    parsed = _parser().parse_intermixed_args(arguments)
+    parsed = _parser(_config_dir(arguments)).parse_intermixed_args(arguments)
     try:
         status = _run_or_show(parsed)
         sys.stdout.flush()
@@ -53,11 +66,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ConfigError as error:
-        print(f"simbias: {error}", file=sys.stderr)
+        print(f"simbias: {error}{_trace_of_own_code(error)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("simbias: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _trace_of_own_code(error: ConfigError) -> str:
+    """Where the traceback is of an error that came from the user's own code."""
+    from simbias.blame import has_own_code
+    from simbias.messages import with_trace
+    from simbias.terminal.trial import temporary_traceback
+
+    if error.__cause__ is None or not has_own_code(error.__cause__):
+        return ""
+    file = temporary_traceback(with_trace(error.__cause__))
+    return f" (traceback in {file})" if file else ""
 
 
 def _run_or_show(parsed: argparse.Namespace) -> int:
@@ -66,6 +91,16 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
         from simbias.terminal.check import check
 
         return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir, parsed.allow) else FAILED
+    if parsed.overrides[:1] == [NEW]:
+        from simbias.terminal.new import new
+
+        new(parsed.overrides[1:])
+        return SUCCEEDED
+    if parsed.overrides[:1] == [PREVIEW]:
+        from simbias.terminal.preview import preview
+
+        preview(parsed.overrides[1:], parsed.config_dir, parsed.allow)
+        return SUCCEEDED
     composition = compose(parsed.overrides, parsed.config_dir, parsed.allow)
     if parsed.cfg:
         print(_as_yaml(composition), end="")
@@ -73,10 +108,17 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
     return (_sweep if "sweep" in composition.config else _run)(parsed, composition)
 
 
-def _parser() -> argparse.ArgumentParser:
-    """The command line's grammar."""
-    groups = "\n".join(f"  {group:<11} {' | '.join(names)}" for group, names in options().items())
-    shipped = f"  {' | '.join(sweeps())}"
+def _config_dir(arguments: Sequence[str] | None) -> str | None:
+    """The folder of configs that a command line names, which --help tells of too."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", nargs="?")
+    return parser.parse_known_args(arguments)[0].config_dir
+
+
+def _parser(config_dir: str | None) -> argparse.ArgumentParser:
+    """The command line's grammar; its help tells of the options in a folder of configs too."""
+    groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
+    shipped = f"  {' | '.join(sweeps(config_dir))}"
     parser = argparse.ArgumentParser(
         prog="python -m simbias",
         description="Learn a simulation's bias and optimise a policy with few hardware experiments.",
@@ -102,30 +144,35 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run one trial in the terminal, or go on with it."""
     from simbias.config.build import build
     from simbias.config.services import engine, tracking
-    from simbias.messages import with_type
-    from simbias.terminal.trial import (
-        TrialConsole,
-        counted,
-        preparing,
-        slowness_in_one_line,
-        traceback_file,
-    )
-    from simbias.trial import Outcome, run_trial
+    from simbias.terminal.trial import preparing, slowness_in_one_line
+    from simbias.testing.rehearsal import rehearse
 
     engine(composition)  # a single trial needs none, but a bad one is bad input
     store = tracking(composition)
-    with preparing(), slowness_in_one_line():
-        study = build(composition)
-        study.warm_up()
-    tracked = store.open(study)
-    with slowness_in_one_line(), TrialConsole(study) as console:
+    with slowness_in_one_line():
+        with preparing():
+            study = build(composition)
+            rehearse(study)
+        tracked = store.open(study)
+        return _go_on(study, tracked, _command(parsed))
+
+
+def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
+    """Run a trial as far as it goes; `again` is the command that goes on with it."""
+    from simbias.messages import with_type
+    from simbias.terminal.trial import TrialConsole, asking, counted, traceback_file
+    from simbias.trial import Outcome, run_trial
+
+    if tracked.changed:
+        print(f"simbias: {tracked.changed}", file=sys.stderr)
+    with TrialConsole(study) as console:
         if (before := tracked.finished()) is not None:
             console.recall(before.iterations, tracked.where)
             return SUCCEEDED if before.iterations[-1].succeeded else FAILED
         try:
-            record = run_trial(study, tracked, console)
+            record = run_trial(asking(study, console), tracked, console)
         except Exception as error:  # of the store: what a component raises is in the record
-            print(f"simbias: {with_type(error)} (go on with:  {_command(parsed)})", file=sys.stderr)
+            print(f"simbias: {with_type(error)} (go on with:  {again})", file=sys.stderr)
             return FAILED
     if record.outcome.final:
         console.conclude(record, tracked.where)
@@ -134,7 +181,7 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
         f"{counted(record.experiments, 'hardware experiment')} kept" if tracked.where else "nothing is kept"
     )
     trace = f"; traceback in {file}" if (file := traceback_file(record)) else ""
-    print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {_command(parsed)})", file=sys.stderr)
+    print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {again})", file=sys.stderr)
     return WAITING if record.outcome is Outcome.WAITING else FAILED
 
 
@@ -154,6 +201,8 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
         return SUCCEEDED
     again = _command(parsed)
     tracked = store.open_sweep(sweep, again)
+    if tracked.changed:
+        print(f"simbias: {tracked.changed}", file=sys.stderr)
     console = SweepConsole()
     try:
         trials = run_sweep(sweep, trials_engine, tracked, console)

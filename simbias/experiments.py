@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextvars import copy_context
+from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,46 @@ from simbias.checks import check_rollout
 from simbias.interfaces import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.messages import with_type
 from simbias.records import Array, Rollout
+from simbias.safety import NO_LIMITS, Guarded, Safety
 
 STOP_SECONDS = 5.0  # that `Hardware.stop` has, and then again the experiment that it stops
 MESSAGE_LENGTH = 250  # of what a hardware raises
+
+
+def ask(theta: Array, start: Array) -> bool:
+    """Ask a person whether the hardware may be used; where nobody is, it may not."""
+    try:
+        answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
+    except (EOFError, OSError):
+        return False
+    return answer.strip().lower() in ("y", "yes")
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Under which experiments are made.
+
+    Parameters
+    ----------
+    timeout
+        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own; where
+        it takes longer, the hardware is asked to stop, and what it still does is of no interest. Code that
+        never returns to Python's interpreter cannot be stopped so.
+    safety
+        Limits at which an experiment is aborted; it has failed then.
+    confirm
+        Whether a person is asked before the first experiment.
+    ask
+        Asks whether theta (p,) may be run from a start (n,).
+    """
+
+    timeout: float | None = None
+    safety: Safety = NO_LIMITS
+    confirm: bool = False
+    ask: Callable[[Array, Array], bool] = ask
+
+
+UNCONDITIONED = Conditions()
 
 
 class Conducted(Hardware):
@@ -27,17 +66,30 @@ class Conducted(Hardware):
         Whatever it does.
     task
         Whose rollouts it should return.
-    timeout
-        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own; where
-        it takes longer, the hardware is asked to stop, and what it still does is of no interest. Code that
-        never returns to Python's interpreter cannot be stopped so.
+    conditions
+        Of all experiments.
+
+    Raises
+    ------
+    ValueError
+        If a limit names nothing of the task.
     """
 
-    def __init__(self, hardware: Hardware, task: Task, timeout: float | None = None) -> None:
+    def __init__(self, hardware: Hardware, task: Task, conditions: Conditions) -> None:
         self._hardware = hardware
         self._task = task
-        self._timeout = timeout
+        self._timeout = conditions.timeout
+        self._bounds = conditions.safety.bounds(task) if conditions.safety.limits else None
+        self._ask = conditions.ask if conditions.confirm else None
         self.sets_start = hardware.sets_start
+
+    def wrap(self, hardware: Hardware, task: Task) -> Conducted:
+        """The same of another hardware, on a task whose experiments may take longer or shorter."""
+        other = copy(self)
+        other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
+        if self._timeout is not None:
+            other._timeout = self._timeout * task.horizon / self._task.horizon
+        return other
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment.
@@ -50,11 +102,28 @@ class Conducted(Hardware):
         Waiting
             If its result is not there yet.
         """
-        returned = self._returned(lambda: self._hardware.run(policy, theta, start, rng))
+        if self._ask is not None:
+            if not self._ask(theta, start):
+                raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
+            self._ask = None
+        returned = self._guarded(policy, theta, start, rng)
         try:
             return check_rollout(returned, self._hardware, self._task)
         except HardwareError as error:
             raise HardwareError(f"{error}{self.refuse(returned, theta, start, str(error))}") from error
+
+    def _guarded(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+        """What the hardware returns, not yet checked; an aborted experiment as far as it was recorded."""
+        if self._bounds is None:
+            return self._returned(lambda: self._hardware.run(policy, theta, start, rng))
+        guarded = Guarded(policy, self._task, self._bounds)
+        try:
+            return self._returned(lambda: self._hardware.run(guarded, theta, start, rng))
+        except Exception:
+            if guarded.last is None or not guarded.last.failure:
+                raise
+            _Call(self._hardware.stop).ended(STOP_SECONDS)
+            return guarded.last.record()
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what breaks the contract; where it is, in words that follow those of the error."""

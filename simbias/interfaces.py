@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -24,6 +25,8 @@ import numpy as np
 from simbias.parameters import Estimate, Parameter, values_at
 from simbias.records import Array, Indices, Optimum, Rollout, Selection, Transitions
 from simbias.search import Evaluations
+
+NOT_A_NUMBER = "not_a_number"  # the failure of a state that violates no criterion
 
 
 class HardwareError(RuntimeError):
@@ -68,6 +71,11 @@ class Criterion(NamedTuple):
     bounds: Mapping[str, float] = MappingProxyType({})  # state -> |state| that it allows, whatever the others
 
 
+def failure_name(criteria: Sequence[Criterion], index: int) -> str:
+    """The name of a violated criterion, or of a state that is no number and violates none."""
+    return criteria[index].name if index < len(criteria) else NOT_A_NUMBER
+
+
 class Task(ABC):
     """What is to be done: quantities, time, limits, starts and failure; no dynamics."""
 
@@ -94,20 +102,31 @@ class Task(ABC):
     def violated(self, x: Array) -> Indices:
         """Index (...) of the first criterion that each state x (..., n) violates, -1 where it violates none.
 
-        What is not a number violates.
+        What is not a number violates: it has the index after all criteria where it violates none of them.
         """
         within = self.measure(x) <= np.array([criterion.limit for criterion in self.criteria])
+        within = np.concatenate([within, np.isfinite(x).all(axis=-1, keepdims=True)], axis=-1)
         return np.where(within.all(axis=-1), -1, np.argmin(within, axis=-1))
 
     def failure(self, x: Array) -> str | None:
         """Name of the first criterion that the state x (n,) violates, or None."""
         index = int(self.violated(x))
-        return None if index < 0 else self.criteria[index].name
+        return None if index < 0 else failure_name(self.criteria, index)
 
     def words(self, failure: str) -> str:
         """A failure in words: those of its criterion, or the name that a hardware gave it."""
         words = {criterion.name: criterion.words for criterion in self.criteria}
         return words.get(failure, failure.replace("_", " "))
+
+    def with_horizon(self, horizon: int) -> Task:
+        """The task, which now takes so many frames."""
+        longer = copy(self)
+        longer.horizon = horizon
+        return longer
+
+    def frames(self, seconds: float) -> int:
+        """How many frames so many seconds take, at least one."""
+        return max(1, round(seconds / self.time_step))
 
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,): start_mean + N(0, start_deviation^2) (Section VI-A)."""
@@ -122,6 +141,7 @@ class Nominal(ABC):
     """
 
     kernel: Kernel | None = None
+    batched: bool = False  # whether an engine steps many states at once, about as fast as compiled code
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     memory_size: int = 0  # s
     estimates: Sequence[Estimate] = ()  # what has been identified
@@ -155,6 +175,13 @@ class Nominal(ABC):
             return self.step(states, inputs)
         return self.advance(states, inputs, self.memories(states, inputs))[0]
 
+    def step_in_worlds(self, models: Sequence[Nominal], x: Array, u: Array, worlds: Indices) -> Array:
+        """x_next (k, n), each row after x (k, n) under u (k, m) with the model of its world of (k,).
+
+        Only batched models need it; all of them are of one class.
+        """
+        raise NotImplementedError(f"{type(self).__name__} is batched, but has no `step_in_worlds`")
+
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""
         raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
@@ -164,6 +191,13 @@ class Nominal(ABC):
         if not self.parameters:
             return self
         return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
+
+
+class Law(NamedTuple):
+    """A policy in words and numbers, as an order to a lab says it."""
+
+    words: str  # as u = H z
+    numbers: Mapping[str, Array]  # what the words name, in the task's units
 
 
 class Policy(ABC):
@@ -188,6 +222,10 @@ class Policy(ABC):
     @abstractmethod
     def outputs(self, x: Array) -> Array:
         """What the policy feeds back: z (..., q) at states x (..., n)."""
+
+    def law(self, theta: Array) -> Law:
+        """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
+        return Law(f"u = {type(self).__name__}.act(theta, x, t, memory)", {"theta": theta})
 
     def controller(self, theta: Array, time_step: float) -> Controller:
         """The policy theta (p,) as a robot's control loop runs it: once a frame of `time_step` s."""
@@ -301,10 +339,11 @@ class Hardware(ABC):
         """
 
     def stop(self) -> None:  # noqa: B027  (few need it)
-        """Bring the system to rest: an experiment took longer than `experiment_timeout`, or was interrupted.
+        """Bring the system to rest: an experiment took too long, was interrupted or went beyond a limit.
 
-        It is called from another thread while `run` still runs, and only with a time-out; `run` should end
-        soon afterwards, what it returns or raises is of no interest. By default nothing happens.
+        With `experiment_timeout` it is called from another thread while `run` still runs; `run` should end
+        soon afterwards, what it returns or raises is of no interest. Beyond a limit of `hardware.safety`,
+        `run` has ended by what the controller raised. By default nothing happens.
         """
 
 
@@ -343,6 +382,10 @@ class Cost(ABC):
         """Z (k,) of rollouts that the kernel summed up as totals (k, s), of frames (k,) lost by failure."""
         raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
 
+    def with_horizon(self, horizon: int) -> Cost:
+        """The cost of rollouts that may take so many frames; only what simulates for longer needs it."""
+        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`")
+
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""
         return rollout.failed_at is None and rollout.cost < self.max_cost
@@ -352,6 +395,7 @@ class Evaluation(ABC):
     """How the cost of a policy is predicted in simulation."""
 
     noisy_rollouts: int = 0  # of each policy, whose noise is kept as long as a search goes on
+    horizon: int | None = None  # frames of its rollouts; None is the task's
 
     @abstractmethod
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:

@@ -42,10 +42,12 @@ def search(
             stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
     nominal = model.nominal
-    return Search(
+    found = Search(
         *(optimum, predicted_cost, model.bias, model.bias.diagnostics),
         *(nominal, nominal.estimates, nominal.diagnostics),
     )
+    observer.searched(found)
+    return found
 
 
 def _search(
@@ -102,19 +104,21 @@ def experiment(
     rng: np.random.Generator,
     observer: Observer,
     count: int,
-    stop_at_failure: bool = False,
+    least: int | None = None,
 ) -> tuple[Rollout, ...]:
-    """Evaluate a policy with hardware experiments (the solid loop of Fig. 1).
+    """Evaluate a policy with so many hardware experiments (the solid loop of Fig. 1).
 
-    If told so, none follows the first that fails; this changes nothing in those of later iterations.
+    After the first `least`, by default all, none follows one that failed; this changes nothing in those of
+    later iterations.
     """
+    least = count if least is None else least
     rollouts: list[Rollout] = []
     for experiment_rng in rng.spawn(count):
         start = study.task.draw_start(experiment_rng)
         observer.experimenting(theta, start)
         rollouts.append(study.experiment(theta, experiment_rng, start))
         observer.experimented(rollouts[-1])
-        if stop_at_failure and not study.cost.passes(rollouts[-1]):
+        if len(rollouts) >= least and not all(map(study.cost.passes, rollouts)):
             break
     return tuple(rollouts)
 

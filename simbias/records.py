@@ -76,6 +76,7 @@ class Selection:
     frames: int  # transitions that the rollouts hold
     sampled: int  # those left after downsampling
     rejected: Mapping[str, int]  # criterion -> how many of the sampled ones it rejected
+    note: str = ""  # what else a person should know where nothing was sampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +87,7 @@ class Optimum:
     cost: float
     evaluations: int
     stopped_by: str  # why the search ended, in words
+    flat: bool = False  # whether all policies that it evaluated cost the same
 
 
 @dataclass(frozen=True, eq=False)

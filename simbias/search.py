@@ -83,6 +83,7 @@ class Evaluations:
         self._until_satisfied = False
         self._best_point: Array | None = None
         self.best_cost = np.inf
+        self._worst_cost = -np.inf
         self.count = 0
 
     @property
@@ -165,6 +166,7 @@ class Evaluations:
         self.count += 1
         if not math.isfinite(cost):
             raise ValueError(f"the cost is {cost} at the point {point.tolist()}")
+        self._worst_cost = max(self._worst_cost, cost)
         if cost < self.best_cost:
             change = (self.best_cost - cost) / max(abs(cost), np.finfo(np.float64).tiny)
             self._best_point, self.best_cost = point, cost
@@ -210,6 +212,7 @@ class Evaluations:
     def adopt(self, branch: Evaluations) -> None:
         """Come as far as a branch of these has come."""
         self.count = branch.count
+        self._worst_cost = max(self._worst_cost, branch._worst_cost)
         if branch.best_cost < self.best_cost:
             self._best_point, self.best_cost = branch._best_point, branch.best_cost
 
@@ -218,4 +221,5 @@ class Evaluations:
         assert self._best_point is not None
         if not self.satisfied and self.satisfactory < np.inf:
             stopped_by = f"{stopped_by}, with no cost below {self.satisfactory:g}"
-        return Optimum(self._best_point, self.best_cost, self.count, stopped_by)
+        flat = self.count > 1 and self._worst_cost == self.best_cost
+        return Optimum(self._best_point, self.best_cost, self.count, stopped_by, flat)

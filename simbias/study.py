@@ -6,12 +6,17 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from simbias.config.components import construct
 from simbias.config.composition import Composition
-from simbias.experiments import Conducted
+from simbias.config.conditions import HARDWARE, split
+from simbias.config.numbers import CountOrZero, Seconds
+from simbias.dialogue import Dialogue
+from simbias.experiments import UNCONDITIONED, Conditions, Conducted
 from simbias.interfaces import (
     Bias,
     Cost,
@@ -28,7 +33,8 @@ from simbias.interfaces import (
     SlowWarning,
     Task,
 )
-from simbias.records import Array, Iteration, Rollout, Transitions
+from simbias.orders.order import Order
+from simbias.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.simulation.closed_loop import simulator
 
 
@@ -38,6 +44,9 @@ class Observer:
     def searching(self, evaluations: int, best_cost: float) -> None:
         """A policy search has simulated so many policies, a few in vain if it looks ahead."""
 
+    def searched(self, search: Search) -> None:
+        """A policy search has ended."""
+
     def experimenting(self, theta: Array, start: Array) -> None:
         """A hardware experiment with theta (p,) from start (n,) begins."""
 
@@ -46,6 +55,9 @@ class Observer:
 
     def iterated(self, iteration: Iteration) -> None:
         """An iteration has ended."""
+
+    def trying(self, number: int, count: int) -> None:
+        """The last policy is tried from a held-out start, the first of which has the number 0."""
 
 
 class Method(ABC):
@@ -62,6 +74,15 @@ class Method(ABC):
     @abstractmethod
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration as it ends."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """From how many starts a trial's last policy is tried after its end, and for how long."""
+
+    starts: CountOrZero = 0
+    lasting: CountOrZero = 2  # so many of them go on beyond the task's horizon,
+    seconds: Seconds = 60.0  # until then
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +102,8 @@ class Study:
     method: Method
     seed: int
     composition: Composition  # what the components were built from
-    experiment_timeout: float | None = None  # s of wall time for each hardware experiment
+    conditions: Conditions = UNCONDITIONED  # of hardware experiments
+    held_out: HeldOut = HeldOut()
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -108,7 +130,7 @@ class Study:
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
-        """Run the method; the same seed gives the same records."""
+        """Run the method; the same seed gives the same records on one kind of machine."""
         return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
 
     def simulate(
@@ -140,13 +162,57 @@ class Study:
         """
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
-        return self._judged(self.conducted().run(self.policy, theta, begin, rng), theta)
+        return self._judged(self.conducted.run(self.policy, theta, begin, rng), theta)
 
+    @cached_property
     def conducted(self) -> Conducted:
         """The hardware, its experiments bounded in time and checked."""
         if isinstance(self.hardware, Conducted):
             return self.hardware
-        return Conducted(self.hardware, self.task, self.experiment_timeout)
+        return Conducted(self.hardware, self.task, self.conditions)
+
+    def ask(self) -> Order | None:
+        """The next experiment of a trial whose hardware is you; None once the trial has come to its end.
+
+        >>> while (order := study.ask()) is not None:
+        ...     study.tell(made(order.controller(), order.start))
+        """
+        return self.dialogue.ask()
+
+    def tell(self, rollout: Rollout) -> None:
+        """What came of the experiment that was asked for; the study's hardware is not used.
+
+        Raises
+        ------
+        ValueError
+            If none was asked for.
+        HardwareError
+            If the rollout is not what the contract asks for; the question stays open.
+        """
+        self.dialogue.tell(rollout)
+
+    @cached_property
+    def dialogue(self) -> Dialogue:
+        """What was asked and told, and the iterations that have ended."""
+
+        def run(hardware: Hardware, optimizer: Optimizer) -> Iterator[Iteration]:
+            return replace(self, hardware=hardware, optimizer=optimizer, conditions=self._told).run()
+
+        return Dialogue(self.task, self.optimizer, run)
+
+    @property
+    def _told(self) -> Conditions:
+        """The conditions of experiments that are told: nobody is asked whether they may be made."""
+        return Conditions(safety=self.conditions.safety)
+
+    def with_horizon(self, horizon: int) -> Study:
+        """The study of a task that takes so many frames; its hardware is constructed anew for it.
+
+        Its costs are those of the old horizon.
+        """
+        task, (config, _) = self.task.with_horizon(horizon), split(self.config[HARDWARE])
+        hardware = construct(config, Hardware, HARDWARE, self.composition.allowed, task=task)
+        return replace(self, task=task, hardware=self.conducted.wrap(hardware, task))
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""

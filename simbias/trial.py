@@ -9,9 +9,12 @@ from enum import StrEnum
 
 from threadpoolctl import threadpool_limits
 
+from simbias import machine
+from simbias.blame import told
+from simbias.held_out import Tries, try_policy
 from simbias.interfaces import Waiting
-from simbias.messages import with_trace, with_type, words
-from simbias.records import Array, Iteration, Rollout
+from simbias.messages import with_trace, words
+from simbias.records import Array, Iteration, Rollout, Search
 from simbias.study import Observer, Study
 
 
@@ -44,6 +47,10 @@ class TrialRecord:
     max_iterations: int = 0
     started: float = 0.0  # s since the epoch
     seconds: float = 0.0  # wall time, without the pictures
+    hardware_seconds: float = 0.0  # that the experiments lasted on the hardware
+    held_out: Tries | None = None  # what the last policy is worth, if that was asked for
+    machines: tuple[str, ...] = ()  # kinds that it ran on: two if it went on elsewhere
+    processor: str = ""  # model of the last one's
     pictures: Mapping[str, bytes] = field(default_factory=dict)  # files by name
 
     @property
@@ -73,6 +80,7 @@ class Recorder:
     """Keeps a trial while it runs. This one keeps nothing."""
 
     pictures: Sequence[str] = ()  # those that are drawn at the trial's end
+    machines: Sequence[str] = ()  # kinds that the trial was run on before
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept, and those that were made before recalled."""
@@ -98,8 +106,8 @@ def run_trial(
     """Run a trial, or go on with it where it stopped.
 
     Experiments and searches that the recorder knows are not made again; what follows them is as if nothing
-    had come between. What a component raises is told in the record. Linear algebra runs on one thread, as
-    more would change the last bits of a factorisation.
+    had come between, on one kind of machine. What a component raises is told in the record. Linear algebra
+    runs on one thread, as more would change the last bits of a factorisation.
 
     Raises
     ------
@@ -110,14 +118,16 @@ def run_trial(
     run = _Run(study, recorder, observer or Observer())
     with threadpool_limits(1, user_api="blas"):
         try:
-            for iteration in recorder.recalling(study).run(run):
+            recalling = recorder.recalling(study)
+            for iteration in recalling.run(run):
                 run.iterated(iteration)
+            run.try_last_policy(recalling)
             succeeded = bool(run.iterations) and run.iterations[-1].succeeded
             record = run.record(Outcome.SUCCEEDED if succeeded else Outcome.NOT_SUCCEEDED)
         except Waiting as reason:
             record = run.record(Outcome.WAITING, words(reason))
         except (Exception, SystemExit) as error:
-            record = run.record(Outcome.ERROR, with_type(error), with_trace(error))
+            record = run.record(Outcome.ERROR, told(error), with_trace(error))
             record = replace(record, traceback_file=recorder.explained(record.traceback))
         except BaseException:
             recorder.ended(run.record(Outcome.INTERRUPTED))
@@ -133,13 +143,18 @@ class _Run(Observer):
     """A trial that runs: what it has done so far."""
 
     def __init__(self, study: Study, recorder: Recorder, observer: Observer) -> None:
-        self._method = study.method
+        self._method, self._time_step = study.method, study.task.time_step
         self._recorder = recorder
         self._observer = observer
         self._started, self._clock = time.time(), time.perf_counter()
         self._unfinished: list[Rollout] = []
         self.iterations: list[Iteration] = []
+        self._held_out: Tries | None = None
         self.searching = observer.searching  # type: ignore[method-assign]  # called thousands of times
+
+    def searched(self, search: Search) -> None:
+        """Pass it on."""
+        self._observer.searched(search)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Pass it on."""
@@ -157,6 +172,17 @@ class _Run(Observer):
         self._recorder.iterated(iteration)
         self._observer.iterated(iteration)
 
+    @property
+    def _made(self) -> list[Rollout]:
+        """All experiments."""
+        return [*(rollout for each in self.iterations for rollout in each.experiments), *self._unfinished]
+
+    def try_last_policy(self, study: Study) -> None:
+        """Try the last policy from held-out starts, if the study asks for that."""
+        if self.iterations:
+            theta = self.iterations[-1].parameters
+            self._held_out = try_policy(study, theta, study.held_out, self._observer.trying)
+
     def record(self, outcome: Outcome, reason: str = "", trace: str = "") -> TrialRecord:
         """What has been done, and how it ended."""
         return TrialRecord(
@@ -167,8 +193,12 @@ class _Run(Observer):
             traceback=trace,
             max_experiments=self._method.max_experiments,
             max_iterations=self._method.max_iterations,
+            machines=tuple(dict.fromkeys([*self._recorder.machines, machine.kind()])),
+            processor=machine.processor(),
             started=self._started,
             seconds=time.perf_counter() - self._clock,
+            hardware_seconds=self._time_step * sum(rollout.frames for rollout in self._made),
+            held_out=self._held_out,
         )
 
 

@@ -14,6 +14,7 @@ from faulty_hardware import CONVERTED, RAISED, RETURNED
 from records import assert_equal
 
 from simbias import experiments
+from simbias.experiments import Conditions
 from simbias.interfaces import Hardware, HardwareError, Policy, Waiting
 from simbias.records import Array, Rollout
 from simbias.study import Study
@@ -69,7 +70,7 @@ class Doing(Hardware):
 
 
 def experiment(study: Study, fault: Callable[[Rollout], Any], timeout: float | None = None) -> Rollout:
-    doing = replace(study, hardware=Doing(study.hardware, fault), experiment_timeout=timeout)
+    doing = replace(study, hardware=Doing(study.hardware, fault), conditions=Conditions(timeout))
     return doing.experiment(THETA, np.random.default_rng(1))
 
 
@@ -157,7 +158,9 @@ def hanging(study: Study, hardware: Hardware) -> tuple[str, float]:
     """What is said of an experiment that does not end, and after how long."""
     begun = time.monotonic()
     with pytest.raises(HardwareError) as caught:
-        replace(study, hardware=hardware, experiment_timeout=0.2).experiment(THETA, np.random.default_rng(1))
+        replace(study, hardware=hardware, conditions=Conditions(0.2)).experiment(
+            THETA, np.random.default_rng(1)
+        )
     return str(caught.value), time.monotonic() - begun
 
 
@@ -225,7 +228,7 @@ def test_an_interruption_stops_the_hardware(point_mass: Study, monkeypatch: pyte
     monkeypatch.setattr(experiments._Call, "ended", interrupted)
     hardware = Doing(point_mass.hardware, wait)
     with pytest.raises(KeyboardInterrupt):
-        replace(point_mass, hardware=hardware, experiment_timeout=30.0).experiment(
+        replace(point_mass, hardware=hardware, conditions=Conditions(30.0)).experiment(
             THETA, np.random.default_rng(1)
         )
     assert hardware.stopped.is_set()

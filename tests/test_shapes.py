@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from robots import overrides
 
 import simbias
 from simbias.config import options
@@ -19,7 +20,7 @@ from simbias.trial import Outcome, run_trial
 
 SHORT = ["tracking=none", "task.horizon=60", "optimizer.max_evaluations=40", "method.max_iterations=2"]
 CHOICES = [
-    [f"{group}={option}"]
+    overrides(group, option)
     for group, names in options().items()
     if group in ("preset", "policy", "nominal", "bias", "evaluation", "samples")
     for option in names

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.config.errors import ConfigError
+from simbias.config.files import check_file
 from simbias.messages import quote, words
 
 OWN = "simbias"
@@ -54,6 +55,7 @@ def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
 
 def _of_file(file: Path) -> list[str]:
     """What a folder's file allows; nothing if there is none."""
+    check_file(file)
     if not file.is_file():
         return []
     from omegaconf import OmegaConf  # lazily: --help needs none
@@ -84,21 +86,21 @@ def beside(config: Any, folders: Sequence[Path]) -> tuple[str, ...]:
     No deeper: an environment with everything that is installed may lie there too.
     """
     homes = {home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())}
-    names = {str(target).partition(".")[0] for target in _targets(config)} - {OWN}
+    names = {str(target).partition(".")[0] for target in targets(config)} - {OWN}
     return tuple(sorted(name for name in names if homes and _homes(name) and _homes(name) <= homes))
 
 
-def _targets(config: Any) -> Iterator[Any]:
+def targets(config: Any) -> Iterator[Any]:
     """All classes that a config names, anywhere in it."""
     if isinstance(config, Mapping):
         for key, value in config.items():
             if key == TARGET:
                 yield value
             else:
-                yield from _targets(value)
+                yield from targets(value)
     elif isinstance(config, list):
         for value in config:
-            yield from _targets(value)
+            yield from targets(value)
 
 
 def _homes(name: str) -> set[Path]:

@@ -8,15 +8,20 @@ from pydantic import PositiveFloat
 
 from simbias.config.components import construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
+from simbias.config.conditions import HARDWARE, conditions, split
 from simbias.config.errors import ConfigError
 from simbias.config.identity import LATER
 from simbias.config.memory import check_memory
 from simbias.config.numbers import Seed
 from simbias.interfaces import Task
-from simbias.study import Study
+from simbias.study import HeldOut, Study
 
-NO_COMPONENTS = ("seed", "experiment_timeout", "composition")
-VALUES = {"seed": Required[Seed], "experiment_timeout": NotRequired[PositiveFloat | None]}
+NO_COMPONENTS = ("seed", "conditions", "held_out", "composition")
+VALUES = {
+    "seed": Required[Seed],
+    "experiment_timeout": NotRequired[PositiveFloat | None],
+    "held_out": NotRequired[HeldOut],
+}
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
 
@@ -33,19 +38,27 @@ def build(composition: Composition) -> Study:
     config = {**LATER, **composition.config}
     contracts = {k: v for k, v in get_type_hints(Study).items() if k not in NO_COMPONENTS}
     for key in config:
-        if key not in contracts and key not in (*NO_COMPONENTS, *BESIDE_STUDIES):
+        if key not in contracts and key not in (*VALUES, *BESIDE_STUDIES):
             raise ConfigError(key, f"no such group; there are {', '.join([*contracts, *BESIDE_STUDIES])}")
     for key in (*contracts, "seed"):
         if key not in config:
             raise ConfigError(key, "missing")
     values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
+    timeout = values.pop("experiment_timeout", None)
     allowed = composition.allowed
     task = construct(config["task"], Task, "task", allowed)
+    config[HARDWARE], _ = split(whole := config[HARDWARE])
     components = {
         group: construct(config[group], contract, group, allowed, task=task)
         for group, contract in contracts.items()
         if group != "task"
     }
-    study = Study(task=task, **components, **values, composition=composition)
+    study = Study(
+        task=task,
+        **components,
+        **values,
+        composition=composition,
+        conditions=conditions(whole, task, timeout),
+    )
     check_memory(study)
     return study

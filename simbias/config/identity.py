@@ -19,6 +19,7 @@ from simbias.config.components import (
     constructor_arguments,
     constructor_parameters,
 )
+from simbias.config.conditions import HARDWARE, safety, split
 
 SCHEME = 2  # of identities: raised when all of them change
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
@@ -40,10 +41,14 @@ def essence(
     relevant = {
         key: value for key, value in config.items() if key not in left_out and value != LATER.get(key)
     }
-    return {
+    limits = safety(relevant.get(HARDWARE, {}))
+    if HARDWARE in relevant:
+        relevant[HARDWARE], _ = split(relevant[HARDWARE])
+    found = {
         key: _component(value, key, allowed) if _is_component(value) else value
         for key, value in relevant.items()
     }
+    return {**found, "safety": _plain(limits)} if limits.limits else found
 
 
 def digest(essence: Mapping[str, Any]) -> str:

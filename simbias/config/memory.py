@@ -37,7 +37,8 @@ def needed_bytes(study: Study) -> int:
     """What a trial takes at least: a recorded experiment, and the noise of a search, which is joined once."""
     task = study.task
     width = len(task.states) + len(task.inputs)
-    return BYTES * width * (task.horizon + 1) * (1 + 2 * study.evaluation.noisy_rollouts)
+    noise = 2 * study.evaluation.noisy_rollouts * ((study.evaluation.horizon or task.horizon) + 1)
+    return BYTES * width * (task.horizon + 1 + noise)
 
 
 def machine_bytes() -> int | None:

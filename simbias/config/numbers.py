@@ -6,14 +6,16 @@ physics engine dies, or a trial never ends.
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 # What is counted.
 Count = Annotated[int, Field(gt=0, le=10_000)]  # iterations, experiments, rollouts, points
 CountOrZero = Annotated[int, Field(ge=0, le=10_000)]
-Frames = Annotated[int, Field(gt=0, le=10**7)]  # 3 h of milliseconds
+MOST_FRAMES = 10**7  # 3 h of milliseconds
+Frames = Annotated[int, Field(gt=0, le=MOST_FRAMES)]
 EvaluationCount = Annotated[int, Field(gt=0, le=10**9)]
 Steps = Annotated[int, Field(gt=0, le=10**15)]  # of simulation
 Population = Annotated[int, Field(ge=2, le=10_000)]
@@ -35,6 +37,31 @@ SlopeSpread = Annotated[float, Field(ge=0, le=1)]  # rad
 Lag = Annotated[float, Field(ge=0, le=10)]  # s, also of a delay
 Rate = Annotated[float, Field(gt=0, le=1e6)]  # rad/s
 Variance = Annotated[float, Field(ge=0, le=1e6)]  # in the square of any unit
+
+SPAN = r"\d{1,7}(\.\d{1,9})? ?m?s"  # as text: 40 ms, 0.2 s
+
+
+def _check_span(value: Any) -> Any:
+    """Refuse what is neither a number of frames nor a duration with its unit."""
+    if isinstance(value, str) and re.fullmatch(SPAN, value):
+        return value
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError("must be a number of frames, or a duration as 40 ms or 0.2 s")
+    if not 0 < value <= MOST_FRAMES:
+        raise ValueError(f"must be from 1 to {MOST_FRAMES} frames")
+    return value
+
+
+Span = Annotated[Frames | str, BeforeValidator(_check_span)]  # frames, or a duration
+
+
+def frames_in(span: Span, time_step: float) -> int:
+    """Frames of `time_step` s in a span: the nearest number, and one at least."""
+    if isinstance(span, int):
+        return span
+    number, unit = span.rstrip("ms"), 1e-3 if span.endswith("ms") else 1.0
+    return max(1, round(float(number) * unit / time_step))
+
 
 # What has none, or any.
 Share = Annotated[float, Field(gt=0, le=1)]

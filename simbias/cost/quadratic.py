@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -45,8 +46,18 @@ class Quadratic(Cost):
         self._failure_weight = failure_weight
         self._R = _diagonal("state_weights", state_weights, task.states)  # (n,)
         self._Q = _diagonal("input_weights", input_weights, task.inputs)  # (m,)
-        self.kernel = Kernel(_peak_and_effort, np.concatenate([self._R, self._Q]))
+        self.kernel: Kernel = Kernel(_peak_and_effort, np.concatenate([self._R, self._Q]))
         self.totals = 2
+
+    def with_horizon(self, horizon: int) -> Quadratic:
+        """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
+
+        Otherwise the effort would grow with the horizon, the peak would not, and another policy be the best.
+        """
+        longer = copy(self)
+        longer._horizon, longer._Q = horizon, self._Q * (self._horizon / horizon)
+        longer.kernel = Kernel(self.kernel.function, np.concatenate([longer._R, longer._Q]))
+        return longer
 
     def of(self, rollout: Rollout) -> float:
         """Z of a rollout (Eq. 8)."""

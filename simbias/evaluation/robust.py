@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from simbias.config.numbers import Count, Share
+from simbias.config.numbers import Count, Seconds, Share
 from simbias.interfaces import Cost, Evaluation, Model, Objective, Simulator, Task
 from simbias.records import Array, Indices
 from simbias.simulation.closed_loop import join, simulator
@@ -88,6 +88,8 @@ class Robust(Evaluation):
         The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
     screening
         After so many rollouts, a policy that failed in all of them is not simulated any further.
+    seconds
+        That the rollouts take at most, so that policies are found that last; None is the task's horizon.
     """
 
     def __init__(
@@ -101,7 +103,11 @@ class Robust(Evaluation):
         sample_nominal: bool = False,
         sample_bias: bool = False,
         screening: Count = 2,
+        seconds: Seconds | None = None,
     ) -> None:
+        if seconds is not None:
+            task = task.with_horizon(task.frames(seconds))
+            self.horizon = task.horizon
         self._task = task
         self._rollouts = rollouts
         self._noise = Noise(task, noise)
@@ -114,6 +120,8 @@ class Robust(Evaluation):
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
         """The aggregated cost in scenarios that are drawn here, once."""
+        if self.horizon is not None:
+            model, cost = replace(model, task=self._task), cost.with_horizon(self.horizon)
         scenarios = [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self._rollouts)]
         return CostOfScenarios(scenarios, cost, self._worst, self._screening)
 

@@ -9,14 +9,17 @@ import numpy as np
 from pydantic import Field
 
 from simbias.config.numbers import Count
+from simbias.hardware.pymunk_gaps import NO_GAPS, Gaps
 from simbias.hardware.pymunk_world import Feet, World
 from simbias.interfaces import Hardware, HardwareError, Policy
 from simbias.records import Array, Rollout
+from simbias.simulation.actuator import Actuators, Drive
 from simbias.simulation.noise import QUIET, Noise, Variances
+from simbias.simulation.sensor import Sensor
 from simbias.task.bongoboard import Bongoboard
 
 Record = Literal["true_state", "measured"]
-Gap = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
+Depth = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
 
 BLOW_UP = "physics_engine_blew_up"
 _ABSURD = 1e3  # rad, rad/s: no body gets there within a frame but by numerical instability
@@ -46,6 +49,8 @@ class PymunkBongoboard(Hardware):
         How deep, in m, bodies in contact may overlap.
     detachment
         Gap, in m, above which the board has left the wheel; contacts flicker below it.
+    gaps
+        What it has and its model has not (`Gaps`). Noise on the torque passes the motor, too.
     """
 
     def __init__(
@@ -56,8 +61,9 @@ class PymunkBongoboard(Hardware):
         noise: Variances = QUIET,
         record: Record = "true_state",
         iterations: Count = 50,
-        overlap: Gap = 1e-4,
-        detachment: Gap = 1e-3,
+        overlap: Depth = 1e-4,
+        detachment: Depth = 1e-3,
+        gaps: Gaps = NO_GAPS,
     ) -> None:
         self._task = task
         self._scale = 1.0 + inertia_error
@@ -67,6 +73,9 @@ class PymunkBongoboard(Hardware):
         self._iterations = iterations
         self._overlap = overlap
         self._detachment = detachment
+        self._gaps = gaps
+        self._motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
+        self._sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """One experiment with theta (p,) from start (6,); its cost is not set."""
@@ -77,32 +86,33 @@ class PymunkBongoboard(Hardware):
         states, inputs = np.empty((horizon + 1, n)), np.empty((horizon, m))
         measured = np.empty_like(states)
         states[0] = start
-        measured[0] = start + noise.sensors[0]
+        measured[0] = self._sensor.read(states, 0) + noise.sensors[0]
         failure = self._task.failure(states[0])
         if failure is not None:
             return self._record(states[:1], inputs[:0], measured[:1], failure)
         world = self.build(states[0])
-        controller = policy.controller(theta, self._task.time_step)
+        controller, motor = policy.controller(theta, self._task.time_step), Drive(self._motor)
         t = 0
         while failure is None and t < horizon:
             inputs[t] = controller(measured[t])
             torque = float(inputs[t, 0])
             if not math.isfinite(torque):
                 raise HardwareError(f"in frame {t} the policy asks for a torque of {torque}")
-            world.step(torque + noise.inputs[t, 0], self._task.time_step)
+            (acting,) = motor((torque + noise.inputs[t, 0],))
+            world.step(acting, self._task.time_step)
             x = world.state()
             if not all(abs(value) <= _ABSURD for value in x):
                 failure = BLOW_UP  # x is no state; the record ends with the one before
                 break
             t += 1
             states[t] = x
-            measured[t] = states[t] + noise.sensors[t]
+            measured[t] = self._sensor.read(states, t) + noise.sensors[t]
             failure = self._failure(states[t], world)
         return self._record(states[: t + 1], inputs[:t], measured[: t + 1], failure)
 
     def build(self, start: Array) -> World:
         """The engine's world at a start (6,), as an experiment begins with it."""
-        return World(self._task, start, self._scale, self._feet, self._iterations, self._overlap)
+        return World(self._task, start, self._scale, self._feet, self._iterations, self._overlap, self._gaps)
 
     def _record(self, states: Array, inputs: Array, measured: Array, failure: str | None) -> Rollout:
         """The record of states (k+1, 6), true and measured, and inputs (k, 1), up to failure or horizon."""

@@ -10,8 +10,21 @@ import math
 from typing import Literal
 
 import numpy as np
-from pymunk import Body, Circle, PivotJoint, Poly, Segment, Shape, ShapeFilter, Space
+from pymunk import (
+    Body,
+    Circle,
+    Constraint,
+    PivotJoint,
+    Poly,
+    RotaryLimitJoint,
+    Segment,
+    Shape,
+    ShapeFilter,
+    SimpleMotor,
+    Space,
+)
 
+from simbias.hardware.pymunk_gaps import NO_GAPS, Gaps
 from simbias.records import Array
 from simbias.task.bongoboard import Bongoboard, Robot
 
@@ -21,32 +34,49 @@ Feet = Literal["plate", "separate", "fixed"]
 ERROR_LEFT = 0.8**1000  # of an error in joints or contacts after 1 s: 20% are corrected in each millisecond
 SETTLING_STEPS = 20  # of the first frame, repeated: the solver goes on from the forces it last found
 
+ROTORS = "left rotor", "right rotor"  # of the motors, where there is play between them and the legs
+
 # What touches what; legs and pelvis have no shape.
 _FLOOR, _WHEEL, _BOARD, _FOOT = 1, 2, 4, 8
 _TOUCHES = {_FLOOR: _WHEEL | _BOARD, _WHEEL: _FLOOR | _BOARD, _BOARD: _FLOOR | _WHEEL | _FOOT, _FOOT: _BOARD}
 _FLOOR_END = 10.0  # m, on either side
+_ROTOR_MASS = 1e-3  # kg; what the motors weigh is in the legs
 
 
 class World:
     """The engine's world in the pose and motion of a start (6,), contact forces found; one per experiment."""
 
     def __init__(
-        self, task: Bongoboard, start: Array, scale: float, feet: Feet, iterations: int, overlap: float
+        self,
+        task: Bongoboard,
+        start: Array,
+        scale: float,
+        feet: Feet,
+        iterations: int,
+        overlap: float,
+        gaps: Gaps = NO_GAPS,
     ) -> None:
         self._robot = robot = task.robot
         self._space = space = Space()
-        space.gravity = (0.0, -robot.gravity)
+        space.gravity = (-robot.gravity * math.sin(gaps.slope), -robot.gravity * math.cos(gaps.slope))
         space.iterations = iterations
         space.collision_slop = overlap
         space.collision_bias = ERROR_LEFT
-        self.bodies = bodies = {n: Body(*inertia) for n, inertia in inertias(robot, feet, scale).items()}
-        motion = _motion(task, start, feet, overlap)
+        self.bodies = bodies = {
+            name: Body(*inertia) for name, inertia in inertias(robot, feet, scale, gaps).items()
+        }
+        motion = _motion(task, start, feet, overlap, gaps, scale)
         _put(bodies, motion)
         self._wheel, self._board = bodies["wheel"], bodies["board"]
         self._legs = bodies["left leg"], bodies["right leg"]
         self._feet = [bodies[name] for name in sorted(set(_below_legs(feet)))]
+        self._ankles = list(zip(self._legs, (bodies[name] for name in _below_legs(feet)), strict=True))
+        self._driven = [bodies[name] for name in ROTORS] if gaps.backlash else list(self._legs)
+        self._damping, self._stiffness = gaps.ankle_damping / 2, gaps.ankle_stiffness / 2  # of each ankle
         space.add(*bodies.values())
-        space.add(*_joints(robot, bodies, feet))
+        space.add(*_joints(robot, bodies, feet), *self._friction(gaps))
+        if gaps.backlash:
+            space.add(*_gears(bodies, gaps.backlash))
         space.add(*_shapes(robot, bodies, feet, space.static_body))
         for _ in range(SETTLING_STEPS):
             space.step(task.time_step)
@@ -54,10 +84,16 @@ class World:
 
     def step(self, torque: float, duration: float) -> None:
         """Let the engine make one step of so many seconds under an ankle torque (N m), half on each leg."""
-        for leg in self._legs:
-            leg.torque = torque / 2
+        for body in self._driven:
+            body.torque = torque / 2
         for foot in self._feet:
             foot.torque = -torque / len(self._feet)
+        if self._damping or self._stiffness:
+            for leg, foot in self._ankles:
+                moment = self._damping * (foot.angular_velocity - leg.angular_velocity)
+                moment += self._stiffness * (foot.angle - leg.angle)
+                leg.torque += moment
+                foot.torque -= moment
         self._space.step(duration)
 
     def state(self) -> tuple[float, float, float, float, float, float]:
@@ -74,6 +110,17 @@ class World:
             (left.angular_velocity + right.angular_velocity) / 2 - d_phi,
         )
 
+    def _friction(self, gaps: Gaps) -> list[Constraint]:
+        """Dry friction at the ankles and below the wheel: motors that brake, as strong as that."""
+        brakes = [(leg, foot, gaps.ankle_friction / 2) for leg, foot in self._ankles]
+        brakes.append((self._wheel, self._space.static_body, gaps.rolling_resistance))
+        motors: list[Constraint] = []
+        for a, b, strength in brakes:
+            if strength:
+                motors.append(SimpleMotor(a, b, 0.0))
+                motors[-1].max_force = strength
+        return motors
+
     def contact(self) -> tuple[float, float]:
         """Depth (m) of the board's lowest corner in the floor, and gap (m) between wheel and board."""
         robot, board = self._robot, self._board
@@ -87,8 +134,13 @@ class World:
         return depth, distance - robot.wheel_radius
 
 
-def inertias(robot: Robot, feet: Feet, scale: float = 1.0) -> dict[str, tuple[float, float]]:
-    """Mass (kg) and moment of inertia about the centre (kg m^2) of every body, times the scale."""
+def inertias(
+    robot: Robot, feet: Feet, scale: float = 1.0, gaps: Gaps = NO_GAPS
+) -> dict[str, tuple[float, float]]:
+    """Mass (kg) and moment of inertia about the centre (kg m^2) of every body.
+
+    Those of the robot are multiplied by the scale. A payload is one body with the pelvis.
+    """
     leg = _bar(robot.leg_mass, robot.leg_length, 0.0)
     bodies = {
         "wheel": (robot.wheel_mass, robot.wheel_mass * robot.wheel_radius**2 / 2),
@@ -102,10 +154,25 @@ def inertias(robot: Robot, feet: Feet, scale: float = 1.0) -> dict[str, tuple[fl
         bodies |= {"left foot": foot, "right foot": foot}
     else:
         bodies["foot"] = _bar(robot.foot_mass, robot.foot_length, robot.ankle_height)
-    return {name: (scale * mass, scale * inertia) for name, (mass, inertia) in bodies.items()}
+    scaled = {name: (scale * mass, scale * inertia) for name, (mass, inertia) in bodies.items()}
+    if gaps.payload_mass:
+        mass, inertia = scaled["pelvis"]
+        both = mass + gaps.payload_mass
+        apart = gaps.payload_x**2 + gaps.payload_y**2
+        scaled["pelvis"] = both, inertia + mass * gaps.payload_mass / both * apart
+    if gaps.backlash:
+        scaled |= dict.fromkeys(ROTORS, (_ROTOR_MASS, gaps.rotor_inertia / 2))
+    return scaled
 
 
-def places(task: Bongoboard, angles: Array, feet: Feet, overlap: float = 0.0) -> dict[str, Array]:
+def places(
+    task: Bongoboard,
+    angles: Array,
+    feet: Feet,
+    overlap: float = 0.0,
+    gaps: Gaps = NO_GAPS,
+    scale: float = 1.0,
+) -> dict[str, Array]:
     """Centre (x, y) and global angle of every body, (3,), at (alpha_w, alpha_b, theta), real or complex.
 
     Bodies in contact overlap by half of what they may, so that they touch from the first frame on.
@@ -116,6 +183,9 @@ def places(task: Bongoboard, angles: Array, feet: Feet, overlap: float = 0.0) ->
     aside = spacing / 2 * np.array([np.cos(phi), np.sin(phi)])
     foot = pose.ankles - robot.ankle_height / 2 * np.array([-np.sin(phi), np.cos(phi)])
     leg = (pose.ankles + pose.pelvis) / 2
+    share = gaps.payload_mass / (gaps.payload_mass + scale * robot.pelvis_mass)
+    x, y = share * gaps.payload_x, share * gaps.payload_y
+    pelvis = pose.pelvis + np.array([x * np.cos(phi) - y * np.sin(phi), x * np.sin(phi) + y * np.cos(phi)])
     bodies = {  # centre, angle, contacts below
         "wheel": (pose.wheel, pose.wheel_angle, 1),
         "board": (pose.board, phi, 2),
@@ -124,7 +194,9 @@ def places(task: Bongoboard, angles: Array, feet: Feet, overlap: float = 0.0) ->
         "right foot": (foot + aside, phi, 3),
         "left leg": (leg - aside, pose.leg_angle, 3),
         "right leg": (leg + aside, pose.leg_angle, 3),
-        "pelvis": (pose.pelvis, phi, 3),
+        "pelvis": (pelvis, phi, 3),
+        "left rotor": (leg - aside, pose.leg_angle, 3),
+        "right rotor": (leg + aside, pose.leg_angle, 3),
     }
     return {
         name: np.array([x, y - contacts * overlap / 2, angle])
@@ -132,10 +204,12 @@ def places(task: Bongoboard, angles: Array, feet: Feet, overlap: float = 0.0) ->
     }
 
 
-def _motion(task: Bongoboard, start: Array, feet: Feet, overlap: float) -> dict[str, tuple[Array, Array]]:
+def _motion(
+    task: Bongoboard, start: Array, feet: Feet, overlap: float, gaps: Gaps, scale: float
+) -> dict[str, tuple[Array, Array]]:
     """Place and velocity of every body, (3,) each, at a start (6,)."""
     h = 1e-30  # complex step: the velocities are exact
-    placed = places(task, start[:3] + 1j * h * start[3:], feet, overlap)
+    placed = places(task, start[:3] + 1j * h * start[3:], feet, overlap, gaps, scale)
     return {name: (place.real, place.imag / h) for name, place in placed.items()}
 
 
@@ -159,6 +233,17 @@ def _joints(robot: Robot, bodies: dict[str, Body], feet: Feet) -> list[PivotJoin
         board, plate = bodies["board"], bodies["foot"]
         for end in (-half_foot, half_foot):
             joints.append(PivotJoint(board, plate, plate.local_to_world((end, -half_height))))
+    for joint in joints:
+        joint.error_bias = ERROR_LEFT
+    return joints
+
+
+def _gears(bodies: dict[str, Body], backlash: float) -> list[Constraint]:
+    """Rotors that turn about the legs' centres, as far as the play goes."""
+    joints: list[Constraint] = []
+    for leg, rotor in ((bodies["left leg"], bodies[ROTORS[0]]), (bodies["right leg"], bodies[ROTORS[1]])):
+        joints.append(PivotJoint(leg, rotor, (0.0, 0.0), (0.0, 0.0)))
+        joints.append(RotaryLimitJoint(leg, rotor, -backlash / 2, backlash / 2))
     for joint in joints:
         joint.error_bias = ERROR_LEFT
     return joints

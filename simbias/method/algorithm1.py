@@ -33,6 +33,9 @@ class Algorithm1(Method):
     retry_search
         How often a search that does not end satisfactorily is made again before hardware is spent on its
         policy.
+    passes
+        Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
+        those beyond are made only as long as all are passed.
     satisfactory_cost
         Predicted cost Z below which a search has ended satisfactorily; None is Z_max.
     warm_start
@@ -51,10 +54,14 @@ class Algorithm1(Method):
         retry_search: CountOrZero = 0,
         satisfactory_cost: Positive | None = None,
         warm_start: bool = False,
+        passes: Count | None = None,
         by_evidence: bool = False,
     ) -> None:
+        if passes is not None and passes < experiments:
+            raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
         self.max_iterations = max_iterations
-        self.max_experiments = max_iterations * experiments
+        self._passes = passes or experiments
+        self.max_experiments = max_iterations * self._passes
         self._experiments = experiments
         self._keep_data = keep_data
         self._stop_at_failure = stop_at_failure
@@ -85,9 +92,8 @@ class Algorithm1(Method):
             if reset:
                 data, taught = study.no_data, []  # 7
             with clock("experiments"):
-                rollouts = experiment(
-                    study, theta, hardware_rng, observer, self._experiments, self._stop_at_failure
-                )  # 9
+                least = 1 if self._stop_at_failure else self._experiments
+                rollouts = experiment(study, theta, hardware_rng, observer, self._passes, least)  # 9
             experiments += rollouts
             succeeded = all(map(study.cost.passes, rollouts))  # 10
             evidence: dict[str, float] = {}

@@ -11,9 +11,9 @@ For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
         artists["arm"].set_alpha(0.4 if muted else 1.0)
 
 `draw` is all that snapshots need; animations need `move` too; `draws(task)`, if there is one, says whether
-this task can be drawn at all. All lengths are in one unit, so that all pictures of a trial have one scale. A task
-that is declared in YAML declares its drawing there (`simbias.task.declared`). A task without a drawing has all
-other pictures; its overview lacks the snapshots.
+this task can be drawn at all. All lengths are in one unit, so that all pictures of a trial have one scale. A
+task that is declared in YAML declares its drawing there (`simbias.task.declared`). A task without a drawing
+has all other pictures; its overview lacks the snapshots.
 """
 
 from __future__ import annotations

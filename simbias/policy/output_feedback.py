@@ -8,7 +8,8 @@ from typing import Annotated, final
 import numpy as np
 from pydantic import Field
 
-from simbias.interfaces import Controller, Kernel, Policy, Task
+from simbias.interfaces import Controller, Kernel, Law, Policy, Task
+from simbias.policy.gains import signed_exponential
 from simbias.records import Array
 
 
@@ -41,7 +42,7 @@ class OutputFeedback(Policy):
 
     def gains(self, theta: Array) -> Array:
         """Gain matrices H (..., m, q) of the parameters h-hat (..., m q) (Eq. 10)."""
-        h = np.sign(theta) * np.expm1(np.abs(theta))
+        h = signed_exponential(theta)
         return h.reshape(*h.shape[:-1], len(self._task.inputs), len(self._task.outputs))
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
@@ -53,6 +54,13 @@ class OutputFeedback(Policy):
     def controller(self, theta: Array, time_step: float) -> Controller:
         """The law with its gains computed once."""
         return _Loop(self, theta, self._task.input_limit)
+
+    def law(self, theta: Array) -> Law:
+        """Eq. 9, its gains in the task's units: a row for each input, a column for each output."""
+        return Law(
+            "u = H z, cut off at the inputs' limits; rows of H: inputs, columns: outputs",
+            {"H": self.gains(theta)},
+        )
 
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""

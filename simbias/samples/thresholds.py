@@ -9,17 +9,17 @@ from typing import Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from simbias.config.numbers import Frames, Positive
+from simbias.config.numbers import Positive, Span, frames_in
 from simbias.interfaces import Nominal, Samples, Task
 from simbias.records import Array, Rollout, Selection, Transitions
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Of how many frames a sample is the weighted mean."""
+    """Of how many frames, or how long a time (`70 ms`), a sample is the weighted mean."""
 
-    true_state: Frames = 1
-    measured: Frames = 71
+    true_state: Span = 1
+    measured: Span = 71
 
 
 _WINDOWS = Windows()
@@ -53,12 +53,14 @@ class Thresholds(Samples):
 
     Parameters
     ----------
+    stride
+        Between samples: frames, or a duration as `40 ms`, which is rounded to whole frames.
     limits
         Those of the task's criteria by name; a criterion that is not named keeps the task's own.
     residual
-        Limit of criterion 7.
+        Limit of criterion 7; None rejects no outlier.
     window
-        Frames of a sample, for either kind of recorded states.
+        Length of a sample, for either kind of recorded states: frames, or a duration.
     selection
         "stride", or "information": as many samples, and as many rejected, but among all that keep the limits
         those that lie farthest from each other.
@@ -67,9 +69,9 @@ class Thresholds(Samples):
     def __init__(
         self,
         task: Task,
-        stride: Frames = 35,
+        stride: Span = 35,
         limits: Mapping[str, Positive] | None = None,
-        residual: Positive = 0.01,
+        residual: Positive | None = 0.01,
         window: Windows = _WINDOWS,
         selection: Literal["stride", "information"] = "stride",
     ) -> None:
@@ -78,10 +80,11 @@ class Thresholds(Samples):
         if unknown:
             raise ValueError(f"limits names no criterion of the task: {', '.join(unknown)}; it has {names}")
         self._task = task
-        self._stride = stride
+        self._stride = frames_in(stride, task.time_step)
         self._limits = {c.name: c.limit for c in task.criteria} | dict(limits or {})
-        self._residual = residual
-        self._window = window
+        self._residual = np.inf if residual is None else residual
+        self._true_state = frames_in(window.true_state, task.time_step)
+        self._measured = frames_in(window.measured, task.time_step)
         self._selection = selection
 
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
@@ -94,12 +97,28 @@ class Thresholds(Samples):
             transitions = self._spread(self._union(candidates), len(transitions))
         frames = sum(rollout.frames for rollout in rollouts)
         rejected = {name: verdicts.count(name) for name in (*self._limits, "residual")}
-        return Selection(transitions, frames, len(verdicts), rejected)
+        return Selection(transitions, frames, len(verdicts), rejected, self._why_none(rollouts))
+
+    def _window_of(self, rollout: Rollout) -> int:
+        """Frames of its samples."""
+        return self._measured if rollout.sensed else self._true_state
+
+    def _why_none(self, rollouts: Sequence[Rollout]) -> str:
+        """That no rollout is as long as one sample, if so."""
+        if not rollouts or any(rollout.frames >= self._window_of(rollout) for rollout in rollouts):
+            return ""
+        longest = max(rollouts, key=lambda rollout: rollout.frames)
+        key = "measured" if longest.sensed else "true_state"
+        window = self._window_of(longest)
+        return (
+            f"the longest experiment has {longest.frames} frames, fewer than the {window} of one sample "
+            f"({window * self._task.time_step:g} s, samples.window.{key})"
+        )
 
     def _candidates(self, rollout: Rollout, nominal: Nominal) -> _Candidates:
         """The samples that begin at each frame."""
         states, inputs = rollout.states, rollout.inputs
-        window = self._window.measured if rollout.sensed else self._window.true_state
+        window = self._window_of(rollout)
         if rollout.frames < window:
             nothing = Transitions.empty(states.shape[1], inputs.shape[1])
             return _Candidates(nothing.inputs, nothing.residuals, [])

@@ -22,6 +22,7 @@ from simbias.simulation.compilation import compiled_as
 from simbias.simulation.kernels import elementwise
 
 MOST_TAPS = 100  # frames of delay that a model may remember
+_SHORT = 5  # turns of a loop
 
 
 class Actuator(NamedTuple):
@@ -51,15 +52,15 @@ def taps_of(delay: float, time_step: float) -> int:
 class Actuators:
     """The actuators of all inputs of a robot, whose delays are at most `taps` frames.
 
-    A fraction of a frame is interpolated between the frames beside it, so what acts is continuous in the
-    delay. A lag is exact for an input that is constant in each frame; what acts in a frame is the lag's
-    value at its end, so that no lag is no delay.
+    Whole frames are exact. A fraction of one is interpolated between the frames beside it, so what acts is
+    continuous in the delay. A lag is exact for an input that is constant in each frame; what acts in a frame
+    is the lag's value at its end, so that no lag is no delay.
     """
 
     def __init__(self, actuators: Sequence[Actuator], time_step: float, taps: int) -> None:
         self._taps = taps
         keep = [math.exp(-time_step / a.lag) if a.lag > 0 else 0.0 for a in actuators]
-        frames = [min(a.delay / time_step, taps) for a in actuators]
+        frames = [min(round(a.delay / time_step, 9), taps) for a in actuators]
         weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
         self._parameters = np.column_stack([columns, keep, weights])  # (m, 5 + taps)
@@ -129,9 +130,23 @@ def _earlier(values: Array, frames: int) -> Array:
 
 
 def _sum(weights: int, values: int, count: int) -> Callable:
-    """The sum of so many products, of weights and values from these indices on, written out for the lanes."""
-    products = [f"parameters[{weights + j}] * memory[{values + j}]" for j in range(count)]
-    return eval(f"lambda parameters, memory: {' + '.join(products) or '0.0'}")
+    """The sum of so many products, of weights and values from these indices on.
+
+    A loop that is not short would not be written out, and keep all out of the lanes.
+    """
+    if count > _SHORT:
+        half = count // 2
+        some, others = _sum(weights, values, half), _sum(weights + half, values + half, count - half)
+        return lambda p, m: some(p, m) + others(p, m)
+
+    def products(p, m):
+        """Those of a short loop."""
+        total = 0.0
+        for j in range(count):
+            total = total + p[weights + j] * m[values + j]
+        return total
+
+    return products
 
 
 @lru_cache(maxsize=64)

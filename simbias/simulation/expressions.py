@@ -94,8 +94,8 @@ class Expressions:
         where: Mapping[str, str] | None = None,
     ) -> None:
         writer = _Writer(variables, {**CONSTANTS, **(constants or {})})
-        lines = [writer.assignment(name, text) for name, text in (where or {}).items()]
-        values = [writer.written(name, text) for name, text in expressions.items()]
+        lines = [writer.assign(name, text) for name, text in (where or {}).items()]
+        values = [writer.write(name, text) for name, text in expressions.items()]
         lines.append(f"return ({''.join(f'{value}, ' for value in values)})")
         text = "def expressions(x, p):\n    " + "\n    ".join(lines) + "\n"
         names = {"np": np, "sincos": sincos, "lesser": lesser, "greater": greater}
@@ -117,13 +117,13 @@ class _Writer:
         for name, value in constants.items():
             self._add(name, self._number(value))
 
-    def assignment(self, name: str, text: str) -> str:
+    def assign(self, name: str, text: str) -> str:
         """A line that gives an expression a name for those after it."""
-        line = f"v{len(self._names)} = {self.written(name, text)}"
+        line = f"v{len(self._names)} = {self.write(name, text)}"
         self._add(name, line.partition(" = ")[0])
         return line
 
-    def written(self, name: str, text: str) -> str:
+    def write(self, name: str, text: str) -> str:
         """An expression, in Python."""
         try:
             parsed = ast.parse(text.strip(), mode="eval").body

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.interfaces import Cost, Model
+from simbias.interfaces import Cost, Model, failure_name
 from simbias.records import Array, Disturbance, Indices, Rollout
 
 MOST = 256  # rollouts side by side: their records take memory
@@ -64,7 +64,7 @@ class PlainSimulator:
             seen, unknown = self._noise(x, own, t)
             inputs[going, t], memory = policy.act(thetas[going], seen, t * task.time_step, memory)
             u = inputs[going, t] + unknown
-            f, hidden = self._advanced(x, u, hidden, own)
+            f, hidden = self._advance(x, u, hidden, own)
             g = self._by_world([model.bias.correction for model in self.models], x, u, own)
             states[going, t + 1] = f + g
         return [self._record(*each) for each in zip(states, inputs, frames, violated, strict=True)]
@@ -78,14 +78,17 @@ class PlainSimulator:
             worlds
         ]
 
-    def _advanced(self, x: Array, u: Array, hidden: Array, worlds: Indices) -> tuple[Array, Array]:
+    def _advance(self, x: Array, u: Array, hidden: Array, worlds: Indices) -> tuple[Array, Array]:
         """What each world's nominal model makes of its rows, and what it then keeps (k, s)."""
+        models = [model.nominal for model in self.models]
+        if models[0].batched and all(type(model) is type(models[0]) for model in models):
+            return models[0].step_in_worlds(models, x, u, worlds), hidden
         if not hidden.shape[1]:
-            return self._by_world([model.nominal.step for model in self.models], x, u, worlds), hidden
+            return self._by_world([model.step for model in models], x, u, worlds), hidden
         f, kept = np.empty_like(x), np.empty_like(hidden)
         for world in np.unique(worlds):
             rows = worlds == world
-            f[rows], kept[rows] = self.models[world].nominal.advance(x[rows], u[rows], hidden[rows])
+            f[rows], kept[rows] = models[world].advance(x[rows], u[rows], hidden[rows])
         return f, kept
 
     def _by_world(
@@ -108,12 +111,18 @@ class PlainSimulator:
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
     """Costs (k,) of rollouts, and their frames (k,)."""
     frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
-    return np.array([cost.of(rollout) for rollout in rollouts]), frames
+    costs = np.array([cost.of(rollout) for rollout in rollouts])
+    if not np.isfinite(costs).all():
+        got = costs[~np.isfinite(costs)][0]
+        raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
+    return costs, frames
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
     """The record of a rollout that a criterion ended after so many frames, or the horizon if it is -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
     return (
-        Rollout(states, inputs) if violated < 0 else Rollout(states, inputs, frames, criteria[violated].name)
+        Rollout(states, inputs)
+        if violated < 0
+        else Rollout(states, inputs, frames, failure_name(criteria, violated))
     )

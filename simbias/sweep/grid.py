@@ -24,12 +24,15 @@ SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by c
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [
         *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
-        *("run_id", "trials", "succeeded", "mean", "low", "high", "paper"),
+        *("hardware_seconds", "held_out", "lasted", "lasted_seconds"),
+        *("run_id", "trials", "succeeded", "mean", "low", "high", "held", "reliable", "paper"),
     ]
 )
 
 FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
-Measure = Literal["experiments", "iterations", "succeeded", "paper"]
+Measure = Literal[
+    "experiments", "iterations", "succeeded", "hardware_seconds", "held", "reliable", "lasted", "paper"
+]
 FIGURES = {
     "experiments": {"_target_": "simbias.pictures.sweep.experiments.Experiments"}
 }  # where none is named

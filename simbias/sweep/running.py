@@ -16,6 +16,7 @@ from simbias.study import Study
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.worker import Plan, lost, run_plan
+from simbias.testing.rehearsal import rehearse
 from simbias.tracking.contract import TrackedSweep
 from simbias.trial import TrialRecord
 
@@ -75,7 +76,7 @@ def prepare(
             raise ConfigError("", f"{error}{where}") from error
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
     for study in studies.values():  # compiled here once, workers find it in the cache
-        study.warm_up()
+        rehearse(study)
     return sweep, next(iter(studies.values()))
 
 

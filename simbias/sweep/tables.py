@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from math import nan
+from itertools import zip_longest
+from math import isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,11 @@ from simbias.sweep.grid import Axis, Sweep
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
 BLANK = "–"  # noqa: RUF001  where there is no number
-MEASURES = ("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "paper")
+RELIABLE = 0.9  # of the held-out starts, at least so many are held by a policy that counts as reliable
+MEASURES = (
+    *("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "hardware_seconds"),
+    *("held", "reliable", "lasted", "paper"),
+)
 
 
 class Layout(NamedTuple):
@@ -43,18 +48,31 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
     bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
     trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
-    none.
+    none. Means too are `hardware_seconds`, `held`, the share of held-out starts that the last policies hold
+    (of those that any of the sweep's holds), `reliable`, the share of trials in which this is at least
+    RELIABLE, and `lasted`, the share of the longer tries that last.
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)
-    paper = sweep.report.paper
-    rows = [[*labels, *_measures(own), paper.get(labels, nan)] for labels, own in trials_of.items()]
+    paper, possible = sweep.report.paper, attainable_starts(trials)
+    rows = [[*labels, *_measures(own, possible), paper.get(labels, nan)] for labels, own in trials_of.items()]
     return pd.DataFrame(rows, columns=[*names, *MEASURES])
 
 
-def _measures(trials: Sequence[Mapping[str, Any]]) -> list[float]:
+def attainable_starts(trials: pd.DataFrame) -> list[bool]:
+    """Which held-out starts, the same for all trials, any of their last policies holds; all, if none does.
+
+    So starts that nobody could hold count against no policy. What one policy of a sweep holds is possible;
+    the reverse is a guess, which more trials make better.
+    """
+    tried = [text for text in trials["held_out"] if text]
+    held = [any(start == "1" for start in starts) for starts in zip_longest(*tried)]
+    return held if any(held) else [True] * len(held)
+
+
+def _measures(trials: Sequence[Mapping[str, Any]], possible: Sequence[bool]) -> list[float]:
     """The measures of a cell but the last."""
     outcomes = [trial["outcome"] for trial in trials]
     ended = [trial for trial in trials if trial["outcome"] != "error"]
@@ -62,12 +80,22 @@ def _measures(trials: Sequence[Mapping[str, Any]]) -> list[float]:
         [float(trial[name]) for trial in ended] for name in ("experiments", "iterations")
     )
     counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
-    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations)]
+    seconds, lasted = ([float(trial[name]) for trial in ended] for name in ("hardware_seconds", "lasted"))
+    held = [_held(trial["held_out"], possible) for trial in ended if trial["held_out"]]
+    reliable = [float(share >= RELIABLE) for share in held]
+    worth = (_mean(seconds), _mean(held), _mean(reliable), _mean(lasted))
+    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *worth]
+
+
+def _held(starts: str, possible: Sequence[bool]) -> float:
+    """The share of the starts that a policy holds, of those that are possible."""
+    return _mean([float(start == "1") for start, counts in zip(starts, possible, strict=False) if counts])
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Their mean; nan if there are none."""
-    return float(np.mean(values)) if values else nan
+    """The mean of those that are known; nan if none is."""
+    known = [value for value in values if not isnan(value)]
+    return float(np.mean(known)) if known else nan
 
 
 def layout(table: pd.DataFrame, sweep: Sweep) -> Layout:
@@ -113,6 +141,11 @@ def _number(value: float) -> str:
     return BLANK if np.isnan(value) else f"{value:.1f}"
 
 
+def _share(value: float) -> str:
+    """A share in percent."""
+    return BLANK if np.isnan(value) else f"{value:.0%}"
+
+
 def _experiments(row: Mapping[Any, Any]) -> str:
     """Mean and interval."""
     text = _number(row["mean"])
@@ -130,6 +163,10 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
     "experiments": _experiments,
     "iterations": lambda row: _number(row["iterations"]),
     "succeeded": _succeeded,
+    "hardware_seconds": lambda row: _number(row["hardware_seconds"]),
+    "held": lambda row: _share(row["held"]),
+    "reliable": lambda row: _share(row["reliable"]),
+    "lasted": lambda row: _share(row["lasted"]),
     "paper": lambda row: _number(row["paper"]),
 }
 
@@ -151,10 +188,24 @@ def plain(arrangement: Layout) -> str:
     )
 
 
-def legend(sweep: Sweep) -> str:
+def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     """What the numbers are."""
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
         f"interval]; {iterations}a trial that never succeeds counts all that it may make."
+        f"{_of_held_out(sweep, trials)}"
+    )
+
+
+def _of_held_out(sweep: Sweep, trials: pd.DataFrame) -> str:
+    """What the numbers of held-out starts are, where any is told."""
+    possible = attainable_starts(trials)
+    if not possible or not {"held", "reliable", "lasted"} & set(sweep.report.measures):
+        return ""
+    nobody = len(possible) - sum(possible)
+    return (
+        f" held: mean share of {sum(possible)} held-out starts that a trial's last policy holds"
+        f"{f' ({nobody} more are held by none)' if nobody else ''}; reliable: trials whose policy holds at "
+        f"least {RELIABLE:.0%} of them; lasted: share of the longer tries that last to their end."
     )

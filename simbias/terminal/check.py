@@ -9,7 +9,9 @@ from rich.console import Console
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.config.composition import overridden
-from simbias.testing.conformance import CHECKS, verdicts
+from simbias.messages import with_trace
+from simbias.terminal.trial import temporary_traceback
+from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts
 
 
 def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> bool:
@@ -30,7 +32,7 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
         mark = "[red]fails[/red]" if verdict.problem else "[green]holds[/green]"
         console.print(f"{mark}  {verdict.check}", soft_wrap=True)
         if verdict.problem:
-            console.print(f"       {verdict.problem}", soft_wrap=True, markup=False)
+            console.print(f"       {verdict.problem}{_trace(verdict)}", soft_wrap=True, markup=False)
     chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
     console.print(
         f"{chosen}: {f'{problems} checks fail' if problems else 'all checks hold'}.",
@@ -38,3 +40,11 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
         markup=False,
     )
     return not problems
+
+
+def _trace(verdict: Verdict) -> str:
+    """Where the traceback is of what a component raised."""
+    if verdict.error is None or isinstance(verdict.error, ConformanceError):
+        return ""
+    file = temporary_traceback(with_trace(verdict.error))
+    return f" (traceback in {file})" if file else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from simbias import remarks
 from simbias.engine.contract import Engine
 from simbias.messages import brief
 from simbias.study import Study
@@ -51,6 +52,7 @@ class SweepConsole(SweepObserver):
         self._experiments: dict[tuple[str, ...], list[float]] = defaultdict(list)
         self._figures: list[tuple[str, str, Sequence[Path]]] = []
         self._outcomes: list[str] = []
+        self._remarks: Counter[str] = Counter()  # in how many trials of this process
         self._progress = Progress(
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[state]}")
         )
@@ -84,6 +86,7 @@ class SweepConsole(SweepObserver):
         """Tell of a trial that has ended and is kept."""
         self._ran += 1
         self._outcomes.append(record.outcome)
+        self._remarks.update(remarks.kinds(record.iterations))
         if record.outcome.final:
             self._experiments[trial.cell.labels].append(record.experiments_until_success)
         self._progress.update(self._bar, completed=len(self._outcomes), state=self._state())
@@ -142,12 +145,14 @@ class SweepConsole(SweepObserver):
         """The table, what it means, and how to look at the rest."""
         arrangement = layout(cells(trials, self._sweep), self._sweep)
         self._console.print(plain(arrangement), soft_wrap=True, markup=False)
-        self._console.print(legend(self._sweep), soft_wrap=True, markup=False)
+        self._console.print(legend(self._sweep, trials), soft_wrap=True, markup=False)
         raised = [row for row in trials.to_dict("records") if row["outcome"] == Outcome.ERROR]
         for row in raised[:SHOWN_ERRORS]:
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)
             line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
             self._console.print(line, style="red", soft_wrap=True, markup=False)
+        for words, trials_with in self._remarks.most_common():
+            self._console.print(f"In {trials_with} of {self._ran} trials: {words}.", soft_wrap=True)
         if raised:
             self._console.print(f"{len(raised)} trials raised an error; the same command goes on with them.")
         if self.waiting:

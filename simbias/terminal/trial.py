@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from tempfile import NamedTemporaryFile
 from typing import TextIO
 
@@ -14,10 +15,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from simbias import remarks
 from simbias.evidence import WINDOW
+from simbias.experiments import ask
 from simbias.interfaces import SlowWarning
 from simbias.messages import brief
-from simbias.records import Array, Iteration, Rollout
+from simbias.prediction import predict
+from simbias.records import Array, Iteration, Rollout, Search
 from simbias.study import Observer, Study
 from simbias.trial import Outcome, TrialRecord
 
@@ -35,7 +39,7 @@ class TrialConsole(Observer):
 
     def __init__(self, study: Study, console: Console | None = None) -> None:
         self._study = study
-        self._console = console or Console(highlight=False)
+        self._console = console or Console(highlight=False, soft_wrap=True)  # a hardware may print
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -48,6 +52,8 @@ class TrialConsole(Observer):
         )
         self._bar = self._progress.add_task("", total=study.optimizer.max_evaluations, best="", visible=False)
         self._experiments = 0
+        self._iterations: list[Iteration] = []
+        self._search: Search | None = None
         self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
 
     def __enter__(self) -> TrialConsole:
@@ -75,15 +81,44 @@ class TrialConsole(Observer):
             visible=True,
         )
 
+    def searched(self, search: Search) -> None:
+        """Say what is odd about a search's policy, before hardware is spent on it."""
+        self._remark(remarks.of_search(search, self._iterations))
+        self._search = search
+
+    def _remark(self, lines: Iterable[str]) -> None:
+        """Lines between those of the iterations."""
+        for line in lines:
+            self._console.print(f"     [yellow]{escape(brief(line))}[/yellow]", soft_wrap=True)
+
     def experimenting(self, theta: Array, start: Array) -> None:
-        """Tell that a hardware experiment is under way."""
+        """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
         words = f"hardware experiment {self._experiments + 1} under way"
-        self._progress.update(self._bar, description=words, visible=True)
+        self._progress.update(self._bar, description=words, completed=0, best="", visible=True)
+
+    def ask(self, theta: Array, start: Array) -> bool:
+        """Show what is predicted of an experiment, and ask whether it may be made, on a screen at rest."""
+        from simbias.terminal.preview import describe
+
+        self._progress.stop()
+        search, study = self._search, self._study
+        bias, nominal = (search.fitted_bias, search.nominal) if search else (None, None)
+        bounds = study.conditions.safety.bounds(study.task)
+        for line in describe(study, predict(study, theta, start, bias, nominal), bounds):
+            self._console.print(line, soft_wrap=True, markup=False)
+        allowed = ask(theta, start)
+        self._progress.start()
+        return allowed
 
     def experimented(self, rollout: Rollout) -> None:
         """Tell of a hardware experiment that has ended."""
         self._experiments += 1
         self._progress.update(self._bar, description=f"hardware experiment {self._experiments} done")
+
+    def trying(self, number: int, count: int) -> None:
+        """Tell that the last policy is being tried."""
+        words = f"held-out start {number + 1} of {count}"
+        self._progress.update(self._bar, description=words, visible=True)
 
     def iterated(self, iteration: Iteration) -> None:
         """One line for an iteration."""
@@ -100,6 +135,9 @@ class TrialConsole(Observer):
         )
         if learning and learning.evidence:
             self._console.print(f"     {evidence_text(learning.evidence)}", soft_wrap=True)
+        if learning and not iteration.succeeded:
+            self._remark(remarks.of_selection(learning.selection))
+        self._iterations.append(iteration)
 
     def _experiment_text(self, rollout: Rollout) -> str:
         """Cost and balanced time of an experiment."""
@@ -113,9 +151,12 @@ class TrialConsole(Observer):
         experiments = f"after {counted(record.experiments, 'hardware experiment')}"
         effort = f"{counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
         words = self._study.task.words
+        self._progress.update(self._bar, visible=False)
         names = {each.failure for each in record.iterations[-1].experiments if each.failure}
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
         self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
+        if record.held_out:
+            self._console.print(record.held_out.words, soft_wrap=True)
         self.look(where)
 
     def recall(self, iterations: Sequence[Iteration], where: str | None) -> None:
@@ -137,13 +178,23 @@ class TrialConsole(Observer):
             self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
 
 
+def asking(study: Study, console: TrialConsole) -> Study:
+    """The study, whose hardware asks on this console, if it asks."""
+    return replace(study, conditions=replace(study.conditions, ask=console.ask))
+
+
 def traceback_file(record: TrialRecord) -> str:
     """The file with a record's traceback: that of its journal, else a new temporary one; "" without any."""
     if not record.traceback or record.traceback_file:
         return record.traceback_file
+    return temporary_traceback(record.traceback)
+
+
+def temporary_traceback(traceback: str) -> str:
+    """A new file with a traceback, for a person; "" if none can be written."""
     try:
         with NamedTemporaryFile("w", prefix=TRACEBACK, suffix=".txt", delete=False) as file:
-            file.write(record.traceback)
+            file.write(traceback)
     except OSError:
         return ""
     return file.name
@@ -186,8 +237,9 @@ def preparing() -> Iterator[None]:
 
 @contextmanager
 def slowness_in_one_line() -> Iterator[None]:
-    """Meanwhile, a warning that something is slow is one line, without the place in the code."""
+    """Meanwhile, a warning that something is slow is one line, once, without the place in the code."""
     shown_otherwise = warnings.showwarning
+    said: set[str] = set()
 
     def show(
         message: Warning | str,
@@ -198,7 +250,9 @@ def slowness_in_one_line() -> Iterator[None]:
         line: str | None = None,
     ) -> None:
         if issubclass(category, SlowWarning):
-            print(f"simbias: {message}", file=sys.stderr)
+            if str(message) not in said:
+                print(f"simbias: {message}", file=sys.stderr)
+            said.add(str(message))
         else:
             shown_otherwise(message, category, filename, lineno, file, line)
 

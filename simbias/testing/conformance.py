@@ -11,9 +11,12 @@ On the command line: `python -m simbias check nominal=mine hardware=mine --confi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
+from simbias.blame import told
+from simbias.messages import brief
 from simbias.study import Study
 from simbias.testing import learners, robots, searches  # noqa: F401  they register their checks
 from simbias.testing.check import CHECKS, Check
@@ -28,6 +31,7 @@ class Verdict:
 
     check: Check
     problem: str  # in one line; empty where there is none
+    error: Exception | None = None  # that it came from
 
 
 def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
@@ -37,7 +41,19 @@ def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
             try:
                 check.run(study)
             except Exception as error:
-                name = "" if isinstance(error, ConformanceError) else f"{type(error).__name__}: "
-                yield Verdict(check, name + " ".join(str(error).split())[:300])
+                yield Verdict(check, _problem(study, check.group, error), error)
             else:
                 yield Verdict(check, "")
+
+
+def _problem(study: Study, group: str, error: Exception) -> str:
+    """What is wrong, with the name of the component's class."""
+    component = type(getattr(study, group)).__name__
+    text = told(error)
+    if isinstance(error, ConformanceError):
+        text = brief(str(error))
+        if f"{group}." in text:
+            return text.replace(f"{group}.", f"{component}.", 1)
+        if re.match(r"\w+(\.\w+)?: ", text):
+            return f"{component}.{text.removeprefix(f'{group}: ')}"
+    return text if text.startswith(f"{component}.") else f"{component}: {text}"

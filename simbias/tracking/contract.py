@@ -50,6 +50,7 @@ class TrackedTrial(Recorder):
     """The open record of one trial; every call returns after its data is safe. This one keeps nothing."""
 
     where: str | None = None  # one line that tells a person how to look at it
+    changed: str = ""  # which code of the user's has changed since the trial began, in one line
 
     def finished(self) -> RecordedTrial | None:
         """The trial, if it has come to its end before."""
@@ -60,6 +61,7 @@ class TrackedSweep(ABC):
     """The open record of a sweep."""
 
     where: str | None  # one line that tells a person how to look at it
+    changed: str = ""  # which code of the user's has changed since trials of it ran, in one line
     keeps: bool  # whether a later process finds the finished trials
     finished: frozenset[str]  # hashes of the trials that were finished before
     pictures: Sequence[str] = ()  # of each trial, to be drawn at its end

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from simbias.config.own_code import changed, digests
 from simbias.records import Iteration, Learning, Search
 
 if TYPE_CHECKING:
@@ -31,8 +32,14 @@ KEY_LENGTH = 250  # MLflow's limits
 VALUE_LENGTH = 6000
 
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
+MACHINE = "machine"  # the tag that tells on which kind of machine a trial ran
 SECONDS = "trial/seconds"  # the metric that tells how long a trial took
 TRIAL_METRICS = ("trial/experiments", "trial/iterations", SECONDS)
+HELD_OUT = "held_out"  # the tag that tells from which held-out starts the last policy holds: 1 where it does
+LATER_METRICS = (  # that trials of earlier versions lack, and those whose last policy was not tried
+    *("trial/hardware_seconds", "held_out/held", "held_out/lasted", "held_out/seconds"),
+)
+CODE = "code"  # the tag that has digests of the user's own modules
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 
 
@@ -123,8 +130,16 @@ def _learning_metrics(learning: Learning) -> dict[str, float]:
 def trial_metrics(record: TrialRecord) -> dict[str, float]:
     """A trial in numbers: what a sweep's table takes from it."""
     numbers = (record.experiments_until_success, record.iterations_until_success, record.seconds)
-    named = zip(TRIAL_METRICS, numbers, strict=True)
-    return {name: value for name, value in named if not isnan(value)}
+    named = dict(zip(TRIAL_METRICS, numbers, strict=True))
+    tries = record.held_out
+    later = (tries.held, tries.lasted, tries.seconds) if tries else ()
+    named |= zip(LATER_METRICS, (record.hardware_seconds, *later), strict=False)
+    return {name: value for name, value in named.items() if not isnan(value)}
+
+
+def holds(record: TrialRecord) -> str:
+    """From which held-out starts the last policy holds, as the tag says it; empty if it was not tried."""
+    return "".join("1" if held else "0" for held in record.held_out.holds) if record.held_out else ""
 
 
 def sweep_metrics(trials: DataFrame) -> dict[str, float]:
@@ -139,7 +154,26 @@ def sweep_metrics(trials: DataFrame) -> dict[str, float]:
 
 def tags(composition: Composition) -> dict[str, str]:
     """What a trial is and comes from: its identity, git commit, versions, user."""
-    return {"hash": composition.hash, **origin()}
+    own = digests(composition.config)
+    return {"hash": composition.hash, **({CODE: json.dumps(own)} if own else {}), **origin()}
+
+
+def changed_code(tags: Mapping[str, str], composition: Composition) -> str:
+    """The modules of the user's that have changed since a run was tagged, in words; "" if none has."""
+    if CODE not in tags:  # of an earlier version of simbias, or without own components
+        return ""
+    try:
+        before = json.loads(tags[CODE])
+    except ValueError:
+        return ""
+    return changed(before, digests(composition.config))
+
+
+def machine_tags(record: TrialRecord) -> dict[str, str]:
+    """What a trial ran on; of one that went on elsewhere, all kinds of machines."""
+    if not record.machines:
+        return {}
+    return {MACHINE: " then ".join(record.machines)[:VALUE_LENGTH], "processor": record.processor}
 
 
 def origin() -> dict[str, str]:

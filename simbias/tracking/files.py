@@ -11,14 +11,17 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
+from simbias.held_out import Tries
 from simbias.interfaces import Policy, Quantity, Task
 from simbias.messages import printable, quote
 from simbias.parameters import Estimate
 from simbias.records import Iteration, Rollout, Transitions
 
 TEXTS = "UST"  # kinds of NumPy's types that are no numbers
+HELD_OUT = "held_out.csv"  # the tries of the last policy
 SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
 
 
@@ -40,6 +43,13 @@ def parameters_name(iteration: int) -> str:
 def data_name(iteration: int) -> str:
     """The file of the data set D that an iteration ended with."""
     return f"data/iteration_{iteration:02d}.npz"
+
+
+def held_out_text(tries: Tries, task: Task) -> str:
+    """A row for each held-out start, with how long the policy was asked to last and how long it did."""
+    names = [*(state.name for state in task.states), "asked_seconds", "lasted_seconds", "failure"]
+    rows = [(*one.start.tolist(), one.asked, one.seconds, one.failure or "") for one in tries.each]
+    return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")
 
 
 def save_rollout(file: Path | IO[bytes], rollout: Rollout) -> None:
@@ -179,6 +189,7 @@ def policy_text(policy: Policy, iteration: Iteration) -> str:
                 "cost": optimum.cost,
                 "evaluations": optimum.evaluations,
                 "stopped_by": optimum.stopped_by,
+                **({"flat": True} if optimum.flat else {}),
             },
         }
     return json.dumps(content, indent=2) + "\n"

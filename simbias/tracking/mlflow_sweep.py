@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -18,9 +20,9 @@ from simbias.tracking import fields, pages, results
 from simbias.tracking.artifacts import log_text, remove_uploads
 from simbias.tracking.contract import TrackedSweep
 from simbias.tracking.journal import remove, remove_empty
-from simbias.tracking.mlflow import NOTE, MlflowTrial
+from simbias.tracking.mlflow_trial import NOTE, MlflowTrial
 from simbias.tracking.nested import nested_runs
-from simbias.tracking.rows import is_finished
+from simbias.tracking.rows import RunRow, is_finished
 from simbias.trial import Outcome, TrialRecord
 
 if TYPE_CHECKING:
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 CONFIG = "sweep.yaml"  # what all trials share
 FIGURES = "figures"  # folder of the parent's artifacts
 EXPERIMENTS = f"{FIGURES}/experiments"  # outcomes of batches
+MIXED = "simbias: trials of this sweep are from %d kinds of machines, so their last bits may differ: %s"
 NOTE_SECONDS = 5.0  # the parent's note is at most so old while trials end
 
 
@@ -67,9 +70,16 @@ class MlflowSweep(TrackedSweep):
         self.where = where(experiment_id, self.run_id)
         runs = nested_runs(client, experiment_id, self.run_id)
         self._unfinished = {run.tags.get("hash", ""): run.run_id for run in runs if not is_finished(run)}
+        self._machines = Counter(
+            run.tags[fields.MACHINE] for run in runs if is_finished(run) and fields.MACHINE in run.tags
+        )
         done = results.of_sweep(runs, sweep)
         self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
+        self.changed = _changed(sweep, [run for run in runs if run.tags.get("hash") in self.finished])
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
+        for journal in journals.glob("*"):
+            if journal.name in self.finished:  # who kept the trial was killed before it removed this
+                remove(journal)
         self._note("**Running**")
 
     def _begin(self) -> str:
@@ -119,13 +129,34 @@ class MlflowSweep(TrackedSweep):
         MlflowTrial(self._client, run, study, self.where, self.journal(trial)).keep(record)
         if record.outcome.final:
             remove(self.journal(trial))
+            self._note_machine(record)
         if record.outcome in results.TOLD:
             numbers = fields.trial_metrics(record)
             self._rows[trial.hash] = results.row(
-                trial, self._sweep, record.outcome, numbers, record.reason, run.info.run_id
+                trial,
+                self._sweep,
+                record.outcome,
+                numbers,
+                record.reason,
+                run.info.run_id,
+                fields.holds(record),
             )
         if time.monotonic() - self._noted > NOTE_SECONDS:
             self._note("**Running**")
+
+    def _note_machine(self, record: TrialRecord) -> None:
+        """Count what trials ran on; say so when another kind of machine comes in."""
+        kind = fields.machine_tags(record).get(fields.MACHINE)
+        if kind is None:
+            return
+        mixed = bool(self._machines) and kind not in self._machines
+        self._machines[kind] += 1
+        if mixed:
+            logging.getLogger(__name__).warning(MIXED, len(self._machines), self._kinds())
+
+    def _kinds(self) -> str:
+        """What trials ran on."""
+        return "; ".join(f"{count} on {kind}" for kind, count in self._machines.items())
 
     def results(self) -> DataFrame:
         """The trials that are in the store: nobody else writes them while this sweep runs."""
@@ -207,10 +238,12 @@ class MlflowSweep(TrackedSweep):
             f"[{name}]({self._picture(name)}): {markdown.text(caption)}"
             for name, caption in self._captions.items()
         ]
+        mixed = [f"Trials are from several kinds of machines: {markdown.text(self._kinds())}."]
         parts = [
             done,
+            *(mixed if len(self._machines) > 1 else []),
             tables.markdown(arrangement),
-            tables.legend(self._sweep),
+            tables.legend(self._sweep, trials),
             *captions,
             markdown.code(self._again),
         ]
@@ -220,6 +253,20 @@ class MlflowSweep(TrackedSweep):
     def _picture(self, name: str) -> str:
         """Address of a figure in MLflow's UI."""
         return pages.run_page(self._experiment_id, self.run_id, f"{FIGURES}/{name}.png")
+
+
+def _changed(sweep: Sweep, finished: Sequence[RunRow]) -> str:
+    """What to say if code of the user's has changed since trials were finished."""
+    compositions = {trial.hash: trial.composition for trial in sweep.trials}
+    changed = [
+        words for run in finished if (words := fields.changed_code(run.tags, compositions[run.tags["hash"]]))
+    ]
+    if not changed:
+        return ""
+    return (
+        f"{len(changed)} of {len(finished)} finished trials ran on code that has changed since "
+        f"({changed[0]}); tracking.experiment=NAME begins anew"
+    )
 
 
 def _ending(error: BaseException | None, raised: bool) -> tuple[str, str]:

@@ -13,8 +13,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simbias.tracking.fields import PARENT, TRIAL_METRICS
-from simbias.tracking.rows import TAGS, RunRow, row_of
+from simbias.tracking.fields import PARENT
+from simbias.tracking.rows import METRICS, TAGS, RunRow, row_of
 from simbias.tracking.store import database
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def _from_database(file: Path, experiment_id: str, parent: str) -> list[RunRow]:
 
     with closing(sqlite3.connect(f"{file.as_uri()}?mode=ro", uri=True)) as connection:
         runs = connection.execute(_RUNS, (PARENT, parent, int(experiment_id))).fetchall()
-        tags, metrics = values("tags", TAGS), values("latest_metrics", TRIAL_METRICS)
+        tags, metrics = values("tags", TAGS), values("latest_metrics", METRICS)
         return [
             RunRow(run_id, status, end_time, tags[run_id], metrics[run_id])
             for run_id, status, end_time in runs

@@ -63,11 +63,14 @@ class UntrackedSweep(TrackedSweep):
     def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
         """Keep a row of a trial."""
         from simbias.tracking import results
-        from simbias.tracking.fields import trial_metrics
+        from simbias.tracking.fields import holds, trial_metrics
 
         if record.outcome in results.TOLD:
             numbers = trial_metrics(record)
-            self._rows.append(results.row(trial, self._sweep, record.outcome, numbers, record.reason))
+            own = results.row(
+                trial, self._sweep, record.outcome, numbers, record.reason, held_out=holds(record)
+            )
+            self._rows.append(own)
 
     def results(self) -> DataFrame:
         """The trials so far, in the sweep's order."""

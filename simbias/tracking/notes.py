@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from simbias import markdown
+from simbias import markdown, remarks
 from simbias.records import Iteration
 from simbias.trial import Outcome, TrialRecord
 
@@ -35,21 +35,21 @@ class Row:
     total_experiments: int
 
 
-def row(study: Study, iteration: Iteration) -> Row:
-    """The iteration, as the note's table shows it."""
+def row(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> Row:
+    """The iteration, as the note's table shows it, after earlier ones."""
     return Row(
         index=iteration.index,
         predicted_cost=iteration.search.predicted_cost if iteration.search else None,
         hardware_cost=iteration.hardware_cost,
         samples=len(iteration.learning.data) if iteration.learning else 0,
         seconds=sum(iteration.seconds.values()),
-        event="; ".join(_events(study, iteration)),
+        event="; ".join(_events(study, iteration, earlier)),
         succeeded=iteration.succeeded,
         total_experiments=iteration.total_experiments,
     )
 
 
-def _events(study: Study, iteration: Iteration) -> list[str]:
+def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> list[str]:
     """What happened in an iteration, in words."""
     failures = [
         rollout.failure or "failed" for rollout in iteration.experiments if rollout.failed_at is not None
@@ -60,7 +60,9 @@ def _events(study: Study, iteration: Iteration) -> list[str]:
         events.append(
             f"{len(failures)} of {len(iteration.experiments)} experiments failed: {markdown.text(causes)}"
         )
-    return [*events, "model cleared"] if iteration.learning and iteration.learning.reset else events
+    if iteration.learning and iteration.learning.reset:
+        events.append("model cleared")
+    return [*events, *map(markdown.text, remarks.of_iteration(iteration, earlier))]
 
 
 def run_name(study: Study) -> str:
@@ -96,10 +98,11 @@ def running(rows: Sequence[Row]) -> str:
 def verdict(rows: Sequence[Row], record: TrialRecord) -> str:
     """How a trial ended."""
     count, reason = _count(rows, len(record.unfinished)), record.reason[:REASON_LENGTH]
+    worth = f" {record.held_out.words}" if record.held_out else ""
     if record.outcome is Outcome.SUCCEEDED:
-        return f"**Succeeded** on hardware in iteration {rows[-1].index}, after {count}."
+        return f"**Succeeded** on hardware in iteration {rows[-1].index}, after {count}.{worth}"
     if record.outcome is Outcome.NOT_SUCCEEDED:
-        return f"**Did not succeed**: no policy reached the goal on hardware, after {count}."
+        return f"**Did not succeed**: no policy reached the goal on hardware, after {count}.{worth}"
     if record.outcome is Outcome.WAITING:
         return f"**Waiting**, after {count}: {markdown.text(reason)}"
     if record.outcome is Outcome.INTERRUPTED:

@@ -3,7 +3,10 @@
 A DataFrame of trials has a row for each, with a column for each of the sweep's axes and `hash`,
 `repetition`, `seed`, `outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments
 until success; without it all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise),
-`seconds` (it computed), `raised` (what it raised) and `run_id`.
+`seconds` (it computed), `hardware_seconds` (its experiments lasted), `raised` (what it raised) and `run_id`.
+Where its last policy was tried from held-out starts, `held_out` has a 1 for each from which it holds for the
+task's horizon and a 0 for each other, `lasted` is the share of those that went on and lasted, and
+`lasted_seconds` how long these did on average.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from simbias.config.composition import ConfigError, resource_folder
+from simbias.tracking.fields import HELD_OUT
 from simbias.tracking.rows import FINISHED, RunRow, is_whole
 from simbias.trial import Outcome
 
@@ -28,7 +32,8 @@ DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 ENDED = (FINISHED, "FAILED")  # states of runs that tables tell of,
 TOLD = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # and their outcomes
-COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", "raised", "run_id")
+LATER = ("hardware_seconds", "held_out", "lasted", "lasted_seconds")  # that earlier results lack
+COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, "raised", "run_id")
 
 
 def find_sweep(client: MlflowClient, experiment_id: str, sweep: Sweep) -> Run | None:
@@ -46,8 +51,8 @@ def of_sweep(runs: Iterable[RunRow], sweep: Sweep) -> pd.DataFrame:
         if not is_whole(run) or trial is None or run.status not in ENDED or outcome not in TOLD:
             continue
         if trial.hash not in rows or rows[trial.hash]["outcome"] == Outcome.ERROR:
-            raised = run.tags.get("error", "")
-            rows[trial.hash] = row(trial, sweep, str(outcome), run.metrics, raised, run.run_id)
+            raised, held_out = run.tags.get("error", ""), run.tags.get(HELD_OUT, "")
+            rows[trial.hash] = row(trial, sweep, str(outcome), run.metrics, raised, run.run_id, held_out)
     return in_order(rows, sweep)
 
 
@@ -73,10 +78,12 @@ def published(sweep: Sweep) -> pd.DataFrame:
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")
-    numbers = (*COUNTS, "seconds")
-    types = {**dict.fromkeys(names, str), **dict.fromkeys(numbers, float)}
+    numbers = (*COUNTS, "seconds", *(name for name in LATER if name != HELD_OUT))
+    types = {**dict.fromkeys((*names, HELD_OUT), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
+    for name in set(LATER) - set(trials):
+        trials[name] = "" if name == HELD_OUT else nan
     lacking = {*names, *COLUMNS[:-1]} - set(trials)
     if lacking:
         raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")
@@ -89,9 +96,15 @@ def frame(rows: Sequence[Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
 
 
 def row(
-    trial: Trial, sweep: Sweep, outcome: str, numbers: Mapping[str, float], raised: str = "", run_id: str = ""
+    trial: Trial,
+    sweep: Sweep,
+    outcome: str,
+    numbers: Mapping[str, float],
+    raised: str = "",
+    run_id: str = "",
+    held_out: str = "",
 ) -> dict[str, Any]:
-    """A trial's row, from the numbers that `simbias.tracking.fields.trial_metrics` tells of its record."""
+    """A trial's row, from what `simbias.tracking.fields` tells of its record: `trial_metrics` and `holds`."""
     return {
         **dict(zip((axis.name for axis in sweep.axes), trial.cell.labels, strict=True)),
         "hash": trial.hash,
@@ -101,6 +114,10 @@ def row(
         "experiments": numbers.get("trial/experiments", nan),
         "iterations": numbers.get("trial/iterations", nan),
         "seconds": numbers.get("trial/seconds", nan),
+        "hardware_seconds": numbers.get("trial/hardware_seconds", nan),
+        "held_out": held_out,
+        "lasted": numbers.get("held_out/lasted", nan),
+        "lasted_seconds": numbers.get("held_out/seconds", nan),
         "raised": raised,
         "run_id": run_id,
     }

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from simbias.tracking.fields import TRIAL_METRICS
+from simbias.tracking.fields import CODE, HELD_OUT, LATER_METRICS, MACHINE, TRIAL_METRICS
 from simbias.trial import Outcome
 
 if TYPE_CHECKING:
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 FINISHED = "FINISHED"  # a run whose trial came to its end, and is kept in whole
 OUTCOMES = frozenset(outcome for outcome in Outcome if outcome.final)  # of such a run
-TAGS = ("hash", "outcome", "error")
+TAGS = ("hash", "outcome", "error", CODE, HELD_OUT, MACHINE)
+METRICS = (*TRIAL_METRICS, *LATER_METRICS)
 
 
 class RunRow(NamedTuple):
@@ -25,13 +26,13 @@ class RunRow(NamedTuple):
     status: str
     end_time: int | None  # ms since the epoch
     tags: Mapping[str, str]  # of TAGS
-    metrics: Mapping[str, float]  # of TRIAL_METRICS
+    metrics: Mapping[str, float]  # of METRICS
 
 
 def row_of(run: Run) -> RunRow:
     """Of a run as MLflow reads it."""
     tags = {key: value for key, value in run.data.tags.items() if key in TAGS}
-    metrics = {key: value for key, value in run.data.metrics.items() if key in TRIAL_METRICS}
+    metrics = {key: value for key, value in run.data.metrics.items() if key in METRICS}
     return RunRow(run.info.run_id, run.info.status, run.info.end_time, tags, metrics)
 
 

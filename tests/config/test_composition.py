@@ -6,10 +6,12 @@ import pickle
 
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from robots import overrides
 
 import simbias
 from simbias.config import ConfigError, compose, options
 from simbias.config.components import component_class, constructor_parameters
+from simbias.config.conditions import split
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
@@ -68,7 +70,7 @@ def test_config_dir_must_exist() -> None:
 
 @pytest.mark.parametrize(("group", "option"), OF_STUDIES)
 def test_every_shipped_option_builds(group: str, option: str) -> None:
-    component = getattr(simbias.load(["tracking=none", f"{group}={option}"]), group)
+    component = getattr(simbias.load(["tracking=none", *overrides(group, option)]), group)
     assert type(component).__module__.startswith(f"simbias.{group}.")
 
 
@@ -78,10 +80,18 @@ def test_every_preset_builds(option: str) -> None:
     assert study.choices["preset"] == option
 
 
+def test_presets_combine() -> None:
+    """A robot and a method; what one chooses oneself wins over both."""
+    combined = compose(["preset=[cartpole,robust]", "bias=none"])
+    choices = [combined.choices[group] for group in ("preset", "hardware", "optimizer", "bias")]
+    assert choices == ["cartpole,robust", "cartpole", "hybrid", "none"]
+    assert combined.hash == compose(["preset=[robust,cartpole]", "bias=none"]).hash
+
+
 @pytest.mark.parametrize(("group", "option"), COMPONENTS)
 def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
     """Every value a person may change stands in the YAML, to be seen."""
-    config = compose([f"{group}={option}"]).config[group]
+    config, _ = split(compose(overrides(group, option)).config[group])
     component = component_class(config, group)
     assert set(config) - {"_target_"} == set(constructor_parameters(component)) - {"task"}
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
+from robots import overrides
 
 import simbias
 from simbias.__main__ import main
@@ -41,7 +42,7 @@ def numbers(hint: Any, name: str) -> Iterator[tuple[str, set[str]]]:
 def components() -> Iterator[tuple[str, type]]:
     """Every shipped component and figure."""
     for group, option in GROUPS:
-        yield f"{group}={option}", component_class(compose([f"{group}={option}"]).config[group], group)
+        yield f"{group}={option}", component_class(compose(overrides(group, option)).config[group], group)
     for name in sweeps():
         for figure, spec in compose([f"+sweep={name}"]).config["sweep"].get("figures", {}).items():
             yield f"{name}: {figure}", component_class(spec, figure)

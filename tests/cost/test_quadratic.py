@@ -26,6 +26,22 @@ def test_cost_is_equation_8(study: Study, seed: int, frames: int, fails: bool) -
     assert study.cost.of(rollout) == pytest.approx(200 * (T - t_fail) + peak + effort, rel=1e-12)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 50), st.integers(0, 100))
+def test_the_kernel_sums_up_the_same_cost(study: Study, seed: int, frames: int, lost: int) -> None:
+    """Frame by frame, as the compiled loop calls it; here by Python."""
+    rng = np.random.default_rng(seed)
+    x, u = rng.normal(size=(frames + 1, 6)), 30 * rng.normal(size=(frames, 1))
+    kernel = study.cost.kernel
+    assert kernel is not None
+    totals: tuple[float, ...] = study.cost.totals * (0.0,)
+    for state, torque in zip(x[1:], u, strict=True):
+        totals = kernel.function(state, torque, kernel.parameters, totals)
+    (cost,) = study.cost.of_totals(np.array([totals]), np.array([lost]))
+    failed_at = study.task.horizon - lost if lost else None
+    rollout = Rollout(x, u, failed_at=failed_at, failure="a fall" if lost else None)
+    assert cost == pytest.approx(study.cost.of(rollout), rel=1e-12)
+
+
 def test_every_failure_costs_more_than_the_maximum(study: Study) -> None:
     """c = Z_max: even a robot that falls in the last frame exceeds Z_max (Section V)."""
     still = Rollout(np.zeros((5000, 6)), np.zeros((4999, 1)), failed_at=4999, failure="a fall")
@@ -54,6 +70,24 @@ def test_the_start_does_not_count_in_the_peak(study: Study) -> None:
     states = np.zeros((3, 6))
     states[0] = 100.0
     assert study.cost.of(Rollout(states, np.zeros((2, 1)))) == 0.0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 5))
+def test_over_a_longer_horizon_an_effort_that_lasts_costs_the_same(
+    study: Study, seed: int, times: int
+) -> None:
+    """And a failure costs as much as before for each frame that it loses."""
+    rng = np.random.default_rng(seed)
+    x, u = rng.normal(size=(101, 6)), 30 * rng.normal(size=(100, 1))
+    once = Rollout(x, u)
+    again = Rollout(np.concatenate([x, np.tile(x[1:], (times - 1, 1))]), np.tile(u, (times, 1)))
+    longer = study.cost.with_horizon(times * study.task.horizon)
+    assert longer.of(again) == pytest.approx(study.cost.of(once), rel=1e-12)
+    fallen = replace(once, failed_at=100, failure="a fall")
+    lost = (times - 1) * study.task.horizon
+    assert longer.of(fallen) - longer.of(once) == pytest.approx(
+        study.cost.of(fallen) - study.cost.of(once) + 200 * lost
+    )
 
 
 def test_weights_by_name_are_weights_by_place(study: Study) -> None:

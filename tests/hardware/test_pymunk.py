@@ -4,88 +4,41 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bongoboard_twin import (
+    CONF,
+    MOVING,
+    START,
+    UNLIMITED,
+    Constant,
+    assert_consistent,
+    build_task,
+    build_twin,
+    energy,
+    experiment,
+)
 from omegaconf import OmegaConf
+from pydantic import TypeAdapter
 from scipy.stats import chi2
 
 import simbias
 from simbias.hardware.pymunk import BLOW_UP, PymunkBongoboard
-from simbias.hardware.pymunk_world import World, inertias, places
-from simbias.interfaces import HardwareError, Policy
+from simbias.hardware.pymunk_gaps import Gaps
+from simbias.hardware.pymunk_world import inertias, places
+from simbias.interfaces import HardwareError
 from simbias.nominal.bongoboard import LagrangianBongoboard
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.records import Array, Rollout
-from simbias.task.bongoboard import Bongoboard, Limits, Robot, Start
+from simbias.records import Array
 
-CONF = Path(__file__).parents[2] / "conf"
 FEET = ("plate", "separate", "fixed")
-START = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
-MOVING = np.array([0.1, -0.05, 0.08, 0.3, -0.2, 0.5])
 # Found by CMA-ES on this hardware with a plate (300 evaluations of the summed cost of four starts, no noise).
 BALANCING = np.array([9.92, 6.37, -8.36, -4.38, 5.77])
 # Found by DIRECT on the nominal model, as Algorithm 1 begins.
 NOMINALLY_BEST = np.array([8.1177, 4.7310, -6.7398, -1.0242, -5.5601])
 NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
-UNLIMITED = {"distance": 1e9, "body_angle": 1e9, "board_angle": 1e9, "speed": 1e9}
-
-
-class Constant(Policy):
-    """The torque theta (1,), whatever the state."""
-
-    n_parameters = 1
-    bounds = (np.array([-np.inf]), np.array([np.inf]))
-
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        return theta, memory
-
-    def outputs(self, x: Array) -> Array:
-        return x
-
-
-def build_task(
-    limits: dict[str, float] | None = None, robot: dict[str, float] | None = None, **changes: Any
-) -> Bongoboard:
-    """The task of conf/task/bongoboard.yaml with some changes."""
-    config = OmegaConf.to_container(OmegaConf.load(CONF / "task" / "bongoboard.yaml"))
-    assert isinstance(config, dict)
-    return Bongoboard(
-        Robot(**config["robot"] | (robot or {})),
-        Limits(**config["limits"] | (limits or {})),
-        Start(**config["start"]),
-        **changes,
-    )
-
-
-def build_twin(time_step: float = 0.001, **changes: Any) -> Bongoboard:
-    """A task on which fixed feet should move as the Lagrangian model of the default task.
-
-    That model has both legs in their midst. Half the ankle spacing s away from it, they turn with the pelvis
-    and add a moment of inertia of 2 m_l (s/2)^2 to it, which the twin takes off the pelvis.
-    """
-    robot = build_task().robot
-    legs = 2 * robot.leg_mass * (robot.ankle_spacing / 2) ** 2
-    inertia = {"pelvis_inertia": robot.pelvis_inertia - legs}
-    return build_task(UNLIMITED, inertia, time_step=time_step, **changes)
-
-
-def experiment(hardware: PymunkBongoboard, torque: float, start: Array = START, seed: int = 0) -> Rollout:
-    """An experiment under constant torque."""
-    rollout = hardware.run(Constant(), np.array([torque]), start, np.random.default_rng(seed))
-    assert_consistent(rollout)
-    return rollout
-
-
-def assert_consistent(rollout: Rollout) -> None:
-    assert rollout.measured is not None
-    assert len(rollout.states) == len(rollout.measured) == len(rollout.inputs) + 1
-    for values in (rollout.states, rollout.inputs, rollout.measured):
-        assert np.isfinite(values).all()
-    assert (rollout.failed_at is None) == (rollout.failure is None)
-    assert rollout.failed_at in (None, rollout.frames)
 
 
 def runge_kutta(model: LagrangianBongoboard, x: Array, u: Array, duration: float, steps: int = 400) -> Array:
@@ -102,11 +55,6 @@ def runge_kutta(model: LagrangianBongoboard, x: Array, u: Array, duration: float
         k4 = slope(x + h * k3)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return x
-
-
-def energy(world: World, gravity: float) -> float:
-    """Kinetic and potential energy in J of all bodies (pymunk's kinetic_energy is twice that)."""
-    return sum(b.kinetic_energy / 2 + b.mass * gravity * b.position.y for b in world.bodies.values())
 
 
 # Laws of mechanics
@@ -511,5 +459,6 @@ def test_defaults_are_the_configs() -> None:
     parameters = inspect.signature(PymunkBongoboard).parameters
     defaults = {name: parameters[name].default for name in parameters if name != "task"}
     del config["_target_"]
+    assert TypeAdapter(Gaps).validate_python(config["gaps"]) == Gaps()
     assert not any(config["noise"].values())
-    assert defaults == config | {"noise": {}}
+    assert defaults == config | {"noise": {}, "gaps": Gaps()}

@@ -77,6 +77,13 @@ def test_success_ends_the_loop(point_mass: Study) -> None:
     assert [i.total_experiments for i in iterations] == [2, 4]
 
 
+def test_a_trial_that_never_succeeds_makes_all_experiments(point_mass: Study) -> None:
+    method = Algorithm1(max_iterations=2, experiments=3)
+    assert (method.max_iterations, method.max_experiments) == (2, 6)
+    (*_, last) = scripted(point_mass, [0.1] * 2, [0.9] * 6, max_iterations=2, experiments=3)
+    assert last.total_experiments == 6
+
+
 def test_failure_ends_after_n_out(point_mass: Study) -> None:
     """Line 3."""
     iterations = scripted(point_mass, [0.1] * 10, [0.9] * 20)
@@ -305,3 +312,17 @@ def no_bias():
 def predicts_something(bias: FittedBias) -> bool:
     mean, _ = bias.predict(np.array([[0.9, 0.9, 0.0]]))
     return bool(mean.any())
+
+
+def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
+    """Further experiments follow those of an iteration as long as all pass, and count."""
+    hardware = [0.9, 0.0] + [0.0, 0.0, 0.9] + [0.0] * 4
+    iterations = scripted(point_mass, [0.1] * 3, hardware, passes=4)
+    assert [i.succeeded for i in iterations] == [False, False, True]
+    assert [i.total_experiments for i in iterations] == [2, 5, 9]
+    hardware = [0.9] + [0.0, 0.0, 0.9] + [0.0] * 4
+    iterations = scripted(point_mass, [0.1] * 3, hardware, passes=4, stop_at_failure=True)
+    assert [i.total_experiments for i in iterations] == [1, 4, 8]
+    assert Algorithm1(max_iterations=3, experiments=2, passes=4).max_experiments == 12
+    with pytest.raises(ValueError, match="passes: 1 are fewer than the 2 experiments"):
+        Algorithm1(passes=1)

@@ -13,7 +13,7 @@ import simbias
 from simbias.interfaces import Nominal
 from simbias.records import Array
 from simbias.simulation.actuator import Actuator, Actuators, Drive, taps_of
-from simbias.simulation.closed_loop import joined, simulator
+from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.plain import PlainSimulator
 from simbias.study import Study
@@ -108,7 +108,7 @@ def test_models_with_memory_run_compiled_as_in_numpy(driven: Study) -> None:
     """In several worlds, some rollouts taking the places of others that ended."""
     rng, model = np.random.default_rng(0), driven.model()
     models = [replace(model, nominal=driven.nominal.draw(rng)) for _ in range(3)]
-    fast = joined([simulator(each) for each in models])
+    fast = join([simulator(each) for each in models])
     assert isinstance(fast, CompiledSimulator)
     worlds, thetas = rng.integers(0, 3, 40), rng.uniform(-5, 5, (40, 5))
     starts = np.array([driven.task.draw_start(rng) for _ in range(40)])

@@ -1,9 +1,8 @@
 """How often the policies with which a sweep's trials ended balance the hardware.
 
 `python tests/studies/last_policies.py NAME FILE`, in the folder of the store, tries the last policy of each
-finished trial of `+sweep=NAME` from 20 random starts, the same for all, writes a row of the file for it and
-prints the sweep's table with them. A trial may succeed by luck, with two starts that its policy holds; this
-tells what the policy is worth.
+finished trial of `+sweep=NAME` from 20 held-out starts, writes a row of the file for it and prints the
+sweep's table with them. It is for sweeps that ran without `held_out.starts=20`, which does the same.
 """
 
 from __future__ import annotations

@@ -18,17 +18,19 @@ import numpy as np
 from joblib import Parallel, delayed
 
 import simbias
+from simbias.held_out import try_policy
 from simbias.records import Array
-from simbias.study import Study
+from simbias.study import HeldOut, Study
 
 SEEDS = range(10)
 STARTS = 20
 
 
 def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
-    """In how many hardware experiments from random starts, the same ones in every call, theta balances."""
-    rngs = np.random.default_rng(2015).spawn(starts)
-    return sum(study.experiment(theta, rng).failed_at is None for rng in rngs)
+    """From how many held-out starts theta balances the hardware, for the task's horizon."""
+    tries = try_policy(study, theta, HeldOut(starts, lasting=0))
+    assert tries is not None
+    return sum(tries.holds)
 
 
 def measure(seed: int, overrides: Sequence[str]) -> dict[str, Any]:

@@ -31,8 +31,8 @@ from simbias.sweep.tables import cells, interval, layout, legend, markdown
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.sweep import SweepConsole
 from simbias.tracking import fields, results
-from simbias.tracking.mlflow import MlflowTrial
 from simbias.tracking.mlflow_sweep import MlflowSweep
+from simbias.tracking.mlflow_trial import MlflowTrial
 from simbias.tracking.store import connect
 from simbias.trial import Outcome, TrialRecord
 
@@ -69,7 +69,19 @@ def store(folder: Path) -> str:
 
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])  # tests/figures
 def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([f"+sweep={name}", "sweep.trials=1", *QUICK, "tracking=none", "engine=sequential"]) == 0
+    assert (
+        main(
+            [
+                f"+sweep={name}",
+                "sweep.trials=1",
+                *QUICK,
+                "held_out.lasting=0",
+                "tracking=none",
+                "engine=sequential",
+            ]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     sweep = expand([f"+sweep={name}"])
     cells = len(sweep.cells)
@@ -146,6 +158,36 @@ def test_the_parent_tells_everything(folder: Path, capsys: pytest.CaptureFixture
     assert main(again) == 0  # nothing is missing
     assert len(pd.read_json(artifacts(parent) / "table.json", orient="split")) == 4
     assert len(runs(folder)[1]) == 4
+
+
+def test_last_policies_are_tried_and_told(folder: Path) -> None:
+    """By the workers, after the trials; table, metrics and files tell of it, also when read again."""
+    tries = ["held_out.starts=3", "held_out.lasting=1", "held_out.seconds=0.4"]
+    told = "+sweep.report.measures=[experiments,hardware_seconds,held,reliable,lasted]"
+    again = ["+sweep=smoke", *QUICK, *tries, told, store(folder)]
+    trials = simbias.run_sweep(again)
+    assert set(trials["held_out"]) == {"111"}  # nobody falls within 0.2 s
+    frames = [len(each) for each in _experiments(folder)]
+    assert trials["hardware_seconds"].sum() == pytest.approx(0.001 * sum(frames))
+    (parent,), kept = runs(folder)
+    assert "| 100% | 100% | 100% |" in (artifacts(parent) / "table.md").read_text()
+    assert "held: mean share of 3 held-out starts" in parent.data.tags["mlflow.note.content"]
+    for trial in kept:
+        assert trial.data.metrics["held_out/held"] == 1.0
+        assert trial.data.metrics["held_out/seconds"] == pytest.approx(0.4)
+        assert "Its last policy holds 3 of 3 held-out starts" in trial.data.tags["mlflow.note.content"]
+        rows = pd.read_csv(artifacts(trial) / "held_out.csv")
+        assert list(rows["lasted_seconds"]) == pytest.approx([0.4, 0.2, 0.2])
+    pd.testing.assert_frame_equal(simbias.run_sweep(again), trials, check_exact=False)
+
+
+def _experiments(folder: Path) -> list[Any]:
+    """The inputs of all experiments that a store holds."""
+    return [
+        np.load(file)["inputs"]
+        for trial in runs(folder)[1]
+        for file in (artifacts(trial) / "experiments").iterdir()
+    ]
 
 
 def test_what_is_read_is_what_was_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -386,7 +428,7 @@ def test_measures_are_those_that_the_report_names() -> None:
     laid = layout(cells(trials_frame(sweep), sweep), sweep)
     assert [head.rpartition(": ")[2] for head in laid.head[-2:]] == ["iterations", "succeeded"]
     assert [line[-2:] for line in laid.body] == [["2.0", "3/3"]] * 2
-    assert "iterations: likewise" in legend(sweep)
+    assert "iterations: likewise" in legend(sweep, results.frame([], sweep))
 
 
 def test_a_number_at_the_head_of_columns_says_of_what() -> None:

@@ -530,7 +530,7 @@ def test_an_iterations_metrics_are_there_all_or_none(folder: Path, monkeypatch: 
         log_batch(client, run_id, metrics=metrics, **rest)
 
     log_batch = MlflowClient.log_batch
-    monkeypatch.setattr("simbias.tracking.mlflow.METRICS", 50)
+    monkeypatch.setattr("simbias.tracking.writes.METRICS", 50)
     monkeypatch.setattr(MlflowClient, "log_batch", fail_third)
     trial = open_trial(folder, described())
     with pytest.raises(ConnectionError):

@@ -79,7 +79,7 @@ def test_a_row_tells_failures_in_the_tasks_words(point_mass: Study, reset: bool)
     fell = Rollout(states, np.zeros((3, 1)), 3, "distance", cost=10.0)
     lost = Rollout(states, np.zeros((3, 1)), 3, "lost_*sight*", cost=10.0)
     whole = Rollout(np.zeros((101, 2)), np.zeros((100, 1)), cost=0.0)
-    empty = Selection(point_mass.no_data, 0, 0, {})
+    empty = Selection(point_mass.no_data, 9, 9, {"distance": 9})
     iteration = Iteration(
         index=4,
         parameters=np.zeros(3),
@@ -91,10 +91,11 @@ def test_a_row_tells_failures_in_the_tasks_words(point_mass: Study, reset: bool)
         seconds={"experiments": 1.0, "learning": 0.5},
     )
     words = "3 of 4 experiments failed: too far from the origin, lost &#42;sight&#42;"
-    assert notes.row(point_mass, iteration) == notes.Row(
-        4, None, 10.0, 0, 1.5, f"{words}; model cleared" if reset else words, False, 9
+    none = "no samples to learn from: all 9 were rejected: distance 9"
+    assert notes.row(point_mass, iteration, []) == notes.Row(
+        4, None, 10.0, 0, 1.5, f"{words}; model cleared; {none}" if reset else f"{words}; {none}", False, 9
     )
-    assert "| 4 |  | 10 | 0 | 1.5 |" in notes.note(point_mass, [notes.row(point_mass, iteration)], "")
+    assert "| 4 |  | 10 | 0 | 1.5 |" in notes.note(point_mass, [notes.row(point_mass, iteration, [])], "")
 
 
 def test_note_has_trial_verdict_and_table() -> None:

@@ -25,7 +25,7 @@ PAIRED = {
     "feet": ("variant",),
 }
 PUBLISHED = sorted(path.parent for path in RESULTS.glob("*/trials.csv"))
-OLDER = ("feet", "record")  # were published by version 0.1.0, before identities left defaults out
+OLDER = ("feet",)  # were published by version 0.1.0, before identities left defaults out
 
 
 def marks(folder: Path) -> list[pytest.MarkDecorator]:
@@ -78,7 +78,7 @@ def test_what_is_not_published_or_lacks_a_column_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sweep = expand(["+sweep=smoke"])
-    monkeypatch.setattr(results, "shipped", lambda _: tmp_path)
+    monkeypatch.setattr(results, "resource_folder", lambda _: tmp_path)
     with pytest.raises(ConfigError, match=r"^sweep: smoke has no published results$"):
         results.published(sweep)
     (tmp_path / "results" / "smoke").mkdir(parents=True)

@@ -60,20 +60,24 @@ class BiasField(SweepFigure):
     Parameters
     ----------
     states
-        The three.
+        The three; by default the task's first.
     experiments
         Held-out ones with each policy.
     arrows
         Held-out samples that are drawn, far from each other; all count in the error.
     """
 
-    def __init__(self, task: Task, states: ThreeStates, experiments: Count = 4, arrows: Count = 40) -> None:
+    def __init__(
+        self, task: Task, states: ThreeStates | None = None, experiments: Count = 4, arrows: Count = 40
+    ) -> None:
         names = [quantity.name for quantity in task.states]
-        for state in states:
+        if states is None and len(names) < 3:
+            raise ValueError(f"a field is drawn over three states; the task has {', '.join(names)}")
+        for state in states or ():
             if state not in names:
                 raise ValueError(f"the task has no state {state}; it has {', '.join(names)}")
         self._task = task
-        self._axes = [names.index(state) for state in states]
+        self._axes = [names.index(state) for state in states or names[:3]]
         self._experiments = experiments
         self._arrows = arrows
 

@@ -1,0 +1,52 @@
+"""Keys that every hardware has beside its constructor's: the conditions of its experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NotRequired
+
+from simbias.config.components import validate
+from simbias.config.errors import ConfigError
+from simbias.experiments import Conditions
+from simbias.interfaces import Task
+from simbias.messages import words
+from simbias.safety import NO_LIMITS, Safety
+
+HARDWARE = "hardware"  # the group
+FIELDS = {"safety": NotRequired[Safety], "confirm": NotRequired[bool]}
+
+
+def split(config: Any) -> tuple[Any, dict[str, Any]]:
+    """A hardware's config without these keys, and these alone."""
+    if not isinstance(config, Mapping):
+        return config, {}
+    own = {key: value for key, value in config.items() if key not in FIELDS}
+    return own, {key: value for key, value in config.items() if key in FIELDS}
+
+
+def safety(config: Any) -> Safety:
+    """The limits of a hardware's config.
+
+    Raises
+    ------
+    ConfigError
+        If a value has the wrong type or range.
+    """
+    found: Safety = validate(split(config)[1], FIELDS, HARDWARE).get("safety", NO_LIMITS)
+    return found
+
+
+def conditions(config: Any, task: Task, timeout: float | None) -> Conditions:
+    """The conditions in a hardware's config.
+
+    Raises
+    ------
+    ConfigError
+        If a value has the wrong type or range, or names nothing of the task.
+    """
+    values = Conditions(timeout, **validate(split(config)[1], FIELDS, HARDWARE))
+    try:
+        values.safety.bounds(task)
+    except ValueError as error:
+        raise ConfigError(f"{HARDWARE}.safety", words(error)) from error
+    return values

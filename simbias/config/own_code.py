@@ -1,0 +1,92 @@
+"""The user's own code in a trial: a digest of each module, kept with the run but no part of its identity.
+
+A comment is no other trial, so what changed is told, and the user decides whether results still count.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import sys
+from collections.abc import Iterator, Mapping
+from importlib.util import resolve_name
+from pathlib import Path
+from typing import Any
+
+from simbias.config.allowed import OWN, targets
+
+DIGITS = 12  # hexadecimal
+INSTALLED = ("site-packages", "dist-packages")  # where packages are that have nothing to do with each other
+
+
+def digests(config: Mapping[str, Any]) -> dict[str, str]:
+    """A digest of each module of the user's that a config's components come from, and the packages' versions.
+
+    Modules that these import count too, if they lie in the same package or folder; what is installed beside
+    them does not. The components have been built, so their modules are imported.
+    """
+    found: dict[str, str] = {}
+    for target in targets({key: value for key, value in config.items() if isinstance(value, Mapping)}):
+        module = str(target).rpartition(".")[0]
+        if module.partition(".")[0] != OWN:
+            for name in _with_imported(module):
+                found[name] = _digest(name)
+            version = getattr(sys.modules.get(module.partition(".")[0]), "__version__", None)
+            if version is not None:
+                found[f"{module.partition('.')[0]} version"] = str(version)
+    return dict(sorted(found.items()))
+
+
+def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """The modules whose code is another than before, in words; "" if none is."""
+    return ", ".join(sorted(name for name in {*before, *now} if before.get(name) != now.get(name)))
+
+
+def _with_imported(module: str) -> Iterator[str]:
+    """A module and those of the same home that it imports, directly or over others."""
+    home, waiting, seen = _home(module), [module], set()
+    while waiting:
+        name = waiting.pop()
+        if name in seen or _file(name) is None or _home(name) != home or name.partition(".")[0] == OWN:
+            continue
+        seen.add(name)
+        yield name
+        waiting += _imports(name)
+
+
+def _imports(module: str) -> Iterator[str]:
+    """The modules that a module's text imports, those that are loaded."""
+    file = _file(module)
+    assert file is not None
+    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = (
+                resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module
+            )
+            yield str(base)
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def _file(module: str) -> Path | None:
+    """The file of a loaded module, if it is one of Python."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return Path(file) if file and file.endswith(".py") else None
+
+
+def _home(module: str) -> Path | None:
+    """The folder in which a module, or the package that it is in, lies."""
+    file = _file(module.partition(".")[0])
+    if file is None:
+        return None
+    folder = file.parent.parent if file.name == "__init__.py" else file.parent
+    return file.parent if folder.name in INSTALLED else folder
+
+
+def _digest(module: str) -> str:
+    """Of a module's text."""
+    file = _file(module)
+    assert file is not None
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:DIGITS]

@@ -1,0 +1,65 @@
+"""An experiment before it is made: what is predicted, with a band."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from simbias.interfaces import Quantity
+from simbias.pictures.panels import headline, legend, panels
+from simbias.pictures.style import LIMIT, SIMULATION, label, plain
+from simbias.prediction import DRAWS, Prediction
+from simbias.records import Array
+from simbias.safety import Bounds
+from simbias.study import Study
+
+HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
+
+
+def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
+    """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
+    task, expected = study.task, prediction.expected
+    columns = min(COLUMNS, len(task.states) + len(task.inputs))
+    rows = -(-(len(task.states) + len(task.inputs)) // columns)
+    figure, grid = panels(rows, columns, HEIGHT)
+    empty = list(grid.flat)
+    for quantities, values, band, limits in (
+        (task.states, expected.states, prediction.band(), bounds.states),
+        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.inputs),
+    ):
+        for index, quantity in enumerate(quantities):
+            low, high = (edge[:, index] for edge in band)
+            _draw(empty.pop(0), quantity, task.time_step, values[:, index], low, high, limits[index])
+    for axes in empty:
+        axes.axis("off")
+    fail = len(prediction.failures)
+    headline(grid[0, 0], "the next experiment, as predicted")
+    legend(
+        figure,
+        {
+            "from its start": Line2D([], [], color=SIMULATION),
+            f"90 % of {DRAWS} draws of start and model{f', {fail} fail' if fail else ''}": Patch(
+                color=SIMULATION, alpha=0.2
+            ),
+            "limit": Line2D([], [], color=LIMIT, linestyle=":"),
+        },
+    )
+    return figure
+
+
+def _draw(
+    axes: Axes, quantity: Quantity, time_step: float, values: Array, low: Array, high: Array, limit: float
+) -> None:
+    """A quantity over time."""
+    axes.fill_between(time_step * np.arange(len(low)), low, high, color=SIMULATION, alpha=0.2, linewidth=0.0)
+    axes.plot(time_step * np.arange(len(values)), values, color=SIMULATION, linewidth=1.0)
+    bottom, top = axes.get_ylim()
+    for edge in (-limit, limit):
+        if np.isfinite(edge) and bottom - (top - bottom) <= edge <= top + (top - bottom):
+            axes.axhline(edge, color=LIMIT, linestyle=":", linewidth=0.8)
+    axes.set_xlabel("time (s)", labelpad=1)
+    axes.set_ylabel(label(quantity), labelpad=1)
+    plain(axes)

@@ -1,0 +1,187 @@
+"""Output feedback with memory: a filter, an integral, and the last inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, final
+
+import numpy as np
+from pydantic import Field
+
+from simbias.interfaces import Kernel, Policy, Task
+from simbias.policy.gains import signed_exponential
+from simbias.records import Array
+
+RATE = "/s"  # what the units of rates end with
+
+Bound = Annotated[float, Field(gt=0, le=100)]
+FilterSeconds = Annotated[float, Field(ge=0, le=10)]
+IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
+DelaySeconds = Annotated[float, Field(ge=0, le=1)]
+DelayRate = Annotated[float, Field(gt=0, le=1e6)]  # 1/s
+
+
+@final
+class DynamicOutputFeedback(Policy):
+    """u = H (y + rho w) + g s within the task's limits, a law that remembers; H as in Eq. 9 and 10.
+
+    y are the outputs z, those of them that are rates through a low-pass filter of the time constant tau; w is
+    the integral over time of some outputs; s is the integral of the law's own inputs over the last
+    `delay_seconds`. tau, rho and g are searched with H: three parameters more, with one input. What is
+    switched off has none.
+
+    - The filter keeps a sensor's noise out of the input, and delays it.
+    - The integral removes what a constant offset would leave, as of a sloping floor. It rests while an input
+      is at its limit.
+    - The inputs that were sent, but do not show in the measured state yet, say where the state will be: where
+      the input B u acts after a delay, z + B s is the state that it will meet, to first order in the delay,
+      and g = H B compensates the delay.
+
+    Parameters
+    ----------
+    bound
+        |h-hat| <= bound, as of `OutputFeedback`.
+    filter_seconds
+        The longest time constant tau in s; 0: no filter.
+    integral_rate
+        The largest rho in 1/s; 0: no integral.
+    integrated
+        Names of the outputs that are integrated; None is the first one.
+    delay_seconds
+        How far back the law remembers its inputs, in s; 0: not at all.
+    delay_rate
+        |g| <= delay_rate, in 1/s.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        bound: Bound = 10.0,
+        filter_seconds: FilterSeconds = 0.0,
+        integral_rate: IntegralRate = 0.0,
+        integrated: list[str] | None = None,
+        delay_seconds: DelaySeconds = 0.0,
+        delay_rate: DelayRate = 100.0,
+    ) -> None:
+        names = [output.name for output in task.outputs]
+        chosen = names[:1] if integrated is None else integrated
+        for name in chosen:
+            if name not in names:
+                raise ValueError(f"integrated: no output is called {name}; there are {', '.join(names)}")
+        m, q = len(task.inputs), len(task.outputs)
+        self._task, self._m, self._q = task, m, q
+        self._filters, self._integrates = filter_seconds > 0, integral_rate > 0
+        self._delay = round(delay_seconds / task.time_step)  # frames
+        self._rates = np.array([output.unit.endswith(RATE) for output in task.outputs])
+        self._integrated = np.array([name in chosen for name in names], dtype=np.float64)
+        lower, upper = [-bound] * (m * q), [bound] * (m * q)
+        for most in (filter_seconds, integral_rate):
+            if most > 0:
+                lower, upper = [*lower, 0.0], [*upper, most]
+        if self._delay:
+            lower, upper = [*lower, *[-delay_rate] * m], [*upper, *[delay_rate] * m]
+        self.bounds = np.array(lower), np.array(upper)
+        self.n_parameters = len(lower)
+        self.memory_size = 2 * q + self._delay * m
+        self._control = _law(m, q, self._delay)
+        self.kernel = self._compiled
+
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n), and the memory: y (q), rho w (q), last inputs (m d)."""
+        q, m, d = self._q, self._m, self._delay
+        H, smoothing, gathering, g = self._parameters(theta)
+        z, limit = self.outputs(x), self._task.input_limit
+        before, w, past = memory[..., :q], memory[..., q : 2 * q], memory[..., 2 * q :]
+        y = before + smoothing * (z - before)
+        past = past.reshape(*past.shape[:-1], m, d)
+        asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1)
+        u = np.clip(asked, -limit, limit)
+        free = (u == asked).all(axis=-1, keepdims=True)
+        sent = np.concatenate([u[..., None], past], axis=-1)[..., :d]
+        kept = [y, w + gathering * y * free, sent.reshape(*sent.shape[:-2], m * d)]
+        return u, np.concatenate(kept, axis=-1)
+
+    def outputs(self, x: Array) -> Array:
+        """Outputs z (..., q) at states x (..., n)."""
+        return self._task.output(x)
+
+    def _parameters(self, theta: Array) -> tuple[Array, Array, Array, Array]:
+        """H (..., m, q); what y and rho w take of z in a frame, (..., q) each; g in 1/frame, (..., m)."""
+        h, rest = np.split(np.asarray(theta, dtype=np.float64), [self._m * self._q], axis=-1)
+        leading, dt = h.shape[:-1], self._task.time_step
+        smoothing, gathering = np.ones((*leading, self._q)), np.zeros((*leading, self._q))
+        g = np.zeros((*leading, self._m))
+        if self._filters:
+            tau, rest = rest[..., :1], rest[..., 1:]
+            with np.errstate(divide="ignore"):
+                smoothing = np.where(self._rates, -np.expm1(-dt / tau), smoothing)
+        if self._integrates:
+            rho, rest = rest[..., :1], rest[..., 1:]
+            gathering = dt * rho * self._integrated
+        if self._delay:
+            g = dt * rest
+        return signed_exponential(h).reshape(*leading, self._m, self._q), smoothing, gathering, g
+
+    def _compiled(self, thetas: Array) -> Kernel:
+        """The policies (k, p); parameters: the limits, H row by row, and the rest as `_parameters` has it."""
+        H, *rest = self._parameters(thetas)
+        gains = H.reshape(len(thetas), self._m * self._q)
+        limits = np.broadcast_to(self._task.input_limit, (len(thetas), self._m))
+        return Kernel(self._control, np.concatenate([limits, gains, *rest], axis=1))
+
+
+def _law(m: int, q: int, d: int) -> Callable:
+    """The kernel of m inputs, q outputs and d frames; see `DynamicOutputFeedback.act`."""
+    smoothing, gathering, g = m + m * q, m + m * q + q, m + m * q + 2 * q  # where they begin
+
+    def smooth(j, z, p, memory):
+        return memory[j] + p[smoothing + j] * (z[j] - memory[j])
+
+    def ask(i, y, p, memory):
+        u, past = 0.0, 0.0
+        for j in range(q):
+            u += p[m + i * q + j] * (y[j] + memory[q + j])
+        for k in range(d):
+            past += memory[2 * q + i * d + k]
+        return u + p[g + i] * past
+
+    def limit(i, u, p, memory):
+        return min(max(u[i], -p[i]), p[i])
+
+    def exceed(i, wanted_and_sent, p, memory):
+        return wanted_and_sent[i] - wanted_and_sent[m + i]
+
+    def integrate(j, y_and_free, p, memory):
+        return memory[q + j] + p[gathering + j] * y_and_free[j] * y_and_free[q]
+
+    def shift(index, u, p, memory):
+        return u[index // d] if index % d == 0 else memory[2 * q + index - 1]
+
+    smooth_all, ask_all, limit_all = _each(smooth, q), _each(ask, m), _each(limit, m)
+    exceed_all, integrate_all, shift_all = _each(exceed, m), _each(integrate, q), _each(shift, m * d)
+
+    def control(z, p, t, memory):
+        """u and the next memory."""
+        y = smooth_all(z, p, memory)
+        wanted = ask_all(y, p, memory)
+        u = limit_all(wanted, p, memory)
+        excess = 0.0
+        for difference in exceed_all(wanted + u, p, memory):
+            excess += abs(difference)
+        free = 1.0 if excess == 0.0 else 0.0
+        return u, y + integrate_all(y + (free,), p, memory) + shift_all(u, p, memory)  # noqa: RUF005 (for Numba)
+
+    return control
+
+
+def _each(element: Callable[..., Any], size: int, first: int = 0) -> Callable:
+    """A kernel that gives element(i, a, b, c) of every i below the size, as a tuple."""
+    if first == size:
+        return lambda a, b, c: ()
+    others = _each(element, size, first + 1)
+
+    def each(a, b, c):
+        """From the first of them on."""
+        return (element(first, a, b, c),) + others(a, b, c)  # noqa: RUF005 (for Numba)
+
+    return each

@@ -1,0 +1,43 @@
+"""What lies between a state and what a policy sees of it, besides noise: an offset and a delay."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator
+
+from simbias.config.numbers import Coordinate
+from simbias.interfaces import Task
+from simbias.records import Array
+
+
+def _without_zeros(offsets: dict[str, float]) -> dict[str, float]:
+    """What is not off need not be declared."""
+    return {name: offset for name, offset in offsets.items() if offset}
+
+
+# As in a config: `theta: 0.01`, of a quantity in its unit.
+Offsets = Annotated[dict[str, Coordinate], AfterValidator(_without_zeros)]
+
+
+class Sensor:
+    """Sees each state some frames late, and some quantities off by a constant.
+
+    Raises
+    ------
+    ValueError
+        If the task has no state of that name.
+    """
+
+    def __init__(self, task: Task, offsets: Offsets, delay: int) -> None:
+        names = [state.name for state in task.states]
+        unknown = sorted(set(offsets) - set(names))
+        if unknown:
+            raise ValueError(f"no state is called {', '.join(unknown)}; there is {', '.join(names)}")
+        self._offset = np.array([offsets.get(name, 0.0) for name in names])
+        self._delay = delay
+
+    def read(self, states: Array, t: int) -> Array:
+        """What it says (n,) in frame t of the states (t+1 or more, n) so far; at first, of the start."""
+        return states[max(0, t - self._delay)] + self._offset

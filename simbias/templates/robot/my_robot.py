@@ -1,0 +1,134 @@
+"""A robot of your own: what is to be done, what you believe of it, and the robot itself.
+
+It is a pole on a motor, to be held upright: replace it by yours, piece by piece. `python -m simbias check`
+says what does not fit yet. simbias/interfaces.py holds every contract; all arrays are in the task's units.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from simbias.config.numbers import Frames, Length, Mass, TimeStep
+from simbias.interfaces import Criterion, Hardware, Kernel, Nominal, Policy, Quantity, Task
+from simbias.parameters import Parameter
+from simbias.records import Array, Rollout
+from simbias.simulation.kernels import elementwise
+from simbias.simulation.trigonometry import sincos
+
+GRAVITY = 9.81  # m/s^2
+
+
+def _measure(x, parameters):
+    """What the failure criteria hold against their limits."""
+    angle, _ = x
+    return (abs(angle),)
+
+
+def _same(x, parameters):
+    """Outputs that are the states."""
+    angle, rate = x
+    return angle, rate
+
+
+class Upright(Task):
+    """Hold the pole upright for `horizon` frames of `time_step` seconds."""
+
+    states = (Quantity("angle", "rad", "angle"), Quantity("rate", "rad/s", "velocity"))
+    inputs = (Quantity("torque", "N m", "torque"),)
+    outputs = states  # what the policy feeds back
+    criteria = (Criterion("fallen", "the pole has fallen", 0.5, "rad", {"angle": 0.5}),)
+    input_limit = np.array([8.0])
+    start_mean = np.array([0.1, 0.0])
+    start_deviation = np.array([0.05, 0.05])
+
+    def __init__(self, time_step: TimeStep = 0.01, horizon: Frames = 300) -> None:
+        self.time_step = time_step
+        self.horizon = horizon
+        self.measure_kernel = Kernel(_measure, np.empty(0))  # kernels make it fast, and may be left out
+        self.output_kernel = Kernel(_same, np.empty(0))
+
+    def measure(self, x: Array) -> Array:
+        """Measures (..., 1) of the criteria at states x (..., 2)."""
+        return np.abs(x[..., :1])
+
+    def output(self, x: Array) -> Array:
+        """Outputs z (..., 2) at states x (..., 2)."""
+        return x.copy()
+
+
+def _step(x, u, parameters):
+    """One time step of the pole, as far as you know it."""
+    time_step, mass, length = parameters
+    angle, rate = x
+    sine, _ = sincos(angle)
+    acceleration = GRAVITY / length * sine + u[0] / (mass * length * length)
+    rate = rate + time_step * acceleration
+    return angle + time_step * rate, rate
+
+
+class Belief(Nominal):
+    """Your simulation model f'. Parameters are what you don't know exactly, and by how much."""
+
+    def __init__(self, task: Upright, mass: Mass = 1.0, length: Length = 0.5) -> None:
+        self._task = task
+        self.parameters = (
+            Parameter("mass", "kg", mass, 0.2, "log_normal"),
+            Parameter("length", "m", length, 0.1, "log_normal"),
+        )
+        self._numbers = np.array([task.time_step, mass, length])
+        self.kernel = Kernel(_step, self._numbers)
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., 2), one time step after x (..., 2) under u (..., 1)."""
+        return elementwise(_step, x, u, parameters=self._numbers)
+
+    def with_parameters(self, values: Array) -> Belief:
+        """The model with another mass and length."""
+        return Belief(self._task, *map(float, values))
+
+
+class Robot(Hardware):
+    """The robot. This one is simulated too: its pole is longer, its joint rubs, and a cable pulls."""
+
+    def __init__(
+        self,
+        task: Upright,
+        length: Length = 0.65,
+        friction: Annotated[float, Field(ge=0, le=100)] = 0.3,  # N m s
+        cable: Annotated[float, Field(ge=-100, le=100)] = 1.0,  # N m, with which it pulls
+    ) -> None:
+        self._task = task
+        self._length = length
+        self._friction = friction
+        self._cable = cable
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment: on a real robot, send u, wait for the next frame, and read x."""
+        task = self._task
+        controller = policy.controller(theta, task.time_step)
+        states, inputs = [start], list[Array]()
+        failure = task.failure(start)
+        while failure is None and len(inputs) < task.horizon:
+            u = controller(states[-1])
+            states.append(self._move(states[-1], u))
+            inputs.append(u)
+            failure = task.failure(states[-1])
+        return Rollout(
+            states=np.array(states),
+            inputs=np.array(inputs).reshape(-1, 1),
+            failed_at=None if failure is None else len(inputs),
+            failure=failure,
+        )
+
+    def stop(self) -> None:
+        """Bring the robot to rest: an experiment took too long, or a limit was exceeded."""
+
+    def _move(self, x: Array, u: Array) -> Array:
+        """What the motor does."""
+        torque = u[0] + self._cable - self._friction * x[1]
+        acceleration = GRAVITY / self._length * np.sin(x[0]) + torque / self._length**2
+        rate = x[1] + self._task.time_step * acceleration
+        return np.array([x[0] + self._task.time_step * rate, rate])

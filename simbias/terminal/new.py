@@ -1,0 +1,45 @@
+"""`python -m simbias new my_robot`: a folder for a robot of one's own, which runs as it is."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from simbias.commands import python
+from simbias.config.errors import ConfigError
+from simbias.messages import quote
+
+TEMPLATE = Path(__file__).resolve().parent.parent / "templates" / "robot"
+NAME = "my_robot"  # of the template
+
+
+def new(arguments: Sequence[str]) -> None:
+    """Lay out the folder, and say how to go on.
+
+    Raises
+    ------
+    ConfigError
+        If the name is none of a module, or taken.
+    """
+    if len(arguments) != 1:
+        raise ConfigError("new", f"expected one name, as in: new {NAME}")
+    (name,) = arguments
+    if not name.isidentifier() or keyword.iskeyword(name) or not name.isascii():
+        raise ConfigError("new", f"expected the name of a Python module, as {NAME}, got {quote(name)}")
+    folder = Path(name)
+    if folder.exists():
+        raise ConfigError(name, "is there already")
+    if find_spec(name) is not None:
+        raise ConfigError("new", f"a module of the name {name} is installed; choose another")
+    for source in sorted(TEMPLATE.rglob("*")):
+        if source.is_file() and source.suffix in (".py", ".yaml", ".md"):
+            target = folder / str(source.relative_to(TEMPLATE)).replace(NAME, name)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(source.read_text(encoding="utf-8").replace(NAME, name), encoding="utf-8")
+    command = f"{python()} -m simbias"
+    print(f"{name}/ is laid out; {name}/{name}.py is what to change. It runs as it is:\n")
+    print(f"cd {name}")
+    for verb in ("check ", "preview ", ""):
+        print(f"{command} {verb}--config-dir conf preset={name}")

@@ -1,0 +1,90 @@
+"""`python -m simbias preview`: what the first experiment of a trial will do, before it is made."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from simbias.config import ConfigError, compose
+from simbias.config.build import build
+from simbias.pictures.preview import preview as picture
+from simbias.pictures.style import save
+from simbias.prediction import DRAWS, Prediction, predict
+from simbias.safety import Bounds
+from simbias.study import Study
+from simbias.terminal.trial import preparing, slowness_in_one_line
+from simbias.testing.rehearsal import rehearse
+
+FILE = "preview.png"
+
+
+def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> None:
+    """Search the first policy, simulate its experiment, tell of it, and draw it into a file.
+
+    Raises
+    ------
+    ConfigError
+        If an override is bad, a component breaks its contract, or the picture cannot be written.
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    with slowness_in_one_line():
+        with preparing():
+            study = build(compose(overrides, config_dir, allow))
+            rehearse(study)
+        console.print("Searching the trial's first policy; no experiment is made ...")
+        order = study.ask()
+        assert order is not None  # a trial begins with one
+        prediction = predict(study, order.theta, order.start)
+    bounds = study.conditions.safety.bounds(study.task)
+    for line in describe(study, prediction, bounds):
+        console.print(line, markup=False)
+    try:
+        save(picture(study, prediction, bounds), FILE)
+    except OSError as error:
+        raise ConfigError(FILE, f"cannot be written ({error.strerror})") from error
+    console.print(f"Look at it:  {Path(FILE)}", markup=False)
+
+
+def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[str]:
+    """A prediction in a table: where each quantity goes, in what is expected and in the band."""
+    task, expected = study.task, prediction.expected
+    yield f"{'':>16}  {'start':>9}  {'predicted':>21}  {'band':>21}  {'limit':>9}"
+    for quantities, values, band, limits in (
+        (task.states, expected.states, prediction.band(), bounds.states),
+        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.inputs),
+    ):
+        for index, quantity in enumerate(quantities):
+            own = values[:, index]
+            low, high = (edge[:, index] for edge in band)
+            limit = f"{limits[index]:.4g}" if np.isfinite(limits[index]) else ""
+            yield (
+                f"{quantity.name:>16}  {_first(own):>9}  {_range(own, own):>21}  {_range(low, high):>21}"
+                f"  {limit:>9}  {quantity.unit}"
+            )
+    for quantity, change, limit in zip(
+        task.inputs, prediction.largest_change(task.time_step), bounds.input_rates, strict=True
+    ):
+        beyond = (
+            f" (limit {limit:.4g}: {'ABORTS' if change > limit else 'kept'})" if np.isfinite(limit) else ""
+        )
+        yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{beyond}."
+    seconds = expected.frames * task.time_step
+    end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
+    yield f"Predicted: {seconds:.2f} s{end}, cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})."
+    counts = Counter(map(task.words, prediction.failures))
+    failed = ", ".join(f"{words} ({count})" for words, count in counts.most_common())
+    yield f"Of {DRAWS} draws of start and model, {len(prediction.failures)} fail{failed and f': {failed}'}."
+
+
+def _first(values: np.ndarray) -> str:
+    """Where a quantity begins."""
+    return f"{values[0]:.4g}" if len(values) else ""
+
+
+def _range(low: np.ndarray, high: np.ndarray) -> str:
+    """From the smallest to the largest."""
+    return f"{np.nanmin(low):.4g} .. {np.nanmax(high):.4g}" if len(low) else ""

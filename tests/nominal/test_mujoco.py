@@ -1,0 +1,150 @@
+"""MuJoCo as a model: against equations of motion, against itself, and what a file cannot be."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import DOUBLE, MOTOR, URDF, cart_pole, mjcf
+
+from simbias.nominal.cartpole import CartPole
+from simbias.nominal.mujoco import Mujoco
+from simbias.records import Array
+from simbias.task import mjcf_parameters as files
+
+
+def points(k: int, scale: float = 0.5) -> tuple[Array, Array]:
+    """States (k, 4) and forces (k, 1)."""
+    rng = np.random.default_rng(0)
+    return scale * rng.normal(size=(k, 4)), 10 * rng.uniform(-1, 1, (k, 1))
+
+
+def test_it_moves_as_the_equations_of_motion_say(tmp_path: Path) -> None:
+    """An independent implementation: both by Runge and Kutta's method, so they converge to each other."""
+    task = cart_pole()
+    file = mjcf(tmp_path, damping=0.3, step=0.02)
+    engine = Mujoco(task, file, values={"tip.mass": 0.0, "tip.inertia": 1e-12})
+    equations = CartPole(task, 2.0, 0.5, 0.8, 0.3, 0.3)
+    x, u = points(20)
+    np.testing.assert_allclose(engine.step(x, u), equations.step(x, u), rtol=1e-6, atol=1e-7)
+
+
+def test_a_state_moves_alike_alone_and_among_others(tmp_path: Path) -> None:
+    """On one thread or several, whatever was stepped before."""
+    model = Mujoco(cart_pole(), mjcf(tmp_path))
+    x, u = points(40)
+    together = model.step(x, u)
+    for row in (3, 39):
+        np.testing.assert_array_equal(model.step(x[row], u[row]), together[row])
+    np.testing.assert_array_equal(
+        model.step(x.reshape(4, 10, 4), u.reshape(4, 10, 1)).reshape(40, 4), together
+    )
+
+
+def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
+    model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"*.mass": 0.3, "hinge.damping": 1.0})
+    rng = np.random.default_rng(1)
+    models = [model.draw(rng) for _ in range(3)]
+    x, u = points(30)
+    worlds = rng.integers(3, size=30)
+    together = models[0].step_in_worlds(models, x, u, worlds)
+    each = np.array([models[world].step(x[row], u[row]) for row, world in enumerate(worlds)])
+    np.testing.assert_array_equal(together, each)
+    assert len(np.unique(together, axis=0)) == 30
+
+
+def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
+    """Their values are the file's; a positive one's prior is log-normal, of zero half a normal one."""
+    model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"pole.mass": 0.3, "hinge.damping": 2.0})
+    mass, damping = model.parameters
+    assert mass[:5] == ("pole.mass", "kg", 0.5, 0.3, "log_normal")
+    assert damping[:5] == ("hinge.damping", "N m s/rad or N s/m", 0.0, 2.0, "half_normal")
+    changed = model.with_parameters(np.array([1.0, 0.7]))
+    equal = Mujoco(cart_pole(), mjcf(tmp_path), values={"pole.mass": 1.0, "hinge.damping": 0.7})
+    x, u = points(5)
+    np.testing.assert_array_equal(changed.step(x, u), equal.step(x, u))
+    same = model.with_parameters(np.array([0.5, 0.0]))
+    np.testing.assert_allclose(same.step(x, u), model.step(x, u), rtol=1e-12)
+
+
+def test_a_heavier_body_has_more_inertia_and_a_larger_one_hangs_farther(tmp_path: Path) -> None:
+    """As a file says that has these numbers."""
+    task, x, u = cart_pole(), *points(10)
+    longer = Mujoco(task, mjcf(tmp_path, length=1.2))
+    scaled = Mujoco(task, mjcf(tmp_path, length=0.8), values={"pole.size": 1.5})
+    np.testing.assert_allclose(scaled.step(x, u), longer.step(x, u), rtol=1e-9)
+    weak = Mujoco(task, mjcf(tmp_path), factors={"push.gain": 0.5})
+    np.testing.assert_allclose(weak.step(x, u), Mujoco(task, mjcf(tmp_path)).step(x, u / 2), rtol=1e-12)
+
+
+def test_what_has_blown_up_is_no_number(tmp_path: Path) -> None:
+    """The engine itself would begin anew at its initial state, as if nothing had happened."""
+    model = Mujoco(cart_pole(), mjcf(tmp_path))
+    x, u = points(3)
+    x[1], x[2, 3] = np.nan, 1e6
+    after = model.step(x, u)
+    assert np.isfinite(after[0]).all()
+    assert np.isnan(after[1:]).all()
+    assert np.isnan(model.step(x[1:], u[1:])).all()
+
+
+def test_a_urdf_has_motors_where_its_joints_are_named(tmp_path: Path) -> None:
+    """A force F makes 2 kg faster by F t / 2, within the effort that the file allows."""
+    file = tmp_path / "slider.urdf"
+    file.write_text(URDF)
+    states = {"position": {"unit": "m"}, "d_position": {"unit": "m/s"}}
+    task = cart_pole(states=states, failure={"far": {"value": "abs(position)", "above": 5.0}})
+    after = Mujoco(task, str(file), actuators=["rail"]).step(np.zeros(2), np.array([3.0]))
+    assert after[1] == pytest.approx(3.0 / 2.0 * 0.02)
+    file.write_text(URDF.replace('effort="20"', 'effort="9"'))
+    with pytest.raises(ValueError, match="the task's input may be 20; the actuator rail gives 9"):
+        Mujoco(task, str(file), actuators=["rail"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"file": "no.xml"}, "no such file: no.xml"),
+        ({"file": "nosuchpackage:a.xml"}, "the package nosuchpackage is not installed"),
+        (
+            {"file": DOUBLE},
+            "the task has 4 states; positions and velocities of the joints slider, hinge, hinge2",
+        ),
+        ({"joints": ["slider"]}, "joint hinge: all joints have to be states"),
+        ({"joints": ["slider", "knee"]}, "joints: .* has no 'knee'; it has slider, hinge"),
+        ({"actuators": ["pull"]}, "actuators: .* has no 'pull'; it has push"),
+        ({"values": {"pole.colour": 1.0}}, "no parameter is called 'pole.colour'; there is body.mass, "),
+        ({"uncertainty": {"knee.*": 1.0}}, "no parameter is called 'knee.*'"),
+    ],
+)
+def test_a_bad_file_is_one_line(tmp_path: Path, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        Mujoco(cart_pole(), **{"file": mjcf(tmp_path), **arguments})
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_does_not_go_with_the_task_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body/></mujoco>")
+    servo = '<position name="push" joint="slider" kp="10" timeconst="0.1"/>'
+    strong = cart_pole(inputs={"force": {"unit": "N", "limit": 30.0}})
+    for task, actuators, message in (
+        (cart_pole(), None, "broken.xml: "),
+        (strong, MOTOR, "the task's input may be 30; the actuator push gives 20"),
+        (cart_pole(), servo, "actuators with a state of their own: push"),
+        (cart_pole(), "", "the task has 1 inputs"),
+    ):
+        broken = str(tmp_path / "broken.xml")
+        with pytest.raises(ValueError, match=message) as error:
+            Mujoco(task, broken if actuators is None else mjcf(tmp_path, actuators=actuators))
+        assert "\n" not in str(error.value)
+
+
+def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    files.mujoco.cache_clear()
+    with pytest.raises(ValueError, match=r"MuJoCo is not installed .*: pip install 'simbias\[mujoco\]'"):
+        Mujoco(cart_pole(), "any.xml")
+    files.mujoco.cache_clear()

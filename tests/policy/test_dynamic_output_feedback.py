@@ -1,0 +1,143 @@
+"""Feedback with memory against what theory says of each of its parts, and compiled against plain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import simbias
+from simbias.bias.none import ZeroBias
+from simbias.interfaces import Quantity, Task
+from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
+from simbias.policy.output_feedback import OutputFeedback
+from simbias.records import Array, Disturbance
+from simbias.simulation.closed_loop import simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.plain import PlainSimulator
+
+DT = 0.001  # s
+
+
+class Cart(Task):
+    """A position and a velocity, both outputs, and a force."""
+
+    states = (Quantity("position", "m"), Quantity("velocity", "m/s"))
+    outputs = states
+    inputs = (Quantity("force", "N"),)
+    criteria = ()
+    time_step = DT
+    horizon = 1000
+
+    def __init__(self, limit: float = 1e6) -> None:
+        self.input_limit = np.array([limit])
+
+    def measure(self, x: Array) -> Array:
+        return np.zeros((*x.shape[:-1], 0))
+
+    def output(self, x: Array) -> Array:
+        return x
+
+
+def hat(*gains: float) -> list[float]:
+    """h-hat of gains (Eq. 10)."""
+    return [float(np.sign(h) * np.log1p(abs(h))) for h in gains]
+
+
+def inputs(policy: DynamicOutputFeedback, theta: list[float], states: Array) -> Array:
+    """What the policy's control loop answers to states (k, n)."""
+    controller = policy.controller(np.array(theta), DT)
+    return np.array([controller(x)[0] for x in states])
+
+
+def test_with_all_of_it_off_it_is_output_feedback() -> None:
+    task = simbias.load(["tracking=none"]).task
+    plain, dynamic = OutputFeedback(task), DynamicOutputFeedback(task)
+    rng = np.random.default_rng(0)
+    theta, x = rng.uniform(-5, 5, (7, 5)), 0.1 * rng.normal(size=(7, 6))
+    np.testing.assert_array_equal(dynamic.bounds, plain.bounds)
+    u, memory = dynamic.act(theta, x, 0.0, np.zeros((7, dynamic.memory_size)))
+    np.testing.assert_allclose(u, plain.act(theta, x, 0.0, np.zeros((7, 0)))[0], rtol=1e-12)
+    assert not memory[:, 5:].any()
+
+
+def test_the_filters_step_response_is_that_of_its_time_constant() -> None:
+    policy = DynamicOutputFeedback(Cart(), filter_seconds=0.1)
+    tau, frames = 0.02, np.arange(1, 101)
+    rates = inputs(policy, [*hat(0.0, 1.0), tau], np.tile([0.0, 1.0], (100, 1)))
+    np.testing.assert_allclose(rates, 1.0 - np.exp(-frames * DT / tau), rtol=1e-9)
+    positions = inputs(policy, [*hat(1.0, 0.0), tau], np.tile([1.0, 0.0], (100, 1)))
+    np.testing.assert_allclose(positions, 1.0)  # which are no rates
+    unfiltered = inputs(policy, [*hat(0.0, 1.0), 0.0], np.tile([0.0, 1.0], (3, 1)))
+    np.testing.assert_allclose(unfiltered, 1.0)
+
+
+def on_a_cart(policy: DynamicOutputFeedback, theta: list[float], offset: float, delay: int = 0) -> Array:
+    """States (k, 2) of a cart of 1 kg in 30 s, pushed by an offset too, its force late by so many frames."""
+    controller = policy.controller(np.array(theta), DT)
+    states, late = [np.array([0.5, 0.0])], [0.0] * delay
+    for _ in range(30_000):
+        position, velocity = states[-1]
+        late.append(controller(states[-1])[0])
+        velocity += DT * (late.pop(0) + offset)
+        states.append(np.array([position + DT * velocity, velocity]))
+    return np.array(states)
+
+
+@pytest.mark.slow
+def test_the_integral_removes_a_constant_offset() -> None:
+    """Without it, the cart rests at offset / stiffness; with a limited force, it does not wind up."""
+    k, d, offset = 4.0, 4.0, 2.0
+    policy = DynamicOutputFeedback(Cart(), integral_rate=1.0)
+    without = on_a_cart(policy, [*hat(-k, -d), 0.0], offset)
+    assert without[-1, 0] == pytest.approx(offset / k, rel=1e-6)
+    with_it = on_a_cart(policy, [*hat(-k, -d), 0.5], offset)
+    np.testing.assert_allclose(with_it[-1], 0.0, atol=1e-4)
+    limited = DynamicOutputFeedback(Cart(limit=2.5), integral_rate=1.0)
+    np.testing.assert_allclose(on_a_cart(limited, [*hat(-k, -d), 0.5], offset)[-1], 0.0, atol=1e-4)
+
+
+def test_the_last_inputs_predict_a_delayed_state() -> None:
+    """A velocity whose force comes d frames late: g = h B acts on where it will be, so the delay cancels."""
+    delay, h, task = 50, -30.0, Cart()
+    policy = DynamicOutputFeedback(task, delay_seconds=delay * DT)
+
+    def velocities(theta: list[float], late_by: int) -> Array:
+        controller = policy.controller(np.array(theta), DT)
+        v, late, seen = 1.0, [0.0] * late_by, []
+        for _ in range(400):
+            seen.append(v)
+            late.append(controller(np.array([0.0, v]))[0])
+            v += DT * late.pop(0)
+        return np.array(seen)
+
+    prompt = velocities([*hat(0.0, h), 0.0], 0)
+    late = velocities([*hat(0.0, h), h], delay)
+    np.testing.assert_allclose(late[delay:], prompt[:-delay], atol=1e-12)
+    assert abs(velocities([*hat(0.0, h), 0.0], delay)[-50:]).max() > 0.1  # which swings on without
+
+
+ALL = ["filter_seconds=0.02", "integral_rate=1.0", "integrated=[x_p,alpha_f]", "delay_seconds=0.004"]
+
+
+@pytest.mark.slow
+def test_compiled_rollouts_are_the_plain_ones() -> None:
+    settings = [f"policy.{each}" for each in ALL]
+    study = simbias.load(["tracking=none", "task.horizon=300", "policy=dynamic_output_feedback", *settings])
+    assert study.policy.memory_size == 14
+    rng = np.random.default_rng(2)
+    noise = Disturbance(rng.normal(size=(300, 1)), 0.001 * rng.normal(size=(301, 6)))
+    model = study.model(ZeroBias(6))
+    compiled, plain = simulator(model, noise), PlainSimulator([model], [noise])
+    assert isinstance(compiled, CompiledSimulator)
+    thetas = np.array([[9, 5, -7, -2, -5, 0.003, 0.5, -20.0], [3, 1, -3, 2, -8, 0.0, 0.0, 50.0]])
+    starts = np.array([study.task.start_mean, 0.5 * study.task.start_mean])
+    for fast, slow in zip(compiled.rollouts(thetas, starts), plain.rollouts(thetas, starts), strict=True):
+        np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(fast.states, slow.states, rtol=1e-7, atol=1e-10)
+        assert (np.abs(slow.inputs) == 100.0).any()  # at its limit, where the integral rests
+    assert compiled.rollouts(thetas[:0], starts[:0]) == []
+
+
+def test_an_unknown_output_cannot_be_integrated() -> None:
+    with pytest.raises(ValueError, match="no output is called height; there are position, velocity"):
+        DynamicOutputFeedback(Cart(), integral_rate=1.0, integrated=["height"])

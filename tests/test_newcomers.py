@@ -1,0 +1,269 @@
+"""What newcomers with a robot of their own fell over: each is said at once, in a line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import point_mass as robot
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+from rich.console import Console
+
+import simbias
+from simbias import remarks
+from simbias.__main__ import BAD_INPUT, main
+from simbias.bias.none import NoBias
+from simbias.blame import told
+from simbias.config import ConfigError
+from simbias.config.numbers import frames_in
+from simbias.interfaces import NOT_A_NUMBER, Cost
+from simbias.method.algorithm1 import Algorithm1
+from simbias.records import Array, Rollout, Selection, Transitions
+from simbias.samples.thresholds import Thresholds, Windows
+from simbias.study import Study
+from simbias.terminal.trial import TrialConsole
+from simbias.testing.rehearsal import rehearse
+from simbias.trial import run_trial
+
+
+class NaNVelocity(robot.WithoutWind):
+    def step(self, x: Array, u: Array) -> Array:
+        x_next = super().step(x, u)
+        x_next[..., 1] = np.nan
+        return x_next
+
+
+class Raises(robot.WithoutWind):
+    def step(self, x: Array, u: Array) -> Array:
+        return self._helped(x)
+
+    def _helped(self, x: Array) -> Array:
+        raise KeyError("mass")
+
+
+class OneColumn(robot.WithoutWind):
+    def step(self, x: Array, u: Array) -> Array:
+        return super().step(x, u)[..., :1]
+
+
+class Unbounded(robot.Spring):
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        return 1e3 * x[..., :1], memory
+
+
+class Always(Cost):
+    max_cost = 1.0
+
+    def __init__(self, value: float) -> None:
+        self._value = value
+
+    def of(self, rollout: Rollout) -> float:
+        return self._value
+
+
+@pytest.fixture
+def point_mass() -> Study:
+    """A quick one."""
+    return simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=40"], OWN_CONF)
+
+
+def shown(study: Study) -> str:
+    """What a terminal of 60 columns shows of a trial."""
+    file = StringIO()
+    with TrialConsole(study, Console(file=file, width=60, highlight=False, soft_wrap=True)) as console:
+        run_trial(study, observer=console)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("group", "component", "line"),
+    [
+        ("nominal", NaNVelocity, "NaNVelocity.step: expected finite numbers near the start, got [["),
+        ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
+        ("nominal", OneColumn, "OneColumn.step: expected a state, got (1,)"),
+        ("policy", Unbounded, "Unbounded.act: expected inputs within [5.], got "),
+    ],
+)
+def test_what_an_own_component_breaks_is_one_line_before_the_trial(
+    point_mass: Study, group: str, component: type, line: str
+) -> None:
+    broken = component(point_mass.task)
+    with pytest.raises(ConfigError) as caught:
+        rehearse(replace(point_mass, **{group: broken}))
+    assert str(caught.value).startswith(line)
+    assert str(caught.value).isprintable()
+
+
+def test_a_component_of_ones_own_that_keeps_its_contract_is_rehearsed(point_mass: Study) -> None:
+    with pytest.warns(simbias.interfaces.SlowWarning, match="up to 300 times slower.*kernels.py tells how"):
+        rehearse(point_mass)
+
+
+def test_the_traceback_of_an_own_component_is_in_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    (tmp_path / "conf" / "nominal").mkdir(parents=True)
+    (tmp_path / "conf" / "nominal" / "mine.yaml").write_text("_target_: mine_that_raises.Mine\n")
+    (tmp_path / "mine_that_raises.py").write_text(
+        "from simbias.interfaces import Nominal\nclass Mine(Nominal):\n"
+        "    def __init__(self, task): self._x = task.mas\n    def step(self, x, u): return x\n"
+    )
+    command = ["--config-dir", str(tmp_path / "conf"), "nominal=mine", "tracking=none"]
+    assert main(command) == BAD_INPUT
+    line = capsys.readouterr().err
+    assert line.startswith("simbias: nominal: 'Bongoboard' object has no attribute 'mas' (traceback in ")
+    (trace,) = tmp_path.glob("simbias-error-*.txt")
+    assert "self._x = task.mas" in trace.read_text()
+
+
+def test_an_error_names_the_method_of_the_contract_in_which_it_arose(point_mass: Study) -> None:
+    with pytest.raises(KeyError) as caught:
+        Raises(point_mass.task).step(np.zeros(2), np.zeros(1))  # type: ignore[arg-type]
+    assert told(caught.value).startswith("Raises.step: expected a result, got KeyError: 'mass'")
+    with pytest.raises(KeyError) as caught:
+        raise KeyError("mass")
+    assert told(caught.value) == "KeyError: 'mass'"
+
+
+def test_a_state_that_is_no_number_has_failed_whatever_the_criteria_measure(point_mass: Study) -> None:
+    """The criterion measures the position; the velocity is nan."""
+    study = replace(point_mass, nominal=NaNVelocity(point_mass.task))  # type: ignore[arg-type]
+    rollout = study.simulate(np.zeros(3))
+    assert (rollout.failed_at, rollout.failure) == (1, NOT_A_NUMBER)
+    assert study.task.words(NOT_A_NUMBER) == "not a number"
+    np.testing.assert_array_equal(
+        study.task.violated(np.array([[0.0, 0.0], [0.0, np.inf], [2.0, np.nan]])), [-1, 1, 0]
+    )
+
+
+def test_a_cost_that_is_no_number_names_its_class(point_mass: Study) -> None:
+    record = run_trial(replace(point_mass, cost=Always(np.nan)))
+    assert record.reason == "ValueError: Always.of: expected a finite number, got nan"
+
+
+def test_policies_that_all_cost_the_same_are_told(point_mass: Study) -> None:
+    text = shown(replace(point_mass, cost=Always(2.0), method=_two_iterations()))
+    assert "all 40 simulated policies cost the same (2), so this one is arbitrary" in text
+    assert text.index("arbitrary") < text.index("\n  0 ")  # before hardware is spent
+
+
+def test_a_policy_that_is_tried_again_is_told(point_mass: Study) -> None:
+    none = NoBias()
+    text = shown(replace(point_mass, bias=none, method=_two_iterations()))
+    assert "this is the policy of iteration 0 again" in text
+    assert text.index("again") > text.index("\n  0 ")
+    assert "again" not in shown(replace(point_mass, method=_two_iterations()))  # which learns
+
+
+def test_a_sweep_counts_what_was_odd(point_mass: Study) -> None:
+    def kinds(study: Study) -> set[str]:
+        return remarks.kinds(run_trial(replace(study, method=_two_iterations())).iterations)
+
+    assert kinds(point_mass) == set()
+    assert kinds(replace(point_mass, bias=NoBias())) == {"a refuted policy was tried again"}
+    flat, none = "all simulated policies cost the same", "experiments without a sample to learn from"
+    samples = Thresholds(point_mass.task, residual=1e-6)
+    found = kinds(replace(point_mass, cost=Always(2.0), samples=samples))
+    assert {flat, none} <= found
+
+
+def _two_iterations() -> Any:
+    return Algorithm1(max_iterations=2)
+
+
+@pytest.mark.parametrize(
+    ("window", "why"),
+    [
+        (101, "the longest experiment has 100 frames, fewer than the 101 of one sample (2.02 s"),
+        ("3 s", "the longest experiment has 100 frames, fewer than the 150 of one sample (3 s"),
+        (1, "all 6 were rejected: residual 6"),
+    ],
+)
+def test_an_iteration_without_samples_says_why(point_mass: Study, window: int | str, why: str) -> None:
+    samples = Thresholds(point_mass.task, window=Windows(true_state=window), residual=1e-6)
+    text = shown(replace(point_mass, samples=samples, method=_two_iterations()))
+    assert f"no samples to learn from: {why}" in text
+
+
+def test_who_says_nothing_of_what_was_sampled_is_told_so() -> None:
+    empty = Selection(Transitions.empty(2, 1), 70, 0, {})
+    assert list(remarks.of_selection(empty)) == ["no samples to learn from: none of 70 frames was sampled"]
+
+
+@pytest.mark.parametrize(
+    ("span", "frames"), [(35, 35), ("40 ms", 2), ("0.2s", 10), ("1 ms", 1), ("0.05 s", 2), ("70ms", 4)]
+)
+def test_a_span_in_seconds_is_whole_frames(span: int | str, frames: int) -> None:
+    assert frames_in(span, 0.02) == frames
+
+
+@pytest.mark.parametrize("span", ["abc", "'-1 ms'", "0", "1.5", "true", "'3 h'"])
+def test_a_span_without_meaning_is_refused(span: str) -> None:
+    with pytest.raises(ConfigError, match=r"^samples\.stride: must be "):
+        simbias.load([f"samples.stride={span}", "tracking=none"])
+
+
+def test_spans_in_frames_and_seconds_select_the_same(point_mass: Study) -> None:
+    rollouts = [point_mass.experiment(np.array([4.0, 4.0, -2.0]), np.random.default_rng(1))]
+    frames = Thresholds(point_mass.task, stride=2, window=Windows(true_state=4), residual=None)
+    seconds = Thresholds(point_mass.task, stride="40 ms", window=Windows(true_state="80 ms"), residual=None)
+    one, other = (each.select(rollouts, point_mass.nominal).transitions for each in (frames, seconds))
+    np.testing.assert_array_equal(one.inputs, other.inputs)
+    assert len(one) == 49
+
+
+def test_the_default_spans_are_those_of_the_published_trials() -> None:
+    """In frames; the option in seconds is another."""
+    assert simbias.load(["tracking=none"]).hash == simbias.load(["samples.stride=35", "tracking=none"]).hash
+    assert simbias.load(["samples=thresholds", "tracking=none"]).hash != simbias.load(["tracking=none"]).hash
+
+
+def test_what_a_hardware_prints_is_not_wrapped(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = "battery " * 30
+
+    class Talking(robot.InTheWind):
+        def run(self, *arguments: Any) -> Rollout:
+            print(line)
+            return super().run(*arguments)
+
+    file = StringIO()
+    console = Console(file=file, width=60, force_terminal=True, highlight=False, soft_wrap=True)
+    study = replace(point_mass, hardware=Talking(point_mass.task), method=_two_iterations())  # type: ignore[arg-type]
+    with TrialConsole(study, console) as observer:
+        run_trial(study, observer=observer)
+    assert file.getvalue().count(line.strip()) >= 2
+
+
+def test_while_an_experiment_is_under_way_the_screen_says_so(point_mass: Study) -> None:
+    file = StringIO()
+    console = Console(file=file, width=100, force_terminal=True, highlight=False)
+    with TrialConsole(point_mass, console) as observer:
+        observer.searching(20, 3.0)
+        observer.experimenting(np.zeros(3), np.zeros(2))
+        observer._progress.refresh()
+        last = file.getvalue().rpartition("policy search")[2]
+        assert "hardware experiment 1 under way" in last
+        assert "best 3" not in last
+
+
+def test_config_yaml_in_an_own_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("seed: 3\n")
+    with pytest.raises(ConfigError, match=r"config\.yaml: is not read; .* preset/NAME\.yaml"):
+        simbias.load([], tmp_path)
+
+
+def test_help_lists_what_is_in_an_own_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "sweeps" / "mine.yaml").touch()
+    for arguments in (["--help", "--config-dir", str(OWN_CONF)], ["--help", f"--config-dir={tmp_path}"]):
+        with pytest.raises(SystemExit):
+            main(arguments)
+    first, second = capsys.readouterr().out.split("usage:")[1:]
+    assert "  nominal        bongoboard | none | point_mass\n" in first
+    assert "| mine |" in second
