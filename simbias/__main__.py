@@ -26,16 +26,18 @@ NEW = "new"  # likewise: lay out a folder for a robot of one's own
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
   seed=3                               another trial
-  hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
-  hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
-  hardware.feet=separate               two feet that can tip
+  preset=cartpole                      another robot; 'preset=[cartpole,robust]': and another method
   method.max_iterations=10             N_out; method.experiments=2 in each
   optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
-  task.horizon=5000                    T, frames of task.time_step=0.001 s
+  task.horizon=5000                    T, frames of task.time_step in s
   experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
   hardware.confirm=true                show what is predicted, and ask, before the first experiment
   hardware.safety.states={angle: 0.5}  abort beyond; also inputs, input_rates (per s), criteria=true
   tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
+of the default robot:
+  hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
+  hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
+  hardware.feet=separate               two feet that can tip
 
 examples:
   python -m simbias

@@ -13,6 +13,7 @@ import numpy as np
 
 from simbias.config.components import construct
 from simbias.config.composition import Composition
+from simbias.config.conditions import HARDWARE, split
 from simbias.config.numbers import CountOrZero, Seconds
 from simbias.dialogue import Dialogue
 from simbias.experiments import UNCONDITIONED, Conditions, Conducted
@@ -129,7 +130,7 @@ class Study:
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
-        """Run the method; the same seed gives the same records."""
+        """Run the method; the same seed gives the same records on one kind of machine."""
         return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
 
     def simulate(
@@ -209,8 +210,8 @@ class Study:
 
         Its costs are those of the old horizon.
         """
-        task, config = self.task.with_horizon(horizon), self.config["hardware"]
-        hardware = construct(config, Hardware, "hardware", self.composition.allowed, task=task)
+        task, (config, _) = self.task.with_horizon(horizon), split(self.config[HARDWARE])
+        hardware = construct(config, Hardware, HARDWARE, self.composition.allowed, task=task)
         return replace(self, task=task, hardware=self.conducted.wrap(hardware, task))
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
@@ -239,7 +240,10 @@ class Study:
     def _warm_up(self, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
         """Compile what is needed with the bias that is learned from some data."""
         fitted_bias = self.bias.fit(data)
-        self.simulate(theta, fitted_bias)
+        rollout = self.simulate(theta, fitted_bias)
+        if len(data):
+            nominal = self.identification.fit(self.nominal, [rollout])
+            self.bias.learn(data, [rollout], nominal)
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:

@@ -9,6 +9,7 @@ from enum import StrEnum
 
 from threadpoolctl import threadpool_limits
 
+from simbias import machine
 from simbias.blame import told
 from simbias.held_out import Tries, try_policy
 from simbias.interfaces import Waiting
@@ -48,6 +49,8 @@ class TrialRecord:
     seconds: float = 0.0  # wall time, without the pictures
     hardware_seconds: float = 0.0  # that the experiments lasted on the hardware
     held_out: Tries | None = None  # what the last policy is worth, if that was asked for
+    machines: tuple[str, ...] = ()  # kinds that it ran on: two if it went on elsewhere
+    processor: str = ""  # model of the last one's
     pictures: Mapping[str, bytes] = field(default_factory=dict)  # files by name
 
     @property
@@ -77,6 +80,7 @@ class Recorder:
     """Keeps a trial while it runs. This one keeps nothing."""
 
     pictures: Sequence[str] = ()  # those that are drawn at the trial's end
+    machines: Sequence[str] = ()  # kinds that the trial was run on before
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept, and those that were made before recalled."""
@@ -102,8 +106,8 @@ def run_trial(
     """Run a trial, or go on with it where it stopped.
 
     Experiments and searches that the recorder knows are not made again; what follows them is as if nothing
-    had come between. What a component raises is told in the record. Linear algebra runs on one thread, as
-    more would change the last bits of a factorisation.
+    had come between, on one kind of machine. What a component raises is told in the record. Linear algebra
+    runs on one thread, as more would change the last bits of a factorisation.
 
     Raises
     ------
@@ -189,6 +193,8 @@ class _Run(Observer):
             traceback=trace,
             max_experiments=self._method.max_experiments,
             max_iterations=self._method.max_iterations,
+            machines=tuple(dict.fromkeys([*self._recorder.machines, machine.kind()])),
+            processor=machine.processor(),
             started=self._started,
             seconds=time.perf_counter() - self._clock,
             hardware_seconds=self._time_step * sum(rollout.frames for rollout in self._made),

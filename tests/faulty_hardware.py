@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import os
+import resource
 import signal
 import sys
 import time
@@ -105,7 +106,25 @@ def _hang(rollout: Rollout) -> Rollout:
     return rollout
 
 
-FAULTS = RAISED | RETURNED | CONVERTED | DEADLY | {"hangs": _hang, "none": lambda rollout: rollout}
+def _hoard(rollout: Rollout) -> NoReturn:
+    """Ask for memory until there is none; here there is none sooner than it would hurt."""
+    hoard, (_, most) = [], resource.getrlimit(resource.RLIMIT_AS)
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + 2**28, most))
+    try:
+        while True:
+            hoard.append(np.ones(2**21))
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+FAULTS = (
+    RAISED
+    | RETURNED
+    | CONVERTED
+    | DEADLY
+    | {"hangs": _hang, "30 GB": _hoard, "none": lambda rollout: rollout}
+)
 
 
 class Faulty(Hardware):

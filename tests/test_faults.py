@@ -69,7 +69,9 @@ def trial(fault: str, *more: str) -> int:
     return main(["--config-dir", "conf", *SHORT, *store, f"hardware.fault='{fault}'", *more])
 
 
-@pytest.mark.parametrize("fault", ["zero division", "speechless", "no UTF-8", "exit", "columns", "list"])
+@pytest.mark.parametrize(
+    "fault", ["zero division", "speechless", "no UTF-8", "exit", "30 GB", "columns", "list"]
+)
 def test_a_trial_ends_in_one_line(folder: Path, capsys: pytest.CaptureFixture[str], fault: str) -> None:
     """What the hardware returned is kept; mended, the same command goes on, and leaves no old error."""
     assert trial(fault) == 1

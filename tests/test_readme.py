@@ -16,7 +16,7 @@ README = (ROOT / "README.md").read_text()
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *(ROOT / folder / "README.md" for folder in ("conf", "simbias", "sweeps/results")),
+    *(ROOT / folder / "README.md" for folder in ("conf", "simbias", "tests", "sweeps/results")),
 ]
 SHORT = [
     "task.horizon=200",

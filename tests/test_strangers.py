@@ -13,7 +13,8 @@ from simbias.tracking.files import load_rollout, load_transitions
 
 FILES = sorted((ROOT / "simbias").rglob("*.py"))
 RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jsonpickle"}
-OF_YAML = {"safe_load", "dump", "SafeDumper"}  # which make plain values only
+OF_YAML = {"safe_load", "dump", "SafeDumper"}  # which make plain values only,
+OF_YAML |= {"compose", "SafeLoader", "Node", "CollectionNode", "YAMLError"}  # or none at all
 COMPILES_OWN_TEXT = {"exec": ["compilation.py"], "compile": ["compilation.py"]}
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.config.errors import ConfigError
+from simbias.config.files import check_file
 from simbias.messages import quote, words
 
 OWN = "simbias"
@@ -54,6 +55,7 @@ def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
 
 def _of_file(file: Path) -> list[str]:
     """What a folder's file allows; nothing if there is none."""
+    check_file(file)
     if not file.is_file():
         return []
     from omegaconf import OmegaConf  # lazily: --help needs none

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
 from simbias.config.errors import ConfigError
+from simbias.config.files import check_file
 from simbias.messages import words
 
 if TYPE_CHECKING:
@@ -169,7 +170,6 @@ class Variations:
         from hydra.errors import HydraException
         from omegaconf import OmegaConf
         from omegaconf.errors import OmegaConfBaseException
-        from yaml import YAMLError
 
         try:
             with warnings.catch_warnings():
@@ -186,7 +186,7 @@ class Variations:
             raise
         except (HydraException, OmegaConfBaseException, UserWarning) as error:
             raise _in_one_line(error) from error
-        except (YAMLError, OSError, ValueError, RecursionError) as error:  # of a file or a value
+        except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self._overrides), _of_a_file(error)) from error
         return Composition(plain, composed.choices, (*self._allowed, *beside(plain, self._folders)))
 
@@ -201,17 +201,28 @@ class Variations:
                 overrides.append(
                     f"hydra.searchpath=[{_quoted(f'file://{Path(self._config_dir).resolve()}')}]"
                 )
-            sweeps = [each.value() for each in _parsed(overrides) if each.key_or_group == "sweep"]
+            parsed = _parsed(overrides)
+            self._check_files(parsed)
+            sweeps = [each.value() for each in parsed if each.key_or_group == "sweep"]
             if sweeps:
                 _register_sweeps(self._config_dir, sweeps[-1])
             with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
             choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
+            presets = [each.value() for each in parsed if each.key_or_group == "preset"]
+            if presets and isinstance(presets[-1], list):  # of which Hydra does not tell
+                choices["preset"] = ",".join(map(str, presets[-1]))
             own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
             OmegaConf.set_struct(own, True)
             self._composed[options] = _Composed(own, choices)
         return self._composed[options]
+
+    def _check_files(self, overrides: Sequence[Override]) -> None:
+        """Refuse an option that Hydra would wait for."""
+        for each in overrides:
+            for folder in self._folders:
+                check_file(folder / each.key_or_group / f"{each.value()}.yaml")
 
 
 def overridden(overrides: Sequence[str]) -> list[str]:
@@ -256,15 +267,16 @@ def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
     for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
         for file in _files(folder):
             try:
+                check_file(file)
                 node = OmegaConf.load(file)
+                if not isinstance(node, DictConfig):
+                    raise ConfigError(str(file), "must be a mapping")
             except Exception as error:  # OmegaConf's, YAML's or the system's
                 if file.stem != wanted:
                     continue
+                if isinstance(error, ConfigError):
+                    raise
                 raise ConfigError(str(file), _of_a_file(error)) from error
-            if not isinstance(node, DictConfig):
-                if file.stem != wanted:
-                    continue
-                raise ConfigError(str(file), "must be a mapping")
             store.store(group="sweep", name=file.stem, node=node, package="_global_")
 
 

@@ -14,7 +14,7 @@ from simbias.messages import quote, words
 from simbias.records import Array, Rollout
 from simbias.simulation.expressions import Expression, Expressions
 from simbias.simulation.noise import QUIET, Noise, Variances
-from simbias.task.mjcf import Factors, Values, changes, put_values
+from simbias.task.mjcf_parameters import Factors, Values, changes, put_values
 
 TERMINATED = "terminated"  # a failure that only the environment knows of
 EXTRA = "pip install 'simbias[gymnasium]'"
@@ -53,7 +53,7 @@ class Gymnasium(Hardware):
         What sets the environment to a start. Without it, an experiment begins where `reset` says.
     values, factors
         Of an environment in MuJoCo: physical parameters that are set, and that are multiplied, by name
-        (`simbias.task.mjcf.QUANTITIES`).
+        (`simbias.task.mjcf_parameters`).
     noise
         Variances on the inputs and on what the policy sees, by name (`Noise`).
     record

@@ -11,7 +11,8 @@ from simbias.hardware.loop import Record, experiment
 from simbias.interfaces import Hardware, HardwareError, Policy, Task
 from simbias.records import Array, Rollout
 from simbias.simulation.noise import QUIET, Noise, Variances
-from simbias.task.mjcf import Factors, Mechanism, Values, changes, mujoco
+from simbias.task.mjcf import Mechanism
+from simbias.task.mjcf_parameters import Factors, Values, changes, mujoco
 
 Delay = Annotated[int, Field(ge=0, le=1000)]
 
@@ -25,7 +26,8 @@ class Mujoco(Hardware):
     file, joints, actuators
         The robot (`simbias.task.mjcf.Mechanism`).
     values, factors
-        Physical parameters that are set, and that are multiplied, by name (`simbias.task.mjcf.QUANTITIES`).
+        Physical parameters that are set, and that are multiplied, by name
+        (`simbias.task.mjcf_parameters`).
     delay
         Frames until an input acts; before the first one does, there is none.
     noise

@@ -15,7 +15,8 @@ from simbias.config.numbers import NonNegative
 from simbias.interfaces import Nominal, Task
 from simbias.parameters import Parameter
 from simbias.records import Array, Indices
-from simbias.task.mjcf import QUANTITIES, Factors, Mechanism, Values, changes, mujoco, values_of
+from simbias.task.mjcf import Mechanism
+from simbias.task.mjcf_parameters import QUANTITIES, Factors, Values, changes, mujoco, values_of
 
 FEW = 8  # states, for which threads take longer to begin than they save
 ABSURD = 1e4  # m, rad, m/s, rad/s: what gets there has blown up, and the engine would write files about it
@@ -32,7 +33,8 @@ class Mujoco(Nominal):
     file, joints, actuators
         The robot (`simbias.task.mjcf.Mechanism`).
     values, factors
-        Physical parameters that are set, and that are multiplied, by name (`simbias.task.mjcf.QUANTITIES`).
+        Physical parameters that are set, and that are multiplied, by name
+        (`simbias.task.mjcf_parameters`).
     uncertainty
         Of parameters by name: the standard deviation of the logarithm or, where a value is zero, of the
         normal distribution, in the parameter's unit, whose upper half is its prior.

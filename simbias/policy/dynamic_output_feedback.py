@@ -125,10 +125,9 @@ class DynamicOutputFeedback(Policy):
     def _compiled(self, thetas: Array) -> Kernel:
         """The policies (k, p); parameters: the limits, H row by row, and the rest as `_parameters` has it."""
         H, *rest = self._parameters(thetas)
+        gains = H.reshape(len(thetas), self._m * self._q)
         limits = np.broadcast_to(self._task.input_limit, (len(thetas), self._m))
-        return Kernel(
-            self._control, np.concatenate([limits, H.reshape(len(thetas), self._m * self._q), *rest], axis=1)
-        )
+        return Kernel(self._control, np.concatenate([limits, gains, *rest], axis=1))
 
 
 def _law(m: int, q: int, d: int) -> Callable:

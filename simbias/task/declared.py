@@ -13,6 +13,7 @@ from simbias.config.numbers import Coordinate, Force, Frames, NonNegative, TimeS
 from simbias.interfaces import Criterion, Kernel, Quantity, Task
 from simbias.records import Array
 from simbias.simulation.expressions import Expression, Expressions
+from simbias.task.mjcf_figure import Figure, FigureFile
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,9 @@ class Declared(Task):
     where
         Expressions by name; each may use those before it.
     drawing
-        Parts by name, from back to front; all lengths in one unit, y upwards.
+        Parts by name, from back to front, all lengths in one unit, y upwards.
+    figure
+        In place of a drawing: the file of a MuJoCo model, whose geoms are drawn.
     """
 
     measure_kernel: Kernel
@@ -119,6 +122,7 @@ class Declared(Task):
         constants: Named[Coordinate] | None = None,
         where: Named[Expression] | None = None,
         drawing: Named[Part] | None = None,
+        figure: FigureFile | None = None,
     ) -> None:
         states, inputs, failure = dict(states), dict(inputs), dict(failure)
         for name, some in (("states", states), ("inputs", inputs), ("failure", failure)):
@@ -142,7 +146,8 @@ class Declared(Task):
         self._measure = self.expressions({name: _measure(name, each) for name, each in failure.items()})
         self._output = self.expressions({name: output.value for name, output in given.items()})
         self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
-        self.drawing = dict(drawing or {})
+        self._figure = None if figure is None else Figure(self, figure)
+        self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
         self._points = self.expressions(
             {
                 f"drawing.{name}.{index}.{axis}": expression
@@ -162,6 +167,8 @@ class Declared(Task):
 
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
+        if self._figure:
+            return self._figure.points(x)
         points = self._points(x).reshape(-1, 2)
         ends = np.cumsum([len(part.points) for part in self.drawing.values()])
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
@@ -175,6 +182,11 @@ class Declared(Task):
             If one is not allowed; in one line that names it.
         """
         return Expressions(expressions, **self._known)
+
+
+def _parts(figure: Figure) -> dict[str, Part]:
+    """The parts of a figure, whose points it knows itself."""
+    return {name: Part([], thickness) for name, thickness in figure.thickness.items()}
 
 
 def _measure(name: str, failure: Failure) -> str:

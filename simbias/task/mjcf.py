@@ -1,129 +1,20 @@
-"""A robot's MuJoCo model: a file whose joints are a task's states, whose actuators are its inputs.
-
-Its physical parameters have names: `pole.mass` is the mass of the body `pole`. See `QUANTITIES`.
-"""
+"""A robot's MuJoCo model: a file whose joints are a task's states, whose actuators are its inputs."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
-from fnmatch import fnmatchcase
-from functools import cache
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from math import ceil
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from simbias.interfaces import Task
 from simbias.messages import quote, words
 from simbias.records import Array
-
-# By name, `*` for any: `{"*.mass": 1.3}`.
-Values = dict[str, Annotated[float, Field(ge=0, le=1e6)]]
-Factors = dict[str, Annotated[float, Field(gt=0, le=1e3)]]
-UNNAMED = ("", "world")  # what has no parameters
-EXTRA = "pip install 'simbias[mujoco]'"
-
-
-@cache
-def mujoco() -> Any:
-    """The library.
-
-    Raises
-    ------
-    ValueError
-        If it is not installed; the line says how to install it.
-    """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ValueError(f"MuJoCo is not installed ({words(error)}): {EXTRA}") from error
-    return mujoco
-
-
-class Quantity(NamedTuple):
-    """A physical quantity of each element of a kind, in a compiled model."""
-
-    element: str  # body, joint, geom or actuator
-    unit: str
-    get: Callable[[Any, int], float]  # of a model and an element's index
-    put: Callable[[Any, int, float], None]
-
-
-def _put_gain(model: Any, i: int, value: float) -> None:
-    """A motor that gives so much of the force that its file says."""
-    model.actuator_gear[i] *= value
-
-
-def _put_mass(model: Any, i: int, value: float) -> None:
-    """A body of another mass and the same shape: its inertia grows with it."""
-    if model.body_mass[i]:
-        model.body_inertia[i] *= value / model.body_mass[i]
-    model.body_mass[i] = value
-
-
-def _put_inertia(model: Any, i: int, value: float) -> None:
-    """A body whose largest principal moment of inertia is another, the others in proportion."""
-    largest = model.body_inertia[i].max()
-    model.body_inertia[i] = value if largest == 0 else model.body_inertia[i] * (value / largest)
-
-
-def _put_size(model: Any, i: int, value: float) -> None:
-    """A body with all that hangs from it at another distance: of another size and the same mass."""
-    own = np.flatnonzero(model.geom_bodyid == i)
-    sites = np.flatnonzero(model.site_bodyid == i)
-    children = np.flatnonzero(model.body_parentid == i)
-    children = children[children != i]
-    model.body_ipos[i] *= value
-    model.body_inertia[i] *= value**2
-    model.body_pos[children] *= value
-    model.geom_pos[own] *= value
-    model.geom_size[own] *= value
-    model.geom_rbound[own] *= value
-    model.geom_aabb[own] *= value
-    model.site_pos[sites] *= value
-    first = model.body_bvhadr[i]
-    model.bvh_aabb[first : first + model.body_bvhnum[i]] *= value
-
-
-def _field(element: str, unit: str, name: str, *column: int) -> Quantity:
-    """A quantity that stands in an array of the model."""
-
-    def get(model: Any, i: int) -> float:
-        return float(getattr(model, name)[(i, *column)])
-
-    def put(model: Any, i: int, value: float) -> None:
-        getattr(model, name)[(i, *column)] = value
-
-    return Quantity(element, unit, get, put)
-
-
-def _of_joint(unit: str, name: str) -> Quantity:
-    """A quantity of a hinge or slide joint's degree of freedom."""
-
-    def get(model: Any, i: int) -> float:
-        return float(getattr(model, name)[model.jnt_dofadr[i]])
-
-    def put(model: Any, i: int, value: float) -> None:
-        getattr(model, name)[model.jnt_dofadr[i]] = value
-
-    return Quantity("joint", unit, get, put)
-
-
-QUANTITIES: Mapping[str, Quantity] = {
-    "mass": Quantity("body", "kg", lambda model, i: float(model.body_mass[i]), _put_mass),
-    "size": Quantity("body", "1", lambda model, i: 1.0, _put_size),
-    "inertia": Quantity("body", "kg m^2", lambda model, i: float(model.body_inertia[i].max()), _put_inertia),
-    "damping": _of_joint("N m s/rad or N s/m", "dof_damping"),
-    "friction": _of_joint("N m or N", "dof_frictionloss"),
-    "armature": _of_joint("kg m^2 or kg", "dof_armature"),
-    "stiffness": _field("joint", "N m/rad or N/m", "jnt_stiffness"),
-    "contact_friction": _field("geom", "1", "geom_friction", 0),
-    "gain": Quantity("actuator", "1", lambda model, i: 1.0, _put_gain),
-}
+from simbias.task.mjcf_parameters import mujoco, names_of, put_values
 
 
 class Mechanism:
@@ -159,11 +50,11 @@ class Mechanism:
     ) -> None:
         engine = mujoco()
         model = self.model = _read(file, actuators or ())
-        kinds = {name: int(model.joint(name).type[0]) for name in _names(model, "joint")}
+        kinds = {name: int(model.joint(name).type[0]) for name in names_of(model, "joint")}
         joints = list(kinds) if joints is None else list(joints)
-        actuators = _names(model, "actuator") if actuators is None else list(actuators)
+        actuators = names_of(model, "actuator") if actuators is None else list(actuators)
         _check(joints, kinds, "joints", file)
-        _check(actuators, _names(model, "actuator"), "actuators", file)
+        _check(actuators, names_of(model, "actuator"), "actuators", file)
         allowed = (int(engine.mjtJoint.mjJNT_HINGE), int(engine.mjtJoint.mjJNT_SLIDE))
         for name, kind in kinds.items():
             if kind not in allowed or name not in joints:
@@ -222,53 +113,6 @@ class Mechanism:
         return controls
 
 
-def values_of(model: Any, pattern: str) -> dict[str, float]:
-    """The parameters whose names fit a pattern, as `pole.mass` or `*.mass`, and their values.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
-    found = {
-        f"{name}.{kind}": quantity.get(model, index)
-        for kind, quantity in QUANTITIES.items()
-        for index, name in enumerate(_all_names(model, quantity.element))
-        if name not in UNNAMED and fnmatchcase(f"{name}.{kind}", pattern)
-    }
-    if not found:
-        kinds = ", ".join(f"{quantity.element}.{kind}" for kind, quantity in QUANTITIES.items())
-        names = ", ".join(name for each in ("body", "joint", "actuator") for name in _names(model, each))
-        raise ValueError(f"no parameter is called {quote(pattern)}; there is {kinds}; of {names}")
-    return found
-
-
-def put_values(model: Any, values: Mapping[str, float]) -> None:
-    """Set parameters of a compiled model, by name, in their units; masses first, inertias grow with them."""
-    for kind, quantity in QUANTITIES.items():
-        names = _all_names(model, quantity.element)
-        for name, value in values.items():
-            element, _, own = name.rpartition(".")
-            if own == kind:
-                quantity.put(model, names.index(element), value)
-    engine = mujoco()
-    engine.mj_setConst(model, engine.MjData(model))
-
-
-def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
-    """What is set, and what is multiplied, as values by name.
-
-    Raises
-    ------
-    ValueError
-        If no parameter has such a name.
-    """
-    changed = {name: value for pattern, value in values.items() for name in values_of(model, pattern)}
-    for pattern, factor in factors.items():
-        changed |= {name: factor * value for name, value in values_of(model, pattern).items()}
-    return changed
-
-
 def _read(file: str, actuators: Sequence[str]) -> Any:
     """The compiled model of a file, with motors at joints that are named as actuators."""
     engine = mujoco()
@@ -324,14 +168,3 @@ def _reach(engine: Any, model: Any, i: int, unit: float) -> float:
     if model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[joint]:
         ranges.append(model.jnt_actfrcrange[joint])
     return float(min((min(-low, high) for low, high in ranges), default=np.inf))
-
-
-def _all_names(model: Any, element: str) -> list[str]:
-    """The names of all bodies, joints, geoms or actuators, in their order; "" where one has none."""
-    count = getattr(model, {"body": "nbody", "joint": "njnt", "geom": "ngeom", "actuator": "nu"}[element])
-    return [getattr(model, element)(index).name for index in range(count)]
-
-
-def _names(model: Any, element: str) -> list[str]:
-    """Those that have a name, but for the world."""
-    return [name for name in _all_names(model, element) if name not in UNNAMED]

@@ -32,6 +32,7 @@ KEY_LENGTH = 250  # MLflow's limits
 VALUE_LENGTH = 6000
 
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
+MACHINE = "machine"  # the tag that tells on which kind of machine a trial ran
 SECONDS = "trial/seconds"  # the metric that tells how long a trial took
 TRIAL_METRICS = ("trial/experiments", "trial/iterations", SECONDS)
 HELD_OUT = "held_out"  # the tag that tells from which held-out starts the last policy holds: 1 where it does
@@ -108,6 +109,7 @@ def _search_metrics(search: Search) -> dict[str, float]:
         "cost/predicted": search.predicted_cost,
         "search/evaluations": search.optimum.evaluations,
         **{f"bias/{name}": value for name, value in search.diagnostics.items()},
+        **{f"identification/{name}": value for name, value in search.identification.items()},
     }
 
 
@@ -121,6 +123,7 @@ def _learning_metrics(learning: Learning) -> dict[str, float]:
         "data/frames": selection.frames,
         "data/sampled": selection.sampled,
         **{f"data/rejected_{criterion}": count for criterion, count in selection.rejected.items()},
+        **{f"evidence/{name}": value for name, value in learning.evidence.items()},
     }
 
 
@@ -164,6 +167,13 @@ def changed_code(tags: Mapping[str, str], composition: Composition) -> str:
     except ValueError:
         return ""
     return changed(before, digests(composition.config))
+
+
+def machine_tags(record: TrialRecord) -> dict[str, str]:
+    """What a trial ran on; of one that went on elsewhere, all kinds of machines."""
+    if not record.machines:
+        return {}
+    return {MACHINE: " then ".join(record.machines)[:VALUE_LENGTH], "processor": record.processor}
 
 
 def origin() -> dict[str, str]:

@@ -3,13 +3,15 @@
 A folder holds one file for each, numbered in the order in which they ended: `0000_search.json`,
 `0001_experiment.npz`, ... A trial that is started again recalls them in this order, and goes on from there.
 What a hardware returned that breaks its contract is kept beside them and never recalled: what is numbers in
-`refused_0000.npz`, the rest in `refused_0000.txt`. The last process' traceback is in `error.txt`.
+`refused_0000.npz`, the rest in `refused_0000.txt`. The last process' traceback is in `error.txt`, the kinds
+of machines that the trial ran on in `machines.txt`.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
+import logging
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -21,6 +23,7 @@ from typing import IO, Any
 import numpy as np
 from filelock import FileLock, Timeout
 
+from simbias import machine
 from simbias.config.errors import ConfigError
 from simbias.experiments import Conditions, Conducted
 from simbias.interfaces import Hardware, Optimizer, Policy, Task
@@ -33,7 +36,8 @@ from simbias.trial import Recorder, TrialRecord
 
 SEARCH, EXPERIMENT = "search.json", "experiment.npz"
 PART = ".part"  # suffix of what is being written
-ERROR, REFUSED = "error.txt", "refused_"
+ERROR, REFUSED, MACHINES = "error.txt", "refused_", "machines.txt"
+MIXED = "simbias: trial %s mixes kinds of machines, so its last bits are of neither: %s; now %s"
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
 
 
@@ -65,9 +69,21 @@ class Journal(Recorder):
     def recalling(self, study: Study) -> Study:
         """The study, its hardware and its optimizer kept here."""
         self._next = 0
+        self._note_machine()
         hardware = KeptHardware(study.hardware, study.task, study.conditions, self)
         optimizer = KeptOptimizer(study.optimizer, self)
         return replace(study, hardware=hardware, optimizer=optimizer)
+
+    def _note_machine(self) -> None:
+        """Note the kind of machine that the trial runs on; say so if it was begun on another."""
+        file, here = self.folder / MACHINES, machine.kind()
+        self.machines = file.read_text().splitlines() if file.exists() else []
+        if here in self.machines:
+            return
+        if self.machines and any(self.folder.glob("[0-9]*")):
+            logging.getLogger(__name__).warning(MIXED, self.folder.name, self.machines[-1], here)
+        with file.open("a") as lines:
+            lines.write(f"{here}\n")
 
     def explained(self, traceback: str) -> str:
         """Keep a traceback until the trial is gone on with; its file, unless that cannot be written."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 CONFIG = "sweep.yaml"  # what all trials share
 FIGURES = "figures"  # folder of the parent's artifacts
 EXPERIMENTS = f"{FIGURES}/experiments"  # outcomes of batches
+MIXED = "simbias: trials of this sweep are from %d kinds of machines, so their last bits may differ: %s"
 NOTE_SECONDS = 5.0  # the parent's note is at most so old while trials end
 
 
@@ -67,10 +70,16 @@ class MlflowSweep(TrackedSweep):
         self.where = where(experiment_id, self.run_id)
         runs = nested_runs(client, experiment_id, self.run_id)
         self._unfinished = {run.tags.get("hash", ""): run.run_id for run in runs if not is_finished(run)}
+        self._machines = Counter(
+            run.tags[fields.MACHINE] for run in runs if is_finished(run) and fields.MACHINE in run.tags
+        )
         done = results.of_sweep(runs, sweep)
         self.finished = frozenset(done.loc[done["outcome"] != Outcome.ERROR, "hash"])
         self.changed = _changed(sweep, [run for run in runs if run.tags.get("hash") in self.finished])
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
+        for journal in journals.glob("*"):
+            if journal.name in self.finished:  # who kept the trial was killed before it removed this
+                remove(journal)
         self._note("**Running**")
 
     def _begin(self) -> str:
@@ -120,6 +129,7 @@ class MlflowSweep(TrackedSweep):
         MlflowTrial(self._client, run, study, self.where, self.journal(trial)).keep(record)
         if record.outcome.final:
             remove(self.journal(trial))
+            self._note_machine(record)
         if record.outcome in results.TOLD:
             numbers = fields.trial_metrics(record)
             self._rows[trial.hash] = results.row(
@@ -133,6 +143,20 @@ class MlflowSweep(TrackedSweep):
             )
         if time.monotonic() - self._noted > NOTE_SECONDS:
             self._note("**Running**")
+
+    def _note_machine(self, record: TrialRecord) -> None:
+        """Count what trials ran on; say so when another kind of machine comes in."""
+        kind = fields.machine_tags(record).get(fields.MACHINE)
+        if kind is None:
+            return
+        mixed = bool(self._machines) and kind not in self._machines
+        self._machines[kind] += 1
+        if mixed:
+            logging.getLogger(__name__).warning(MIXED, len(self._machines), self._kinds())
+
+    def _kinds(self) -> str:
+        """What trials ran on."""
+        return "; ".join(f"{count} on {kind}" for kind, count in self._machines.items())
 
     def results(self) -> DataFrame:
         """The trials that are in the store: nobody else writes them while this sweep runs."""
@@ -214,8 +238,10 @@ class MlflowSweep(TrackedSweep):
             f"[{name}]({self._picture(name)}): {markdown.text(caption)}"
             for name, caption in self._captions.items()
         ]
+        mixed = [f"Trials are from several kinds of machines: {markdown.text(self._kinds())}."]
         parts = [
             done,
+            *(mixed if len(self._machines) > 1 else []),
             tables.markdown(arrangement),
             tables.legend(self._sweep, trials),
             *captions,

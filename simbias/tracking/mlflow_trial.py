@@ -92,7 +92,11 @@ class MlflowTrial(TrackedTrial):
 
     def recalling(self, study: Study) -> Study:
         """The study, its experiments and searches kept in the journal."""
-        return self._journal.recalling(study) if self._journal else study
+        if self._journal is None:
+            return study
+        recalled = self._journal.recalling(study)
+        self.machines = self._journal.machines
+        return recalled
 
     def iterated(self, iteration: Iteration) -> None:
         """Keep an iteration, unless an earlier process did."""
@@ -135,7 +139,7 @@ class MlflowTrial(TrackedTrial):
         numbers = fields.trial_metrics(whole).items()
         writes.metrics.append([(name, value, 0, self._time) for name, value in numbers])
         self._note(notes.verdict(self._rows, record))
-        writes.tags["outcome"] = record.outcome
+        writes.tags |= {"outcome": record.outcome, **fields.machine_tags(record)}
         if record.held_out:
             writes.tags[fields.HELD_OUT] = fields.holds(record)
             text = files.held_out_text(record.held_out, self._study.task)
@@ -190,6 +194,9 @@ class MlflowTrial(TrackedTrial):
         yield from self._experiment_files(iteration.index, iteration.experiments)
         policy = files.policy_text(self._study.policy, iteration)
         yield files.policy_name(iteration.index), lambda path: path.write_text(policy)
+        if iteration.search is not None and iteration.search.estimates:
+            estimates = files.parameters_text(iteration.search.estimates)
+            yield files.parameters_name(iteration.index), lambda path: path.write_text(estimates)
         if iteration.learning is not None:
             data = iteration.learning.data
             save = partial(files.save_transitions, transitions=data, task=self._study.task)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from simbias.tracking.fields import CODE, HELD_OUT, LATER_METRICS, TRIAL_METRICS
+from simbias.tracking.fields import CODE, HELD_OUT, LATER_METRICS, MACHINE, TRIAL_METRICS
 from simbias.trial import Outcome
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 FINISHED = "FINISHED"  # a run whose trial came to its end, and is kept in whole
 OUTCOMES = frozenset(outcome for outcome in Outcome if outcome.final)  # of such a run
-TAGS = ("hash", "outcome", "error", CODE, HELD_OUT)
+TAGS = ("hash", "outcome", "error", CODE, HELD_OUT, MACHINE)
 METRICS = (*TRIAL_METRICS, *LATER_METRICS)
 
 

@@ -80,6 +80,14 @@ def test_every_preset_builds(option: str) -> None:
     assert study.choices["preset"] == option
 
 
+def test_presets_combine() -> None:
+    """A robot and a method; what one chooses oneself wins over both."""
+    combined = compose(["preset=[cartpole,robust]", "bias=none"])
+    choices = [combined.choices[group] for group in ("preset", "hardware", "optimizer", "bias")]
+    assert choices == ["cartpole,robust", "cartpole", "hybrid", "none"]
+    assert combined.hash == compose(["preset=[robust,cartpole]", "bias=none"]).hash
+
+
 @pytest.mark.parametrize(("group", "option"), COMPONENTS)
 def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
     """Every value a person may change stands in the YAML, to be seen."""

@@ -16,6 +16,7 @@ from simbias.sweep.grid import expand
 
 pytestmark = pytest.mark.slow
 
+BOMB = "a0: &a0 [1]\n" + "".join(f"a{i}: &a{i} [{','.join(9 * [f'*a{i - 1}'])}]\n" for i in range(1, 9))
 DEEP = "a: " + 3000 * "[" + 3000 * "]"
 BROKEN: dict[str, Callable[[Path], object]] = {
     "folder": Path.mkdir,
@@ -27,6 +28,7 @@ BROKEN: dict[str, Callable[[Path], object]] = {
     "number": lambda path: path.write_text("3"),
     "names": lambda path: path.write_text("[1, 2]"),
     "deep": lambda path: path.write_text(DEEP),
+    "bomb": lambda path: path.write_text(BOMB),
     "code": lambda path: path.write_text("a: !!python/object/apply:os.getcwd []"),
     "cycle": lambda path: path.write_text("defaults: [cycle]\nsweep: {trials: 1, axes: {}}"),
     "unknown": lambda path: path.write_text(f"defaults: [{'x' * 300}]"),
@@ -58,8 +60,6 @@ def test_nobody_asks_for_them(conf: Path, monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("name", BROKEN)
 @pytest.mark.parametrize("group", ["bias", "+sweep"])
 def test_somebody_asks_for_one(conf: Path, group: str, name: str) -> None:
-    if (group, name) == ("bias", "pipe"):
-        pytest.skip("Hydra would wait for who writes into it")
     use: Callable = expand if group == "+sweep" else simbias.load
     with pytest.raises(ConfigError) as error:
         use([f"{group}={name}", "tracking=none"], conf)
@@ -84,6 +84,22 @@ def test_a_folder_may_have_any_name(tmp_path: Path, name: str) -> None:
     (tmp_path / name / "bias").mkdir(parents=True)
     (tmp_path / name / "bias" / "mine.yaml").write_text("_target_: simbias.bias.none.NoBias")
     assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
+
+
+@pytest.mark.parametrize(
+    "override", ["bias=[inf]", "bias=[1]", "bias=[null]", "bias=3", "+sweep=[inf]", "bias={a: 1}"]
+)
+def test_an_option_is_a_name(override: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        simbias.load([override, "tracking=none"])
+    assert "\n" not in str(error.value)
+
+
+def test_components_that_nobody_can_read_are_named(tmp_path: Path) -> None:
+    for text in (BOMB, "a: [1", "3"):
+        (tmp_path / "components.yaml").write_text(text)
+        with pytest.raises(ConfigError, match=r"components\.yaml"):
+            compose([], tmp_path)
 
 
 def test_an_error_that_cannot_speak_is_one_line() -> None:

@@ -26,6 +26,22 @@ def test_cost_is_equation_8(study: Study, seed: int, frames: int, fails: bool) -
     assert study.cost.of(rollout) == pytest.approx(200 * (T - t_fail) + peak + effort, rel=1e-12)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 50), st.integers(0, 100))
+def test_the_kernel_sums_up_the_same_cost(study: Study, seed: int, frames: int, lost: int) -> None:
+    """Frame by frame, as the compiled loop calls it; here by Python."""
+    rng = np.random.default_rng(seed)
+    x, u = rng.normal(size=(frames + 1, 6)), 30 * rng.normal(size=(frames, 1))
+    kernel = study.cost.kernel
+    assert kernel is not None
+    totals: tuple[float, ...] = study.cost.totals * (0.0,)
+    for state, torque in zip(x[1:], u, strict=True):
+        totals = kernel.function(state, torque, kernel.parameters, totals)
+    (cost,) = study.cost.of_totals(np.array([totals]), np.array([lost]))
+    failed_at = study.task.horizon - lost if lost else None
+    rollout = Rollout(x, u, failed_at=failed_at, failure="a fall" if lost else None)
+    assert cost == pytest.approx(study.cost.of(rollout), rel=1e-12)
+
+
 def test_every_failure_costs_more_than_the_maximum(study: Study) -> None:
     """c = Z_max: even a robot that falls in the last frame exceeds Z_max (Section V)."""
     still = Rollout(np.zeros((5000, 6)), np.zeros((4999, 1)), failed_at=4999, failure="a fall")

@@ -77,6 +77,13 @@ def test_success_ends_the_loop(point_mass: Study) -> None:
     assert [i.total_experiments for i in iterations] == [2, 4]
 
 
+def test_a_trial_that_never_succeeds_makes_all_experiments(point_mass: Study) -> None:
+    method = Algorithm1(max_iterations=2, experiments=3)
+    assert (method.max_iterations, method.max_experiments) == (2, 6)
+    (*_, last) = scripted(point_mass, [0.1] * 2, [0.9] * 6, max_iterations=2, experiments=3)
+    assert last.total_experiments == 6
+
+
 def test_failure_ends_after_n_out(point_mass: Study) -> None:
     """Line 3."""
     iterations = scripted(point_mass, [0.1] * 10, [0.9] * 20)

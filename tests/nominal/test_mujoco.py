@@ -13,7 +13,7 @@ from mechanisms import DOUBLE, MOTOR, URDF, cart_pole, mjcf
 from simbias.nominal.cartpole import CartPole
 from simbias.nominal.mujoco import Mujoco
 from simbias.records import Array
-from simbias.task import mjcf as files
+from simbias.task import mjcf_parameters as files
 
 
 def points(k: int, scale: float = 0.5) -> tuple[Array, Array]:

@@ -51,6 +51,14 @@ def test_each_criterion_rejects_and_is_counted(
     assert len(selection.transitions) == (criterion is None)
 
 
+def test_a_state_at_a_limit_is_within_it(study: Study) -> None:
+    samples = Thresholds(study.task, stride=1, limits=LIMITS, residual=1.0)
+    for angle, rejected in ((0.2, 0), (np.nextafter(0.2, 1.0), 2)):
+        states = np.tile([angle, 0.0, -0.2, 0.0, 0.0, 0.0], (3, 1))
+        selection = samples.select([Rollout(states, np.zeros((2, 1)))], Still())
+        assert selection.rejected["board_angle"] == rejected
+
+
 def test_outliers_are_rejected(study: Study) -> None:
     """Criterion 7: the distance from the Lagrangian model's prediction."""
     samples = Thresholds(study.task, stride=2, residual=0.01)
@@ -192,6 +200,19 @@ def test_information_keeps_as_many_samples_farther_apart(study: Study) -> None:
 
     assert gap(by_information.transitions) < 0.7 * gap(by_stride.transitions)
     assert len(np.unique(by_information.transitions.inputs, axis=0)) == 50
+
+
+def test_information_chooses_the_farthest_again_and_again(study: Study) -> None:
+    """From the first on, each the farthest from those before it: all distances written out."""
+    rng = np.random.default_rng(1)
+    states = np.cumsum(0.01 * rng.normal(size=(41, 6)), axis=0)
+    samples = Thresholds(study.task, stride=4, residual=10.0, selection="information")
+    chosen = samples.select([Rollout(states, np.zeros((40, 1)))], Still()).transitions.inputs[:, :6]
+    expected = [0]
+    while len(expected) < 10:
+        gaps = [min(np.linalg.norm(state - states[i]) for i in expected) for state in states[:-1]]
+        expected.append(int(np.argmax(gaps)))
+    np.testing.assert_array_equal(chosen, states[sorted(expected)])
 
 
 def test_information_never_chooses_what_the_criteria_reject(study: Study) -> None:

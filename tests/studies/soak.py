@@ -13,10 +13,13 @@ import json
 import os
 import random
 import signal
+import sqlite3
 import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pandas as pd
@@ -42,11 +45,19 @@ def begun(folder: Path) -> Counter[str]:
     return Counter(log.read_text().splitlines() if log.exists() else [])
 
 
-def leftovers() -> set[str]:
-    """Semaphores and temporary folders that a process may leave behind."""
-    places = (Path("/dev/shm"), Path(tempfile.gettempdir()))
-    names = ("sem.loky", "loky-", "joblib_memmapping", "simbias")
-    return {str(path) for place in places for path in place.glob("*") if path.name.startswith(names)}
+def semaphores(pids: Sequence[int]) -> int:
+    """How many are left of processes of these numbers."""
+    return sum(len(list(Path("/dev/shm").glob(f"sem.loky-{pid}-*"))) for pid in pids)
+
+
+def ended(folder: Path) -> bool:
+    """Whether all that the store holds has come to its end, though the process has not."""
+    store = folder / "mlflow.db"
+    if not store.exists():
+        return False
+    with closing(sqlite3.connect(store)) as database:
+        states = {state for (state,) in database.execute("SELECT status FROM runs")}
+    return states == {"FINISHED"}
 
 
 def prepared(folder: Path) -> Path:
@@ -74,7 +85,9 @@ def kept(kind: str, folder: Path) -> object:
 
 
 def undisturbed(kind: str) -> tuple[object, Counter[str], float]:
-    """The store, the experiments and the seconds of a run that is left alone."""
+    """The store, the experiments and the seconds of a run that is left alone, once all is compiled."""
+    with tempfile.TemporaryDirectory() as name:
+        run("--config-dir", "conf", *COMMANDS[kind], folder=prepared(Path(name)), timeout=300)
     with tempfile.TemporaryDirectory() as name:
         folder = prepared(Path(name))
         began = time.monotonic()
@@ -86,21 +99,30 @@ def undisturbed(kind: str) -> tuple[object, Counter[str], float]:
 def campaign(
     kind: str, kills: int, rng: random.Random, expected: tuple[object, Counter[str], float]
 ) -> dict[str, object]:
-    """Kill the command so often, then leave it alone; what came of it."""
+    """Kill the command so often, or until it ends sooner, then leave it alone; what came of it."""
     store, experiments, seconds = expected
-    with tempfile.TemporaryDirectory() as name:
+    command = ["--config-dir", "conf", *COMMANDS[kind]]
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as temporary:
         folder = prepared(Path(name))
-        for _ in range(kills):
-            process = start("--config-dir", "conf", *COMMANDS[kind], folder=folder)
+        pids, struck, at_the_end = [], 0, 0
+        while struck < kills:
+            process = start(*command, folder=folder, temporary=Path(temporary))
+            pids.append(process.pid)
             time.sleep(rng.uniform(0.0, 1.1 * seconds))
-            if process.poll() is None:
+            alive = process.poll() is None
+            if alive:
                 os.killpg(process.pid, signal.SIGKILL)
+                struck, at_the_end = struck + 1, at_the_end + ended(folder)
             finish(process)
-        status, _, err = run("--config-dir", "conf", *COMMANDS[kind], folder=folder, timeout=300)
+            if not alive:
+                break
+        left_by_kills = semaphores(pids), len(list(Path(temporary).iterdir()))
+        status, _, err = run(*command, folder=folder, timeout=300, temporary=Path(temporary))
         made = begun(folder)
         return {
             "kind": kind,
-            "kills": kills,
+            "kills": struck,
+            "at_the_end": at_the_end,  # when all was kept: pictures were drawn, files tidied up
             "status": status,
             "as_undisturbed": kept(kind, folder) == store,
             "experiments": sum(experiments.values()),
@@ -108,6 +130,10 @@ def campaign(
             "missing": sum((experiments - made).values()),
             "strange": len(set(made) - set(experiments)),
             "journals_left": (folder / "journals").exists(),
+            "semaphores_by_kills": left_by_kills[0],
+            "semaphores_left": semaphores(pids),  # when the last process has ended in peace
+            "temporary_by_kills": left_by_kills[1],
+            "temporary_left": len(list(Path(temporary).iterdir())),
             "said": json.dumps(err[-200:]),
         }
 
@@ -119,20 +145,19 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=30, help="of each kind (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
     parsed = parser.parse_args()
-    rng, before = random.Random(parsed.seed), leftovers()
-    rows = []
-    for kind in COMMANDS:
-        expected, left = undisturbed(kind), parsed.kills
-        while left > 0:
-            kills = min(left, rng.randint(1, 2 * MOST - 1))
-            rows.append(campaign(kind, kills, rng, expected))
-            left -= kills
-            print(rows[-1], flush=True)
+    rng = random.Random(parsed.seed)
     parsed.folder.mkdir(parents=True, exist_ok=True)
-    table = pd.DataFrame(rows)
-    table.to_csv(parsed.folder / "soak.csv", index=False)
-    left_behind = sorted(leftovers() - before)
-    print(f"left behind: {len(left_behind)} {left_behind[:5]}")
+    expected, left = {kind: undisturbed(kind) for kind in COMMANDS}, dict.fromkeys(COMMANDS, parsed.kills)
+    rows: list[dict[str, object]] = []
+    while any(left.values()):
+        kind = max(left, key=lambda each: left[each])
+        kills = min(left[kind], rng.randint(1, 2 * MOST - 1))
+        rows.append(campaign(kind, kills, rng, expected[kind]))
+        left[kind] -= int(str(rows[-1]["kills"]))
+        table = pd.DataFrame(rows)
+        table.to_csv(parsed.folder / "soak.csv", index=False)
+        print(rows[-1], flush=True)
+    print(table.drop(columns=["kind", "said"]).sum().to_string())
     good = (
         table["as_undisturbed"] & (table["missing"] == 0) & (table["strange"] == 0) & ~table["journals_left"]
     )

@@ -10,6 +10,7 @@ import pytest
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
+from mechanisms import DOUBLE
 from omegaconf import OmegaConf
 
 import simbias
@@ -215,3 +216,16 @@ def test_the_drawing_is_to_scale() -> None:
     foot, tip = parts["pole"]
     np.testing.assert_allclose(foot, [0.3, 0.0])
     np.testing.assert_allclose(tip - foot, 0.6 * np.array([np.sin(0.1), np.cos(0.1)]))
+
+
+def test_a_file_draws_its_geoms() -> None:
+    """Where the equations say that its poles are, which the declared drawing says too."""
+    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "double_cartpole.yaml"))
+    of_file = construct({**config, "drawing": None, "figure": {"file": DOUBLE}}, Task, "task")
+    x = np.array([0.3, 0.1, -0.2, 0.0, 0.0, 0.0])
+    by_file, by_declaration = of_file.points(x), construct(config, Task, "task").points(x)
+    for geom, part in (("cpole", "lower_pole"), ("cpole2", "upper_pole")):
+        lower_end_first = by_file[geom][np.argsort(by_file[geom][:, 1])]
+        np.testing.assert_allclose(lower_end_first, by_declaration[part], atol=1e-6)
+    assert of_file.drawing["cpole"].thickness == pytest.approx(0.09)
+    assert "floor" not in by_file

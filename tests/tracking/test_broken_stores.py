@@ -101,6 +101,18 @@ def test_a_trial_that_lacks_something_goes_on(store: Path, caplog: pytest.LogCap
     assert len(warnings(caplog)) == 1
 
 
+def test_the_journal_of_a_trial_that_is_kept_goes(store: Path) -> None:
+    """Its process was killed between keeping the trial and removing the journal."""
+    with closing(sqlite3.connect(store / "mlflow.db")) as database:
+        query = f"SELECT value FROM tags WHERE key = 'hash' AND run_uuid = {CHILD}"
+        ((identity,),) = database.execute(query).fetchall()
+    journal = store / "journals" / "simbias" / identity
+    journal.mkdir(parents=True)
+    (journal / "0000_search.json").write_text("{}")
+    assert main([*SWEEP, uri(store)]) == 0
+    assert not (store / "journals").exists()
+
+
 def file_in_place_of(pattern: str) -> Callable[[Path], None]:
     """Put a file where a folder was."""
 

@@ -110,7 +110,8 @@ class TwoSimulators(SweepFigure):
 def _write(axes: Axes, words: str, place: tuple[float, float], **style: Any) -> None:
     """Write words at a place in units of the axes' cell of the grid, which a wide drawing does not fill."""
     spec, figure = axes.get_subplotspec(), axes.figure
-    assert spec is not None and isinstance(figure, Figure)
+    assert spec is not None
+    assert isinstance(figure, Figure)
     cell = spec.get_position(figure)
     x, y = cell.x0 + place[0] * cell.width, cell.y0 + place[1] * cell.height
     figure.text(x, y, words, **({"fontsize": SMALL} | style))

@@ -1,0 +1,53 @@
+"""Robots that ship: each preset's trial, and the pictures of a task that is declared in YAML."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import pytest
+from PIL import Image
+
+import simbias
+from simbias.pictures.trial.animation import save_animation
+from simbias.pictures.trial.overview import overview
+from simbias.records import Iteration
+from simbias.study import Study
+from simbias.testing.conformance import verdicts
+from simbias.trial import run_trial
+
+ROBOTS = ("cartpole", "double_cartpole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ROBOTS)
+def test_a_robot_keeps_its_contracts(preset: str) -> None:
+    study = simbias.load([f"preset={preset}", "tracking=none"])
+    found = list(verdicts(study, {"task", "nominal", "hardware", "policy"}))
+    assert len(found) > 8
+    assert not [verdict for verdict in found if verdict.problem]
+
+
+@pytest.fixture(scope="module")
+def cartpole() -> tuple[Study, list[Iteration]]:
+    """A trial of the pole on a cart, on Gymnasium's environment."""
+    study = simbias.load(["preset=cartpole", "tracking=none"])
+    return study, list(run_trial(study).iterations)
+
+
+@pytest.mark.slow
+def test_a_pole_is_held_upright_after_few_experiments(cartpole: tuple[Study, list[Iteration]]) -> None:
+    _, iterations = cartpole
+    assert iterations[-1].succeeded
+    assert iterations[-1].total_experiments <= 6
+
+
+@pytest.mark.slow
+def test_a_declared_drawing_is_in_every_picture(cartpole: tuple[Study, list[Iteration]]) -> None:
+    """The overview's snapshots have the parts of the drawing, the animation moves them."""
+    study, iterations = cartpole
+    figure = overview(study, iterations)
+    drawn = [axes for axes in figure.axes if len(axes.patches) == len(study.task.drawing)]
+    assert len(drawn) >= 2
+    file = BytesIO()
+    save_animation(study, iterations, file)
+    assert Image.open(file).n_frames > 20
