@@ -14,9 +14,8 @@ from simbias.study import Study
 
 COLUMNS = "pos1:pos_meas1,pos2:pos_meas2,vel1:vel_meas1,vel2:vel_meas2,tau1:tau_meas1,tau2:tau_meas2"
 OPTIONS = [
-    *("task=double_pendulum", "nominal=double_pendulum", "samples=thresholds", "hardware=recorded"),
+    *("preset=double_pendulum", "identification=none", "bias=gp", "tracking=none"),
     *("hardware.folder=tests/recordings", f"hardware.columns={{{COLUMNS}}}"),
-    *("cost.state_weights=[1,1,1,1]", "cost.input_weights=[1,1]", "tracking=none"),
 ]
 NOISE = np.array([2e-4, 2e-4, 0.05, 0.05])  # rad, rad/s
 

@@ -34,7 +34,7 @@ class Errors:
 
         The scale matrix is shrunk towards its diagonal, the more the fewer windows there are.
         """
-        w, J, _ = errors.shape
+        w, J = errors.shape[:2]
         least = np.tile(TINY * np.std(windows.states, axis=0) + 1e-12, J)
         e = np.nan_to_num(errors.reshape(w, -1), nan=np.inf)
         scale = np.clip(np.median(np.abs(e), axis=0) / 0.6745, least, HUGE)

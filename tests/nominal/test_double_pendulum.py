@@ -17,16 +17,12 @@ FRICTION = {"damping_1": 0.02, "damping_2": 0.01, "friction_1": 0.16, "friction_
 
 
 def task(time_step: float = 0.002) -> Task:
-    config = compose(["task=double_pendulum", "samples=thresholds", "tracking=none"]).config["task"]
+    config = compose(["preset=double_pendulum", "tracking=none"]).config["task"]
     return construct({**config, "time_step": time_step}, Task, "task")
 
 
 def model(time_step: float = 0.002, **changes: float) -> DoublePendulum:
-    config = dict(
-        compose(
-            ["task=double_pendulum", "nominal=double_pendulum", "samples=thresholds", "tracking=none"]
-        ).config["nominal"]
-    )
+    config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
     config["drives"] = config["drives"] | changes
     made = construct(config, Nominal, "nominal", task=task(time_step))
     assert isinstance(made, DoublePendulum)

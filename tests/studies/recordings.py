@@ -44,8 +44,7 @@ LAB = {  # model_1.0
     "rotor_inertia": 6.2872e-5,
 }
 OPTIONS = [
-    *("task=double_pendulum", "nominal=double_pendulum", "hardware=recorded", "samples=thresholds"),
-    *("cost.state_weights=[1,1,1,1]", "cost.input_weights=[1,1]", "tracking=none"),
+    *("preset=double_pendulum", "tracking=none"),
     "hardware.columns={" + ",".join(f"{key}:{name}" for key, name in COLUMNS.items()) + "}",
 ]
 
