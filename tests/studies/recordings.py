@@ -31,6 +31,7 @@ from simbias.study import Study
 
 KINDS = ("acrobot", "pendubot", "excitation")
 COUNTS = (1, 2, 5)  # recordings that are learned from
+COLORS = ("#999999", "#d55e00", "#009e73", "#0072b2")  # told apart by everybody, and in print
 MOST = 2  # choices of several
 SHIFTS = (0, 10, 20, 30, 40)  # frames by which windows are shifted, to have more of them
 DURATION, CHANGE = 0.1, 0.3  # s, rad/s
@@ -163,21 +164,22 @@ def figure(table: pd.DataFrame, file: Path) -> None:
     from matplotlib import pyplot
 
     each = ratios(table)
-    order = [model for model in dict.fromkeys(table["model"]) if model not in ("lab", "nominal")]
-    fig, all_axes = pyplot.subplots(1, len(KINDS), figsize=(7.2, 2.6), sharey=True, layout="constrained")
+    order = [model for model in dict.fromkeys(table["model"]) if model != "lab"]
+    fig, all_axes = pyplot.subplots(1, len(KINDS), figsize=(7.2, 3.0), sharey=True, layout="constrained")
     for axes, kind in zip(all_axes, KINDS, strict=True):
         for i, model in enumerate(order):
-            for j, count in enumerate(COUNTS):
-                own = each[(each["kind"] == kind) & (each["count"] == count) & (each["model"] == model)][
-                    "ratio"
-                ]
-                label = model if j == 0 else None
-                axes.plot([j + 0.2 * (i - 1)] * len(own), own, "o", markersize=3, color=f"C{i}", label=label)
+            own = each[(each["kind"] == kind) & (each["model"] == model)]
+            places = [COUNTS.index(count) + 0.16 * (i - 1.5) for count in own["count"]]
+            axes.plot(places, own["ratio"], "os^D"[i], markersize=4, color=COLORS[i], alpha=0.8, label=model)
         axes.axhline(1.0, color="0.5", linewidth=0.8)
+        axes.set_yscale("log", base=2)
+        axes.set_yticks([0.5, 1, 2, 4], ["0.5", "1", "2", "4"])
         axes.set_xticks(range(len(COUNTS)), [str(count) for count in COUNTS])
-        axes.set_xlabel(f"{kind} recordings learned from")
+        axes.set_title(f"learned from {kind}", fontsize="medium")
     all_axes[0].set_ylabel("error over the lab's model")
-    all_axes[0].legend(fontsize=7)
+    fig.supxlabel("recordings learned from", fontsize="medium")
+    handles, labels = all_axes[0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside upper center", ncols=len(order), frameon=False, fontsize="small")
     fig.savefig(file, dpi=150)
 
 
