@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from simbias.parameters import Parameter, values_at
+from simbias.parameters import Estimate, Parameter, values_at
 from simbias.records import Array, Indices, Optimum, Rollout, Selection, Transitions
 from simbias.search import Evaluations
 
@@ -144,6 +144,8 @@ class Nominal(ABC):
     batched: bool = False  # whether an engine steps many states at once, about as fast as compiled code
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     memory_size: int = 0  # s
+    estimates: Sequence[Estimate] = ()  # what has been identified
+    diagnostics: Mapping[str, float] = MappingProxyType({})  # what the identification says of its fit
 
     @abstractmethod
     def step(self, x: Array, u: Array) -> Array:
@@ -273,6 +275,10 @@ class Bias(ABC):
     @abstractmethod
     def fit(self, transitions: Transitions) -> FittedBias:
         """Learn from the data; without data the bias is zero everywhere."""
+
+    def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
+        """Learn from the data, or from the rollouts and the (identified) nominal model that it comes from."""
+        return self.fit(transitions)
 
 
 @dataclass(frozen=True, eq=False)

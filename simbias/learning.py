@@ -41,7 +41,11 @@ def search(
             evaluations=sum(one.evaluations for one, _ in searches),
             stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
-    found = Search(optimum, predicted_cost, model.bias, model.bias.diagnostics, model.nominal)
+    nominal = model.nominal
+    found = Search(
+        *(optimum, predicted_cost, model.bias, model.bias.diagnostics),
+        *(nominal, nominal.estimates, dict(nominal.diagnostics)),
+    )
     observer.searched(found)
     return found
 

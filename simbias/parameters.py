@@ -47,3 +47,14 @@ def values_at(parameters: Sequence[Parameter], coordinates: Array) -> Array:
     """Values (..., k) of k parameters at coordinates (..., k)."""
     columns = [parameter.at(coordinates[..., i]) for i, parameter in enumerate(parameters)]
     return np.stack(columns, axis=-1) if columns else np.asarray(coordinates, dtype=np.float64)
+
+
+class Estimate(NamedTuple):
+    """What is known of a parameter once it has been identified."""
+
+    name: str
+    unit: str
+    declared: float
+    value: float  # the most probable one
+    low: float  # 5% quantile
+    high: float  # 95% quantile

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from simbias.interfaces import FittedBias, Nominal
+    from simbias.parameters import Estimate
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -98,6 +99,8 @@ class Search:
     fitted_bias: FittedBias | None  # g; None once the record came from a worker
     diagnostics: Mapping[str, float] = field(default_factory=dict)  # what the learner says of g
     nominal: Nominal | None = None  # as far as identified; None likewise
+    estimates: Sequence[Estimate] = ()  # of its parameters
+    identification: Mapping[str, float] = field(default_factory=dict)  # what is said of that fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +110,7 @@ class Learning:
     selection: Selection  # D_i
     data: Transitions  # D afterwards
     reset: bool = False  # whether D was cleared before
+    evidence: Mapping[str, float] = field(default_factory=dict)  # for each way to learn, if weighed, nats
 
 
 @dataclass(frozen=True, eq=False)

@@ -240,7 +240,10 @@ class Study:
     def _warm_up(self, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
         """Compile what is needed with the bias that is learned from some data."""
         fitted_bias = self.bias.fit(data)
-        self.simulate(theta, fitted_bias)
+        rollout = self.simulate(theta, fitted_bias)
+        if len(data):
+            nominal = self.identification.fit(self.nominal, [rollout])
+            self.bias.learn(data, [rollout], nominal)
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:

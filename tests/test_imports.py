@@ -12,7 +12,7 @@ from conftest import ROOT
 
 PACKAGE = ROOT / "simbias"
 COMPONENTS = (
-    *("task", "nominal", "hardware", "policy", "samples"),
+    *("task", "nominal", "hardware", "policy", "identification", "samples"),
     *("bias", "cost", "evaluation", "optimizer", "method"),
 )
 ROBOTS = ("task", "nominal", "hardware")  # rooms that may know one

@@ -16,7 +16,10 @@ README = (ROOT / "README.md").read_text()
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *(ROOT / folder / "README.md" for folder in ("conf", "simbias", "tests", "sweeps/results")),
+    *(
+        ROOT / folder / "README.md"
+        for folder in ("conf", "simbias", "simbias/hardware", "tests", "sweeps/results")
+    ),
 ]
 SHORT = [
     "task.horizon=200",
@@ -24,12 +27,15 @@ SHORT = [
     "method.max_iterations=1",
     "tracking.pictures=false",
 ]
-COMMANDS = [
-    line.partition("  #")[0].strip()
-    for block in re.findall(r"^```sh\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
-    for line in block.splitlines()
-    if line.startswith("python ")
-]
+SHOWN = README + (ROOT / "simbias" / "hardware" / "README.md").read_text()
+COMMANDS = sorted(
+    {
+        line.partition("  #")[0].strip()
+        for block in re.findall(r"^```sh\n(.*?)^```", SHOWN, re.MULTILINE | re.DOTALL)
+        for line in block.splitlines()
+        if line.startswith("python ")
+    }
+)
 
 
 def shortened(command: str) -> list[str]:

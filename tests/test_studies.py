@@ -41,8 +41,8 @@ def test_a_policy_is_searched_on_the_hardware(tmp_path: Path) -> None:
     assert found["hardware_balances"] == found["simulated_balances"] == 20  # nobody falls within 60 ms
 
 
-def test_policies_are_searched_on_the_hardware_of_a_sweeps_cells(tmp_path: Path) -> None:
+def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
-    wide = ["--sweep", "gaps", "--cell", "motor", "--everywhere", "--screening", "2"]
+    wide = ["--sweep", "gaps", "--cell", "motor 60", "--everywhere", "--screening", "2"]
     study("searched_on_hardware", "found.csv", *short, *wide, folder=tmp_path)
-    assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%", "motor 40%"]
+    assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%"]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from simbias.config.numbers import Count, CountOrZero, Positive
+from simbias.evidence import learn, likeliest, log_likelihoods
 from simbias.learning import Stopwatch, experiment, search
 from simbias.records import Array, Iteration, Learning, Rollout
 from simbias.study import Method, Observer, Study
@@ -39,6 +40,9 @@ class Algorithm1(Method):
         Predicted cost Z below which a search has ended satisfactorily; None is Z_max.
     warm_start
         Evaluate the trial's earlier policies first in a search.
+    by_evidence
+        Search on the model that predicts experiments best which it did not learn from: the nominal one as
+        declared, with identified parameters, or with a bias too (`simbias.evidence`); else on the last.
     """
 
     def __init__(
@@ -51,6 +55,7 @@ class Algorithm1(Method):
         satisfactory_cost: Positive | None = None,
         warm_start: bool = False,
         passes: Count | None = None,
+        by_evidence: bool = False,
     ) -> None:
         if passes is not None and passes < experiments:
             raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
@@ -63,6 +68,7 @@ class Algorithm1(Method):
         self._retry_search = retry_search
         self._satisfactory_cost = satisfactory_cost
         self._warm_start = warm_start
+        self._by_evidence = by_evidence
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration; comments give the listing's lines."""
@@ -90,12 +96,12 @@ class Algorithm1(Method):
                 rollouts = experiment(study, theta, hardware_rng, observer, self._passes, least)  # 9
             experiments += rollouts
             succeeded = all(map(study.cost.passes, rollouts))  # 10
+            evidence: dict[str, float] = {}
             with clock("learning"):
                 if not succeeded:
                     taught.append(rollouts)
-                    nominal = study.identification.fit(study.nominal, experiments)
-                    data = study.data_from(taught, nominal)  # 13
-                    model = study.model(study.bias.fit(data), nominal)  # 14
+                    evidence = log_likelihoods(study, experiments) if self._by_evidence else {}
+                    model, data = learn(study, likeliest(evidence), experiments, taught)  # 13, 14
                 selection = study.samples.select(rollouts, model.nominal)
             yield Iteration(
                 index=i,
@@ -105,7 +111,7 @@ class Algorithm1(Method):
                 succeeded=succeeded,
                 total_experiments=len(experiments),
                 search=proposal,
-                learning=Learning(selection, data, reset),
+                learning=Learning(selection, data, reset, evidence),
                 seconds=clock.seconds,
             )
             if succeeded:  # 11

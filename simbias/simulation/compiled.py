@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads
 
 from simbias.interfaces import Cost, Kernel, Model, Task
 from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.fused import Composition, compiled_loop
-from simbias.simulation.kernels import LANES
 from simbias.simulation.plain import costs_of, record
+from simbias.simulation.threads import in_threads
 
 RECORDED = 256  # rollouts recorded at once: their records take memory
 
@@ -127,11 +122,9 @@ class CompiledSimulator:
             np.zeros(k, np.int64) if worlds is None else worlds,
             np.ascontiguousarray(starts, dtype=np.float64),
         )
-        threads = max(1, min(get_num_threads(), math.ceil(k / LANES)))
-        cuts = [k * part // threads for part in range(threads + 1)]
 
-        def run(part: int) -> None:
-            rows = slice(cuts[part], cuts[part + 1])
+        def run(begin: int, end: int) -> None:
+            rows = slice(begin, end)
             own, world, start = (array[rows] for array in each)
             loop(
                 task.horizon, task.time_step, _limits(task),
@@ -140,10 +133,7 @@ class CompiledSimulator:
                 world, start, *(array[rows] for array in made.arrays),
             )  # fmt: skip
 
-        if threads == 1:
-            run(0)
-        else:
-            list(_pool(threads).map(run, range(threads)))
+        in_threads(run, k)
         return made
 
     def _composition(self, policy: Kernel, total: Kernel | None, totals: int) -> Composition:
@@ -191,12 +181,3 @@ class _Made:
 def _limits(task: Task) -> Array:
     """Limits (c,) of the criteria."""
     return np.array([criterion.limit for criterion in task.criteria])
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that stay: starting them takes as long as a short search's generation."""
-    return ThreadPoolExecutor(threads, "simbias")
-
-
-os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork

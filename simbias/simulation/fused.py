@@ -11,7 +11,7 @@ All lanes are in one array: of two arrays, LLVM would have to ask whether they o
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -22,6 +22,7 @@ from numba import njit
 from simbias.simulation.compilation import OPTIONS, Compilation
 from simbias.simulation.kernels import LANES
 from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, RECORD, TEMPLATE
+from simbias.simulation.text import assign, indent, tuple_of
 
 
 @dataclass(frozen=True)
@@ -65,17 +66,17 @@ def source(c: Composition) -> str:
     sizes = {"n": n, "m": m, "LANES": LANES}
     settle = _settled(c)
     corrected = (
-        _puts("x_next", "y", n) if c.corrects_all_lanes else ["d = correct(x_, u_, bias_data)", *settle]
+        assign("x_next", "y", n) if c.corrects_all_lanes else ["d = correct(x_, u_, bias_data)", *settle]
     )
-    after = CORRECT_ALL_LANES.format(**sizes, settle=_lines(settle, 12)) if c.corrects_all_lanes else ""
+    after = CORRECT_ALL_LANES.format(**sizes, settle=indent(settle, 12)) if c.corrects_all_lanes else ""
     constants = (
-        [] if c.corrects_all_lanes else [f"bias_data = {_tuple('bias_parameters[{}]', c.bias_parameters)}"]
+        [] if c.corrects_all_lanes else [f"bias_data = {tuple_of('bias_parameters[{}]', c.bias_parameters)}"]
     )
     if c.total:
-        constants.append(f"cost_data = {_tuple('cost_parameters[{}]', c.cost_parameters)}")
+        constants.append(f"cost_data = {tuple_of('cost_parameters[{}]', c.cost_parameters)}")
     if c.noisy:
-        seen = _tuple("x_[{0}] + disturbance[{1}, lane]", n, m)
-        force = _tuple("u[{0}] + disturbance[{0}, lane]", m)
+        seen = tuple_of("x_[{0}] + disturbance[{1}, lane]", n, m)
+        force = tuple_of("u[{0}] + disturbance[{0}, lane]", m)
     else:
         seen, force = "x_", "u"
     judge = [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
@@ -85,20 +86,20 @@ def source(c: Composition) -> str:
         nominal=c.nominal_parameters,
         totals=c.totals,
         memory=c.memory,
-        rows=_lines(_rows(c), 4),
-        limits=_tuple("limits[{}]", c.criteria),
-        measure_data=_tuple("measure_parameters[{}]", c.measure_parameters),
-        output_data=_tuple("output_parameters[{}]", c.output_parameters),
-        constants=_lines(constants, 4),
+        rows=indent(_rows(c), 4),
+        limits=tuple_of("limits[{}]", c.criteria),
+        measure_data=tuple_of("measure_parameters[{}]", c.measure_parameters),
+        output_data=tuple_of("output_parameters[{}]", c.output_parameters),
+        constants=indent(constants, 4),
         gather=GATHER.format(**sizes) if c.noisy else "",
-        x=_tuple("x[{}, lane]", n),
-        judge=_lines(judge, 12),
+        x=tuple_of("x[{}, lane]", n),
+        judge=indent(judge, 12),
         seen=seen,
-        control=_lines(_controlled(c), 12),
+        control=indent(_controlled(c), 12),
         force=force,
         forget=FORGET.format(hidden=c.hidden) if c.hidden else "",
-        advance=_lines(_advanced(c), 12),
-        correct=_lines([*corrected, *_puts("command", "u", m), *_puts("force", "u_", m)], 12),
+        advance=indent(_advanced(c), 12),
+        correct=indent([*corrected, *assign("command", "u", m), *assign("force", "u_", m)], 12),
         record=after + ("" if c.total else RECORD.format(**sizes)),
     )
 
@@ -128,56 +129,41 @@ def _rows(c: Composition) -> list[str]:
 
 def _controlled(c: Composition) -> list[str]:
     """What the policy commands."""
-    parameters = _tuple("policy[{}, lane]", c.policy_parameters)
+    parameters = tuple_of("policy[{}, lane]", c.policy_parameters)
     if not c.remembers:
         return [f"u = control(z, {parameters})"]
-    memory = _tuple("memory[{}, lane]", c.memory)
+    memory = tuple_of("memory[{}, lane]", c.memory)
     return [
         f"u, kept = control(z, {parameters}, frame[lane] * time_step, {memory})",
-        *_puts("memory", "kept", c.memory),
+        *assign("memory", "kept", c.memory),
     ]
 
 
 def _advanced(c: Composition) -> list[str]:
     """What the nominal model makes of it."""
-    parameters = _tuple("nominal[{}, lane]", c.nominal_parameters)
+    parameters = tuple_of("nominal[{}, lane]", c.nominal_parameters)
     if not c.hidden:
         return [f"y = step(x_, u_, {parameters})"]
-    hidden = _tuple("hidden[{}, lane]", c.hidden)
+    hidden = tuple_of("hidden[{}, lane]", c.hidden)
     return [
         f"y, hidden_next = step(x_, u_, {parameters}, {hidden})",
-        *_puts("hidden", "hidden_next", c.hidden),
+        *assign("hidden", "hidden_next", c.hidden),
     ]
 
 
 def _settled(c: Composition) -> list[str]:
     """The next state, and what the cost sums up, of rollouts that go on."""
     if c.corrects_all_lanes:
-        x_next, command = "x_next[{0}, lane] + correction[{0}, lane]", _tuple("command[{}, lane]", c.inputs)
+        x_next, command = "x_next[{0}, lane] + correction[{0}, lane]", tuple_of("command[{}, lane]", c.inputs)
     else:
         x_next, command = "y[{0}] + d[{0}]", "u"
-    lines = [f"x_new = {_tuple(x_next, c.states)}", *_puts("x", "x_new", c.states)]
+    lines = [f"x_new = {tuple_of(x_next, c.states)}", *assign("x", "x_new", c.states)]
     if c.total:
-        lines.append(f"sums = {_tuple('totals[{}, lane]', c.totals)}")
-        lines += _puts("before", "sums", c.totals)  # a rollout that ends here ends with these
+        lines.append(f"sums = {tuple_of('totals[{}, lane]', c.totals)}")
+        lines += assign("before", "sums", c.totals)  # a rollout that ends here ends with these
         lines.append(f"after = total(x_new, {command}, cost_data, sums)")
-        lines += _puts("totals", "after", c.totals)
+        lines += assign("totals", "after", c.totals)
     return lines
-
-
-def _tuple(element: str, size: int, offset: int = 0) -> str:
-    """A tuple of so many elements, written with their index, and their index after an offset."""
-    return f"({''.join(element.format(i, offset + i) + ', ' for i in range(size))})"
-
-
-def _puts(rows: str, values: str, size: int) -> list[str]:
-    """A tuple is put into a lane."""
-    return [f"{rows}[{i}, lane] = {values}[{i}]" for i in range(size)]
-
-
-def _lines(lines: Iterable[str], indent: int) -> str:
-    """Lines after the first, which the template indents."""
-    return ("\n" + " " * indent).join(lines)
 
 
 @lru_cache(maxsize=64)

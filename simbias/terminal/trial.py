@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from tempfile import NamedTemporaryFile
@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from simbias import remarks
+from simbias.evidence import WINDOW
 from simbias.experiments import ask
 from simbias.interfaces import SlowWarning
 from simbias.messages import brief
@@ -132,6 +133,8 @@ class TrialConsole(Observer):
             f"  {samples:>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
             soft_wrap=True,
         )
+        if learning and learning.evidence:
+            self._console.print(f"     {evidence_text(learning.evidence)}", soft_wrap=True)
         if learning and not iteration.succeeded:
             self._remark(remarks.of_selection(learning.selection))
         self._iterations.append(iteration)
@@ -195,6 +198,13 @@ def temporary_traceback(traceback: str) -> str:
     except OSError:
         return ""
     return file.name
+
+
+def evidence_text(evidence: Mapping[str, float]) -> str:
+    """What the experiments so far say for each model, and which one the next policy is searched on."""
+    values = ", ".join(f"{name} {value:.1f}" for name, value in evidence.items())
+    best = max(evidence, key=lambda name: evidence[name])
+    return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
 
 
 def counted(count: int, noun: str) -> str:

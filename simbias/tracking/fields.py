@@ -109,6 +109,7 @@ def _search_metrics(search: Search) -> dict[str, float]:
         "cost/predicted": search.predicted_cost,
         "search/evaluations": search.optimum.evaluations,
         **{f"bias/{name}": value for name, value in search.diagnostics.items()},
+        **{f"identification/{name}": value for name, value in search.identification.items()},
     }
 
 
@@ -122,6 +123,7 @@ def _learning_metrics(learning: Learning) -> dict[str, float]:
         "data/frames": selection.frames,
         "data/sampled": selection.sampled,
         **{f"data/rejected_{criterion}": count for criterion, count in selection.rejected.items()},
+        **{f"evidence/{name}": value for name, value in learning.evidence.items()},
     }
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from simbias.held_out import Tries
 from simbias.interfaces import Policy, Quantity, Task
 from simbias.messages import printable, quote
+from simbias.parameters import Estimate
 from simbias.records import Iteration, Rollout, Transitions
 
 TEXTS = "UST"  # kinds of NumPy's types that are no numbers
@@ -32,6 +33,11 @@ def experiment_name(iteration: int, experiment: int) -> str:
 def policy_name(iteration: int) -> str:
     """The file of an iteration's policy."""
     return f"policies/iteration_{iteration:02d}.json"
+
+
+def parameters_name(iteration: int) -> str:
+    """The file of the nominal model's parameters, as identified before an iteration's policy was searched."""
+    return f"parameters/iteration_{iteration:02d}.json"
 
 
 def data_name(iteration: int) -> str:
@@ -158,6 +164,11 @@ def load_transitions(path: Path) -> Transitions:
     """Training data, as `save_transitions` wrote it."""
     with np.load(path) as file:
         return Transitions(file["inputs"], file["residuals"])
+
+
+def parameters_text(estimates: Sequence[Estimate]) -> str:
+    """Identified parameters as JSON: declared and most probable values, and a 90% interval."""
+    return json.dumps([estimate._asdict() for estimate in estimates], indent=2)
 
 
 def policy_text(policy: Policy, iteration: Iteration) -> str:

@@ -194,6 +194,9 @@ class MlflowTrial(TrackedTrial):
         yield from self._experiment_files(iteration.index, iteration.experiments)
         policy = files.policy_text(self._study.policy, iteration)
         yield files.policy_name(iteration.index), lambda path: path.write_text(policy)
+        if iteration.search is not None and iteration.search.estimates:
+            estimates = files.parameters_text(iteration.search.estimates)
+            yield files.parameters_name(iteration.index), lambda path: path.write_text(estimates)
         if iteration.learning is not None:
             data = iteration.learning.data
             save = partial(files.save_transitions, transitions=data, task=self._study.task)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SHOWN_ROWS = 40  # MLflow keeps 8000 characters of a note
 REASON_LENGTH = 500
 ARTIFACTS = (
-    "Artifacts: `config.yaml`, `policies/`, `experiments/` (hardware, as npz), "
+    "Artifacts: `config.yaml`, `policies/`, `parameters/` (identified), `experiments/` (hardware, as npz), "
     "`data/` (what was learned from, after each iteration), `pictures/` (with `tracking.pictures`)."
 )
 

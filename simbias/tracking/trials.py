@@ -17,6 +17,7 @@ from simbias.config import Composition, ConfigError
 from simbias.config.allowed import beside, prefixes
 from simbias.config.build import build
 from simbias.engine.workplace import temporary_folder
+from simbias.evidence import learn, likeliest
 from simbias.records import Iteration, Learning, Optimum, Rollout, Search
 from simbias.study import Study
 from simbias.tracking.files import (
@@ -35,7 +36,14 @@ if TYPE_CHECKING:
 NO_TRACKING = {"_target_": "simbias.tracking.none.NoTracking"}
 FOLDERS = ("policies", "experiments", "data")
 RESET = "model/reset"  # of iterations that learned
-PER_ITERATION = (RESET, "experiments/total", "bias/", "seconds/")  # metrics that are in no file
+PER_ITERATION = (
+    RESET,
+    "experiments/total",
+    "bias/",
+    "evidence/",
+    "identification/",
+    "seconds/",
+)  # metrics that are in no file
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +121,9 @@ def _iterations(
     study: Study, folder: Path, metrics: Mapping[int, Mapping[str, float]]
 ) -> Iterator[Iteration]:
     """The records, as the method yielded them."""
-    data, total, nominal = study.no_data, 0, study.nominal
-    made: list[Rollout] = []
+    total, made = 0, list[Rollout]()
+    taught: list[tuple[Rollout, ...]] = []
+    model = study.model()
     for index in sorted(metrics):
         before, total = total, int(metrics[index]["experiments/total"])
         names = [experiment_name(index, experiment) for experiment in range(total - before)]
@@ -124,14 +133,22 @@ def _iterations(
         if "search" in policy:
             optimum = Optimum(np.array(policy["parameters"]), **policy["search"])
             diagnostics = _of_group("bias", metrics[index])
-            search = Search(optimum, policy["predicted_cost"], study.bias.fit(data), diagnostics, nominal)
+            search = Search(
+                *(optimum, policy["predicted_cost"], model.bias, diagnostics),
+                *(model.nominal, model.nominal.estimates, _of_group("identification", metrics[index])),
+            )
         made += experiments
         if RESET in metrics[index]:
-            data = load_transitions(folder / data_name(index))
+            data, evidence = (
+                load_transitions(folder / data_name(index)),
+                _of_group("evidence", metrics[index]),
+            )
+            taught = [] if metrics[index][RESET] else taught
             if not policy["succeeded"]:
-                nominal = study.identification.fit(study.nominal, made)
-            selection = study.samples.select(experiments, nominal)
-            learning = Learning(selection, data, bool(metrics[index][RESET]))
+                taught.append(experiments)
+                model = learn(study, likeliest(evidence), made, taught, data).model
+            selection = study.samples.select(experiments, model.nominal)
+            learning = Learning(selection, data, bool(metrics[index][RESET]), evidence)
         yield Iteration(
             index=index,
             parameters=np.array(policy["parameters"]),

@@ -1,4 +1,4 @@
-"""Sine and cosine of compiled code against the mathematics library."""
+"""Sine, cosine and arctangent of compiled code against the mathematics library."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from simbias.simulation.compilation import Compilation
-from simbias.simulation.trigonometry import sincos
+from simbias.simulation.trigonometry import arctan, sincos
 
 compiled = Compilation().compiled(sincos)
 
@@ -59,3 +59,21 @@ def test_far_away_nothing_is_raised_and_the_size_stays() -> None:
 def test_in_numpy_it_is_numpys() -> None:
     x = np.array([[0.1, 2.0], [-3.0, 4.0]])
     np.testing.assert_array_equal(sincos(x), (np.sin(x), np.cos(x)))
+
+
+compiled_arctan = Compilation().compiled(arctan)
+
+
+@njit
+def arctans_of(x):
+    out = np.empty(x.size)
+    for i in range(x.size):
+        out[i] = compiled_arctan(x[i])
+    return out
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e100])
+def test_arctangent_agrees_with_the_library(size: float) -> None:
+    x = np.linspace(-size, size, 20_001)
+    np.testing.assert_allclose(arctans_of(x), np.arctan(x), rtol=1e-15, atol=1e-300)
+    np.testing.assert_array_equal(arctan(x), np.arctan(x))

@@ -25,12 +25,6 @@ PAIRED = {
     "feet": ("variant",),
 }
 PUBLISHED = sorted(path.parent for path in RESULTS.glob("*/trials.csv"))
-OLDER = ("feet",)  # were published by version 0.1.0, before identities left defaults out
-
-
-def marks(folder: Path) -> list[pytest.MarkDecorator]:
-    """That the trials are older, where they are: strict, so that it goes with them."""
-    return [pytest.mark.xfail(strict=True, reason="published by 0.1.0")] if folder.name in OLDER else []
 
 
 @pytest.mark.slow
@@ -45,9 +39,7 @@ def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "folder", [pytest.param(folder, marks=marks(folder), id=folder.name) for folder in PUBLISHED]
-)
+@pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
 def test_published_trials_are_those_that_the_sweep_would_run(folder: Path) -> None:
     """An option that is added with its old behaviour as the default changes no seed."""
     sweep = expand([f"+sweep={folder.name}"])

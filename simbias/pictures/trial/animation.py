@@ -25,6 +25,7 @@ from simbias.pictures.trial.comparison import (
     outcome_words,
     policy_words,
     search_bias,
+    search_nominal,
     search_samples,
     worst_experiment,
 )
@@ -65,7 +66,13 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
     theta, start, bias = experiment.parameters, experiment.states[0], search_bias(iteration)
     rollouts = [("nominal model", NOMINAL, study.simulate(theta, None, start))]
     if bias is not None and search_samples(iterations, iteration):
-        rollouts.append(("nominal model + learned bias", SIMULATION, study.simulate(theta, bias, start)))
+        rollouts.append(
+            (
+                "nominal model + learned bias",
+                SIMULATION,
+                study.simulate(theta, bias, start, search_nominal(iteration)),
+            )
+        )
     rollouts.append((hardware_words(study), HARDWARE, experiment))
     headline = f"{policy_words(iteration)}: {outcome_words(study, experiment)}"
     animate(study.task, rollouts, headline, file)

@@ -7,24 +7,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.interfaces import FittedBias
+from simbias.interfaces import FittedBias, Nominal
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.style import seconds
 from simbias.records import Iteration, Rollout
 from simbias.study import Study
 
 
-def simulate(study: Study, fitted_bias: FittedBias, experiments: Sequence[Rollout]) -> list[Rollout]:
+def simulate(
+    study: Study, fitted_bias: FittedBias, experiments: Sequence[Rollout], nominal: Nominal | None = None
+) -> list[Rollout]:
     """Each experiment in simulation: its policy, from its start."""
     thetas = np.array([rollout.parameters for rollout in experiments])
     starts = np.array([rollout.states[0] for rollout in experiments])
-    rollouts = study.simulator(fitted_bias).rollouts(thetas, starts)
+    rollouts = study.simulator(fitted_bias, nominal).rollouts(thetas, starts)
     return [replace(rollout, cost=study.cost.of(rollout)) for rollout in rollouts]
 
 
 def search_bias(iteration: Iteration) -> FittedBias | None:
     """The bias of the simulation that an iteration's policy was searched in; None without such a search."""
     return None if iteration.search is None else iteration.search.fitted_bias
+
+
+def search_nominal(iteration: Iteration) -> Nominal | None:
+    """The nominal model of that simulation, as far as it was identified; None without such a search."""
+    return None if iteration.search is None else iteration.search.nominal
 
 
 def search_samples(iterations: Sequence[Iteration], iteration: Iteration) -> int:
@@ -85,7 +92,13 @@ def policy_words(iteration: Iteration) -> str:
 def simulation_words(study: Study, samples: int) -> str:
     """The simulation whose bias was learned from so many samples."""
     bias = f" + learned bias ({study.choices['bias']})" if samples else ""
-    return f"simulation: nominal model{bias}"
+    identified = "identified" if samples and study.nominal.parameters and identifies(study) else "nominal"
+    return f"simulation: {identified} model{bias}"
+
+
+def identifies(study: Study) -> bool:
+    """Whether parameters of the nominal model are identified."""
+    return study.choices.get("identification", "none") != "none"
 
 
 def hardware_words(study: Study) -> str:

@@ -22,7 +22,7 @@ from simbias.pictures.style import (
     plain,
     shade_beyond,
 )
-from simbias.pictures.trial.comparison import search_bias, simulate
+from simbias.pictures.trial.comparison import search_bias, search_nominal, simulate
 from simbias.records import Iteration
 from simbias.study import Study
 
@@ -58,7 +58,10 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
             by_iteration.plot(sides, [predicted_cost] * 2, color=SIMULATION, linewidth=2.5)
             values.append(predicted_cost)
         if bias is not None and on_hardware:
-            models = [rollout.cost for rollout in simulate(study, bias, iteration.experiments)]
+            models = [
+                rollout.cost
+                for rollout in simulate(study, bias, iteration.experiments, search_nominal(iteration))
+            ]
             by_iteration.vlines(at, models, on_hardware, color="0.7", linewidth=0.8, zorder=1)
             by_iteration.plot(at, models, "o", color=SIMULATION, markerfacecolor="none", zorder=4)
             pairs.plot(models, on_hardware, "o", color=HARDWARE)

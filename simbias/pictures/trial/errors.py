@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from threadpoolctl import threadpool_limits
 
-from simbias.interfaces import FittedBias, Task
+from simbias.interfaces import FittedBias, Nominal, Task
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.panels import headline, legend, panels
 from simbias.pictures.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
-from simbias.pictures.trial.comparison import search_bias, search_samples
+from simbias.pictures.trial.comparison import search_bias, search_nominal, search_samples
 from simbias.records import Array, Iteration
 from simbias.study import Study
 
@@ -50,10 +50,10 @@ def prediction_errors(
     figure, grid = panels(len(groups), len(horizons), HEIGHT)
     names: dict[str, None] = {}
     for iteration in iterations:
-        pieces = windows(study, iteration, max(horizons))
-        for name, fitted_bias in _models(study, iterations, iteration).items():
+        for name, (bias, nominal) in _models(study, iterations, iteration).items():
             names[name] = None
-            errors = prediction_error(study, fitted_bias, pieces, horizons)
+            pieces = windows(study, iteration, max(horizons), nominal)
+            errors = prediction_error(study, bias, pieces, horizons, nominal)
             for row, states in zip(grid, groups.values(), strict=True):
                 for axes, values in zip(row, errors, strict=True):
                     _draw(axes, iteration.index, np.linalg.norm(values[:, states], axis=1), LOOKS[name])
@@ -75,7 +75,7 @@ class Look(NamedTuple):
     marker: str
 
 
-NOMINAL_ALONE, CORRECTED = "nominal model alone", "with the bias learned from earlier iterations"
+NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what was learned from earlier iterations"
 LOOKS = {NOMINAL_ALONE: Look(-APART, NOMINAL, "s"), CORRECTED: Look(APART, SIMULATION, "o")}
 
 
@@ -87,24 +87,30 @@ class Windows(NamedTuple):
     memories: Array  # (w, s) of the nominal model where they begin
 
 
-def _models(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> dict[str, FittedBias]:
-    """The biases that an iteration's experiments are predicted with, by their names."""
-    models = {NOMINAL_ALONE: study.bias.fit(study.no_data)}
+def _models(
+    study: Study, iterations: Sequence[Iteration], iteration: Iteration
+) -> dict[str, tuple[FittedBias, Nominal | None]]:
+    """The biases and nominal models that an iteration's experiments are predicted with, by their names."""
+    models: dict[str, tuple[FittedBias, Nominal | None]] = {
+        NOMINAL_ALONE: (study.bias.fit(study.no_data), None)
+    }
     bias = search_bias(iteration)
     if bias is not None and search_samples(iterations, iteration):
-        models[CORRECTED] = bias
+        models[CORRECTED] = bias, search_nominal(iteration)
     return models
 
 
-def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
+def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | None = None) -> Windows:
     """Pieces, so long, spread evenly over the experiments of an iteration; none of a shorter experiment."""
     starts = [
         (rollout, t)
         for rollout in iteration.experiments
         for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(iteration.experiments)))
     ]
-    n, m, s = len(study.task.states), len(study.task.inputs), study.nominal.memory_size
-    memories = {id(r): study.nominal.memories(r.states[:-1], r.inputs) for r in iteration.experiments}
+    n, m, s = len(study.task.states), len(study.task.inputs), (nominal or study.nominal).memory_size
+    memories = {
+        id(r): (nominal or study.nominal).memories(r.states[:-1], r.inputs) for r in iteration.experiments
+    }
     return Windows(
         np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(-1, frames + 1, n),
         np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(-1, frames, m),
@@ -119,13 +125,17 @@ def _spread(last: int, most: int) -> list[int]:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def prediction_error(
-    study: Study, fitted_bias: FittedBias, pieces: Windows, horizons: Sequence[int]
+    study: Study,
+    fitted_bias: FittedBias,
+    pieces: Windows,
+    horizons: Sequence[int],
+    nominal: Nominal | None = None,
 ) -> Array:
     """Errors (horizons, w, n) of predictions (Eq. 7) from the first state of each piece, under its inputs."""
     x, memory, errors = pieces.states[:, 0], pieces.memories, []
     for k in range(1, max(horizons) + 1):
         u = pieces.inputs[:, k - 1]
-        predicted, memory = study.nominal.advance(x, u, memory)
+        predicted, memory = (nominal or study.nominal).advance(x, u, memory)
         x = predicted + fitted_bias.correction(x, u)
         if k in horizons:
             errors.append(x - pieces.states[:, k])

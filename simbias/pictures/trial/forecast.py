@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from threadpoolctl import threadpool_limits
 
-from simbias.interfaces import FittedBias
+from simbias.interfaces import FittedBias, Nominal
 from simbias.pictures.panels import headline, legend, panels
 from simbias.pictures.style import HARDWARE, NOMINAL, SIMULATION, label, plain
 from simbias.pictures.trial.comparison import (
@@ -20,6 +20,7 @@ from simbias.pictures.trial.comparison import (
     outcome_words,
     policy_words,
     search_bias,
+    search_nominal,
     search_samples,
     worst_experiment,
 )
@@ -49,13 +50,14 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
     task, iteration = study.task, on_hardware(iterations)[-1]
     experiment = worst_experiment(iteration)
     curves = [Curve("hardware", experiment, HARDWARE, "-")]
+    model = search_nominal(iteration)
     bias = search_bias(iteration) if search_samples(iterations, iteration) else None
     if bias is not None:
-        rollout = study.simulate(experiment.parameters, bias, experiment.states[0])
+        rollout = study.simulate(experiment.parameters, bias, experiment.states[0], model)
         curves.append(Curve("nominal model + learned bias", rollout, SIMULATION, "--"))
     nominal = study.simulate(experiment.parameters, None, experiment.states[0])
     curves.append(Curve("nominal model alone", nominal, NOMINAL, ":"))
-    draws = None if bias is None else _draws(study, bias, experiment)
+    draws = None if bias is None else _draws(study, bias, experiment, model)
     columns = min(COLUMNS, len(task.states))
     figure, grid = panels(-(-len(task.states) // columns), columns, HEIGHT)
     for axes in grid.flat[len(task.states) :]:
@@ -86,17 +88,19 @@ class Curve(NamedTuple):
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _draws(study: Study, bias: FittedBias, experiment: Rollout) -> Array | None:
-    """States (`DRAWS`, T+1, n) of an experiment with biases drawn from the posterior, nan after failures.
+def _draws(study: Study, bias: FittedBias, experiment: Rollout, nominal: Nominal | None) -> Array | None:
+    """States (`DRAWS`, T+1, n) of an experiment with models drawn from the posterior, nan after failures.
 
     None where a learner does not draw.
     """
     rng = np.random.default_rng(SEED)
-    if bias.draw(rng) is bias:
+    identified = nominal is not None and bool(nominal.estimates)
+    if bias.draw(rng) is bias and not identified:
         return None
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
-        rollout = study.simulate(experiment.parameters, bias.draw(rng), experiment.states[0])
+        drawn = nominal.draw(rng) if nominal is not None and identified else nominal
+        rollout = study.simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
         states[: len(rollout.states)] = rollout.states
     return draws
 

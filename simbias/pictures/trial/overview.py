@@ -32,6 +32,7 @@ from simbias.pictures.trial.comparison import (
     policy_experiments,
     policy_words,
     search_bias,
+    search_nominal,
     search_samples,
     simulation_words,
     worst_experiment,
@@ -113,7 +114,9 @@ def _compare(study: Study, iterations: Sequence[Iteration], iteration: Iteration
     experiment, count = worst_experiment(iteration), len(policy_experiments(iteration))
     bias, simulation = search_bias(iteration), None
     if bias is not None:
-        simulation = study.simulate(experiment.parameters, bias, experiment.states[0])
+        simulation = study.simulate(
+            experiment.parameters, bias, experiment.states[0], search_nominal(iteration)
+        )
     return Comparison(
         headline=f"{policy_words(iteration)}: {outcome_words(study, experiment)}",
         hardware_label=hardware_words(study) + (f", worst of {count}" if count > 1 else ""),

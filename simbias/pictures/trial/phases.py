@@ -21,6 +21,7 @@ from simbias.pictures.trial.comparison import (
     policy_experiments,
     policy_words,
     search_bias,
+    search_nominal,
     simulate,
     worst_experiment,
 )
@@ -52,7 +53,7 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     for row, iteration in zip(grid, both, strict=True):
         headline(row[0], f"{policy_words(iteration)}: {outcome_words(study, worst_experiment(iteration))}")
         experiments, bias = policy_experiments(iteration), search_bias(iteration)
-        models = [] if bias is None else simulate(study, bias, experiments)
+        models = [] if bias is None else simulate(study, bias, experiments, search_nominal(iteration))
         for axes, pair in zip(row, pairs, strict=True):
             _draw(axes, task, pair, models, SIMULATION, "--")
             _draw(axes, task, pair, experiments, HARDWARE, "-")

@@ -1,0 +1,103 @@
+"""Predictions of recorded experiments: compiled against plain, and what they are made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import simbias
+from simbias.interfaces import Kernel, Nominal
+from simbias.records import Array, Rollout
+from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.study import Study
+
+
+def experiments(study: Study, lengths: tuple[int, ...] = (37, 8, 64, 3)) -> list[Rollout]:
+    """Short records of random states and inputs near the upright pose."""
+    rng = np.random.default_rng(0)
+    return [
+        Rollout(0.1 * rng.standard_normal((k + 1, 6)), 10.0 * rng.standard_normal((k, 1))) for k in lengths
+    ]
+
+
+class Lagging(Nominal):
+    """A force that acts through a first-order lag, kept in the memory, on a mass."""
+
+    memory_size = 1
+
+    def __init__(self, share: float) -> None:
+        self.kernel = Kernel(_lagging, np.array([share]))
+
+    def step(self, x: Array, u: Array) -> Array:
+        return self.advance(x, u, u)[0]
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        assert self.kernel is not None
+        (share,) = self.kernel.parameters
+        force = memory + share * (u - memory)
+        velocity = x[..., 1] + 0.01 * force[..., 0]
+        return np.stack([x[..., 0] + 0.01 * velocity, velocity], axis=-1), force
+
+
+def _lagging(x, u, parameters, memory):
+    force = memory[0] + parameters[0] * (u[0] - memory[0])
+    velocity = x[1] + 0.01 * force
+    return (x[0] + 0.01 * velocity, velocity), (force,)
+
+
+def worlds(study: Study) -> list[World]:
+    rng = np.random.default_rng(1)
+    return [
+        World(study.nominal.draw(rng), weight, 0.01 * rng.standard_normal(6))
+        for weight in np.linspace(0, 1, 21)
+    ]
+
+
+@pytest.mark.parametrize("bias", ["none", pytest.param("sparse_gp", marks=pytest.mark.slow)])
+def test_compiled_agrees_with_plain(bias: str) -> None:
+    study = simbias.load(["tracking=none", f"bias={bias}"])
+    windows = Windows.of(experiments(study), 12, 3)
+    rng = np.random.default_rng(2)
+    data = replace(
+        study.no_data, inputs=rng.standard_normal((30, 7)), residuals=1e-3 * rng.standard_normal((30, 6))
+    )
+    fitted = study.bias.fit(data)
+    made = predict(worlds(study), windows, fitted)
+    assert made.shape == (21, 3 + 0 + 5 + 0, 4, 6)
+    np.testing.assert_allclose(made, plain(worlds(study), windows, fitted), atol=1e-6)
+    np.testing.assert_allclose(
+        predict(worlds(study), windows), plain(worlds(study), windows), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_memory_runs_on_where_the_state_is_reset() -> None:
+    rng = np.random.default_rng(0)
+    rollouts = [Rollout(rng.standard_normal((k + 1, 2)), rng.standard_normal((k, 1))) for k in (50, 23, 41)]
+    windows = Windows.of(rollouts, 10, 5)
+    models = [World(Lagging(share)) for share in (1.0, 0.3, 0.05)]
+    made = predict(models, windows)
+    np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
+    alone = Windows.of([Rollout(rollouts[0].states[20:31], rollouts[0].inputs[20:30])], 10, 5)
+    np.testing.assert_allclose(
+        predict(models, alone)[0, 0], made[0, 2], rtol=1e-12
+    )  # without a lag, all is in x
+    assert np.abs(predict(models, alone)[2, 0] - made[2, 2]).max() > 1e-3
+
+
+def test_a_prediction_is_the_models_steps(study: Study) -> None:
+    (rollout,) = experiments(study, (7,))
+    windows = Windows.of([rollout], 4, 2)
+    x, states = rollout.states[3], []
+    for t in range(3, 7):
+        states.append(x := study.nominal.step(x, rollout.inputs[t]))
+    expected = [(states[0] + states[1]) / 2, (states[2] + states[3]) / 2]
+    np.testing.assert_allclose(predict([World(study.nominal)], windows)[0, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(windows.means[0, 0], rollout.states[4:6].mean(axis=0), rtol=1e-12)
+
+
+def test_without_a_whole_window_nothing_is_predicted(study: Study) -> None:
+    windows = Windows.of(experiments(study, (3, 0)), 12, 3)
+    assert len(windows) == 0
+    assert predict([World(study.nominal)], windows).shape == (1, 0, 4, 6)
