@@ -14,6 +14,7 @@ import os
 import random
 import signal
 import sqlite3
+import subprocess
 import sys
 import tempfile
 import time
@@ -120,14 +121,14 @@ def campaign(
         while struck < kills:
             process = start(*command, folder=folder, temporary=Path(temporary))
             pids.append(process.pid)
-            time.sleep(rng.uniform(0.0, 1.1 * seconds))
-            alive = process.poll() is None
-            if alive:
+            try:
+                process.wait(rng.uniform(0.0, 1.1 * seconds))
+                break
+            except subprocess.TimeoutExpired:
                 os.killpg(process.pid, signal.SIGKILL)
                 struck, at_the_end = struck + 1, at_the_end + ended(folder)
-            finish(process)
-            if not alive:
-                break
+            finally:
+                finish(process)
         left_by_kills = semaphores(pids), len(list(Path(temporary).iterdir()))
         status, _, err = run(*command, folder=folder, timeout=300, temporary=Path(temporary))
         made = begun(folder)
