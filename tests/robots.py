@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 from simbias.config import compose, options
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
 MODEL = "gymnasium:envs/mujoco/assets/inverted_pendulum.xml"
+COLUMNS = (  # of tests/recordings
+    "hardware.columns={pos1:pos_meas1,pos2:pos_meas2,vel1:vel_meas1,vel2:vel_meas2,"
+    "tau1:tau_meas1,tau2:tau_meas2}"
+)
 NEEDED = {  # by options that say nothing of a robot
     "hardware=gymnasium": [
         "preset=cartpole",
         "hardware.environment=InvertedPendulum-v5",
         "hardware.action=[force/100]",
     ],
+    "preset=double_pendulum": [f"hardware.folder={Path(__file__).parent / 'recordings'}", COLUMNS],
     "hardware=process": ["hardware.command=cat"],
     "hardware=mujoco": ["preset=cartpole", f"hardware.file={MODEL}"],
     "nominal=mujoco": ["preset=cartpole", f"nominal.file={MODEL}"],
@@ -26,7 +32,7 @@ def overrides(group: str, option: str) -> list[str]:
     if choice in NEEDED:
         return [choice, *NEEDED[choice]]
     preset = _presets().get((group, option))
-    return [f"preset={preset}"] if preset else [choice]
+    return [f"preset={preset}", *NEEDED.get(f"preset={preset}", [])] if preset else [choice]
 
 
 @cache

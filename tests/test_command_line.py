@@ -90,7 +90,7 @@ def test_help_is_quick_and_complete(tmp_path: Path) -> None:
     for folder in (path for path in (ROOT / "conf").iterdir() if path.is_dir()):
         (line,) = re.findall(rf"^  {folder.name} +(.+)$", done.stdout, re.MULTILINE)
         assert sorted(line.split(" | ")) == sorted(file.stem for file in folder.glob("*.yaml"))
-    for word in ("  optimizer   nlopt_direct | ", "  bias        gp | ", "hardware.inertia_error=0.2"):
+    for word in ("  optimizer      nlopt_direct | ", "  bias           gp | ", "hardware.inertia_error=0.2"):
         assert word in done.stdout
 
 
@@ -99,10 +99,13 @@ def test_values_that_help_names_exist(tmp_path: Path) -> None:
     from simbias.__main__ import EXAMPLES
     from simbias.config import compose
 
-    overrides = [line.split()[0] for line in EXAMPLES.splitlines() if line.startswith("  ") and "=" in line]
+    overrides = [
+        re.split("  +", line)[1] for line in EXAMPLES.splitlines() if line.startswith("  ") and "=" in line
+    ]
     named = [override for override in overrides if not override.startswith("python")]
     assert len(named) >= 8
-    compose(named)
+    for override in named:
+        compose([override])
 
 
 def test_cfg_job_prints_the_config(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from copy import copy
-from functools import cache
 from typing import Any, final
 
 import numpy as np
@@ -122,12 +121,23 @@ class Mujoco(Nominal):
         return changed
 
 
-@cache
+_POOLS: dict[int, Any] = {}  # threads that stay, by their number
+_LOST: list[Any] = []  # pools of a process that this one was forked from: to end them would wait for ever
+
+
 def _pool(threads: int) -> Any:
     """Threads that stay; none of them are as many as run without."""
     from mujoco.rollout import Rollout
 
-    return Rollout(nthread=threads)
+    if threads not in _POOLS:
+        _POOLS[threads] = Rollout(nthread=threads)
+    return _POOLS[threads]
 
 
-os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
+def _forget_pools() -> None:
+    """Threads do not survive a fork."""
+    _LOST.extend(_POOLS.values())
+    _POOLS.clear()
+
+
+os.register_at_fork(after_in_child=_forget_pools)

@@ -31,6 +31,14 @@ class Layout(NamedTuple):
     body: list[list[str]]
 
 
+LATER: dict[str, Any] = {  # columns that trials of earlier versions lack
+    "hardware_seconds": nan,
+    "held_out": "",
+    "lasted": nan,
+    "lasted_seconds": nan,
+}
+
+
 def interval(values: Sequence[float]) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
     sample = np.sort(np.asarray(values, dtype=np.float64))
@@ -53,6 +61,7 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     RELIABLE, and `lasted`, the share of the longer tries that last.
     """
     names = [axis.name for axis in sweep.axes]
+    trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)

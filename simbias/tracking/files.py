@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from simbias.held_out import Tries
@@ -47,6 +46,8 @@ def data_name(iteration: int) -> str:
 
 def held_out_text(tries: Tries, task: Task) -> str:
     """A row for each held-out start, with how long the policy was asked to last and how long it did."""
+    import pandas as pd  # lazily: workers do without it
+
     names = [*(state.name for state in task.states), "asked_seconds", "lasted_seconds", "failure"]
     rows = [(*one.start.tolist(), one.asked, one.seconds, one.failure or "") for one in tries.each]
     return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")

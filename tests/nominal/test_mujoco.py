@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,15 @@ def test_a_state_moves_alike_alone_and_among_others(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         model.step(x.reshape(4, 10, 4), u.reshape(4, 10, 1)).reshape(40, 4), together
     )
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_process_that_is_forked_does_not_wait_for_its_parents_threads(tmp_path: Path) -> None:
+    Mujoco(cart_pole(), mjcf(tmp_path)).step(*points(40))
+    child = os.fork()
+    if not child:
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
