@@ -200,6 +200,8 @@ def _axis(name: str, spec: Any) -> Axis:
     if not isinstance(spec.get("values"), list):
         raise ConfigError(where, f"must be a list of values, got {spec.get('values')!r}")
     checked = validate(spec, fields, where)
+    if not checked["keys"]:
+        raise ConfigError(where, "has no keys")
     one = isinstance(checked["keys"], str)
     keys = (checked["keys"],) if one else tuple(checked["keys"])
     values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,20 +28,28 @@ def test_cost_is_equation_8(study: Study, seed: int, frames: int, fails: bool) -
     assert study.cost.of(rollout) == pytest.approx(200 * (T - t_fail) + peak + effort, rel=1e-12)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 50), st.integers(0, 100))
-def test_the_kernel_sums_up_the_same_cost(study: Study, seed: int, frames: int, lost: int) -> None:
-    """Frame by frame, as the compiled loop calls it; here by Python."""
+@given(st.integers(0, 2**32 - 1), st.integers(1, 50), st.integers(0, 50))
+def test_the_kernel_sums_up_the_same_cost(seed: int, frames: int, lost: int) -> None:
+    """Frame by frame, as the compiled loop calls it; here by Python, with two inputs."""
     rng = np.random.default_rng(seed)
-    x, u = rng.normal(size=(frames + 1, 6)), 30 * rng.normal(size=(frames, 1))
-    kernel = study.cost.kernel
-    assert kernel is not None
-    totals: tuple[float, ...] = study.cost.totals * (0.0,)
-    for state, torque in zip(x[1:], u, strict=True):
-        totals = kernel.function(state, torque, kernel.parameters, totals)
-    (cost,) = study.cost.of_totals(np.array([totals]), np.array([lost]))
-    failed_at = study.task.horizon - lost if lost else None
-    rollout = Rollout(x, u, failed_at=failed_at, failure="a fall" if lost else None)
-    assert cost == pytest.approx(study.cost.of(rollout), rel=1e-12)
+    task: Any = SimpleNamespace(states="abc", inputs="uv", horizon=100)
+    cost = Quadratic(task, 200.0, [10.0, 1.0, 0.1], [0.5, 2.0], 200.0)
+    x, u = rng.normal(size=(frames + 1, 3)), rng.normal(size=(frames, 2))
+    assert cost.kernel is not None
+    totals: tuple[float, ...] = cost.totals * (0.0,)
+    for state, forces in zip(x[1:], u, strict=True):
+        totals = cost.kernel.function(state, forces, cost.kernel.parameters, totals)
+    (found,) = cost.of_totals(np.array([totals]), np.array([lost]))
+    rollout = Rollout(x, u, failed_at=task.horizon - lost, failure="a fall")
+    assert found == pytest.approx(cost.of(rollout), rel=1e-12)
+
+
+def test_every_state_and_input_has_a_weight() -> None:
+    task: Any = SimpleNamespace(states="abc", inputs="uv", horizon=100)
+    with pytest.raises(ValueError, match="input_weights has 1 values; the task has 2"):
+        Quadratic(task, 200.0, [10.0, 1.0, 0.1], [0.5], 200.0)
+    with pytest.raises(ValueError, match="state_weights has 2 values; the task has 3"):
+        Quadratic(task, 200.0, [10.0, 1.0], [0.5, 2.0], 200.0)
 
 
 def test_every_failure_costs_more_than_the_maximum(study: Study) -> None:

@@ -144,6 +144,7 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
         (["+sweep=smoke", "+sweep.axes.nosuch=[1]"], "nosuch: no such key"),
         (["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"], "bias=nosuch: no such option"),
         (["+sweep=smoke", "+sweep.axes.bias=[]"], "sweep.axes.bias: has no values"),
+        (["+sweep=smoke", "+sweep.axes.x={keys: [], values: [[]]}"], "sweep.axes.x: has no keys"),
         (["+sweep=smoke", "+sweep.axes.bias=gp"], "sweep.axes.bias: must be a list of values, got 'gp'"),
         (
             ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['a\tb']}"],

@@ -28,6 +28,7 @@ from simbias.messages import brief
 
 TRIAL = [*QUICK, "cost.max_cost=1e-3"]  # it never succeeds
 SWEEP = ["+sweep=smoke", "sweep.trials=1", "engine=sequential", *QUICK]
+DEATH = r"(Fatal Python error: |Current thread |Thread 0x|  File |  \.\.\.|  <no |Extension modules: |$)"  # of a worker
 FAULTY = ["--config-dir", "conf", "--allow", "faulty_hardware", "hardware=faulty", "experiment_timeout=2"]
 
 
@@ -69,18 +70,22 @@ def hardware_trial(rng: random.Random, work: Path) -> list[Result]:
     if fault in DEADLY and first.verdict is Verdict.CRASH:  # as the component wants it
         first = Result(**{**vars(first), "verdict": Verdict.REFUSED})
 
+    def done(folder: Path) -> bool:
+        return "Did not succeed after 2 hardware experiments" in (folder / "stdout").read_text()
+
     def broken_then_mended() -> None:
         moved(work)
         child = os.fork()
         if not child:
-            with suppress(BaseException):
+            silent = open(os.devnull, "w")  # noqa: SIM115 (as long as the process)
+            with suppress(BaseException), redirect_stdout(silent), redirect_stderr(silent):
                 main(again)
             os._exit(0)
         os.waitpid(child, 0)
         Path(MENDED).touch()
         sys.stdout.flush()
 
-    mended = attempt("hardware, mended", fault, again, broken_then_mended, work)
+    mended = attempt("hardware, mended", fault, again, broken_then_mended, work, done)
     return [first, mended]
 
 
@@ -104,6 +109,8 @@ def hardware_sweep(rng: random.Random, work: Path) -> list[Result]:
         work,
         inspect,
         forked=False,
+        seconds=90.0,
+        tolerated=DEATH,
     )
     wrong = result.verdict in (Verdict.RAN, Verdict.REFUSED) and result.status != expected
     return [Result(**{**vars(result), "verdict": Verdict.WRONG}) if wrong else result]

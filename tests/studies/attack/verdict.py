@@ -23,7 +23,7 @@ from simbias.messages import brief
 STOP_SECONDS = 10.0  # that a trial or sweep has before it is interrupted: nobody waits for a long one
 START_SECONDS = 90.0  # that it has until it says what it runs: compiling may come before
 GRACE_SECONDS = 60.0  # that it then has to end
-LONGEST_LINE = 700  # of an error: a line with a key, a problem, and a command that goes on
+LONGEST_LINE = 1000  # of an error: a line with a key, a problem, and a command that goes on
 BEGUN = r"seed \d+, trial|\d+ cells? x"  # what is printed when a trial or a sweep begins
 
 
@@ -86,11 +86,14 @@ def attempt(
     template: Path | None = None,
     inspect: Callable[[Path], bool] = lambda folder: True,
     forked: bool = True,
+    seconds: float = STOP_SECONDS,
+    tolerated: str = "(?!)",
 ) -> Result:
     """Run simbias with these arguments in a process and a folder of its own, both gone afterwards.
 
     The process is a fork, so that what is imported and compiled is there, unless it needs workers. `prepare`
-    runs in it first, in the folder, a copy of the template. What ran is wrong if `inspect` says so.
+    runs in it first, in the folder, a copy of the template. It has so many seconds before it is interrupted,
+    and may print lines that match what is tolerated. What ran is wrong if `inspect` says so.
     """
     with tempfile.TemporaryDirectory(prefix="attack-") as name:
         folder = Path(name, "two", "levels", "deep")  # so that ../.. is nobody else's
@@ -100,15 +103,15 @@ def attempt(
             shutil.copytree(template, folder, symlinks=True)
         began = time.monotonic()
         child = _fork(folder, arguments, prepare, forked)
-        status = _status(child, folder)
-        seconds = time.monotonic() - began
+        status = _status(child, folder, seconds)
+        took = time.monotonic() - began
         out, err = _read(folder / "stdout"), _read(folder / "stderr")
-        verdict = judge(status, out, err)
+        verdict = judge(status, out, re.sub(f"^{tolerated}.*\\n", "", err, flags=re.MULTILINE))
         if verdict is Verdict.RAN and not inspect(folder):
             verdict = Verdict.WRONG
         lines = (err.strip() or out.strip() or " ").splitlines()
         _unlock(folder)
-    return Result(surface, brief(case, 200), verdict, status, round(seconds, 1), brief(lines[-1], 200))
+    return Result(surface, brief(case, 200), verdict, status, round(took, 1), brief(lines[-1], 200))
 
 
 def _fork(folder: Path, arguments: Sequence[str], prepare: Callable[[], object], forked: bool) -> int:
@@ -143,7 +146,7 @@ def _fork(folder: Path, arguments: Sequence[str], prepare: Callable[[], object],
         os._exit(status)
 
 
-def _status(child: int, folder: Path) -> int | None:
+def _status(child: int, folder: Path, seconds: float) -> int | None:
     """The exit status of a process, negative by a signal, None if it had to be killed.
 
     It is interrupted if it takes long, as anybody would; before it says what it runs, that is a hang.
@@ -157,7 +160,7 @@ def _status(child: int, folder: Path) -> int | None:
             return os.waitstatus_to_exitcode(code)
         now = time.monotonic()
         said = re.search(BEGUN, _read(folder / "stdout"))
-        if interrupted is None and said and now - began > STOP_SECONDS:
+        if interrupted is None and said and now - began > seconds:
             interrupted = now
             os.kill(child, signal.SIGINT)
         late = now - began > START_SECONDS if interrupted is None else now - interrupted > GRACE_SECONDS
