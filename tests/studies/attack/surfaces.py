@@ -28,7 +28,9 @@ from simbias.messages import brief
 
 TRIAL = [*QUICK, "cost.max_cost=1e-3"]  # it never succeeds
 SWEEP = ["+sweep=smoke", "sweep.trials=1", "engine=sequential", *QUICK]
-DEATH = r"(Fatal Python error: |Current thread |Thread 0x|  File |  \.\.\.|  <no |Extension modules: |$)"  # of a worker
+DEATH = (  # what a worker that dies writes
+    r"(Fatal Python error: |Current thread |Thread 0x|  File |  \.\.\.|  <no |Extension modules: |$)"
+)
 FAULTY = ["--config-dir", "conf", "--allow", "faulty_hardware", "hardware=faulty", "experiment_timeout=2"]
 
 
