@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from simbias.interfaces import FittedBias, Nominal
+    from simbias.interfaces.model import FittedBias, Nominal
     from simbias.parameters import Estimate
 
 Array = NDArray[np.float64]

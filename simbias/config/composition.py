@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
-from simbias.config.errors import ConfigError
+from simbias.config.errors import ConfigError, reason
 from simbias.config.files import check_file
-from simbias.messages import words
+from simbias.config.resources import check_no_primary, register_sweeps, resource_folder
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-PRIMARY = "config.yaml"  # the one that names the defaults
 NOT_HASHED = ("tracking", "experiment_timeout", "held_out", *OF_SWEEPS)  # do not affect a trial's result
 
 
@@ -64,41 +63,6 @@ class Composition:
         return replace(self, config=config, choices=choices)
 
 
-def resource_folder(folder: str) -> Path:
-    """The folder `conf` or `sweeps`: inside an installed package, beside it in a checkout."""
-    package = Path(__file__).resolve().parent.parent
-    inside = package / folder
-    return inside if inside.is_dir() else package.parent / folder
-
-
-def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
-    """The options of every group, defaults first; those of the user's folder too."""
-    from omegaconf import OmegaConf
-
-    root = resource_folder("conf")
-    own = Path(config_dir) if config_dir is not None else root
-    defaults = OmegaConf.load(root / PRIMARY).defaults
-    chosen = {group: option for entry in defaults if entry != "_self_" for group, option in entry.items()}
-    return {
-        group: [
-            option,
-            *sorted({f.stem for folder in (root, own) for f in _files(folder / group)} - {option}),
-        ]
-        for group, option in chosen.items()
-    }
-
-
-def sweeps(config_dir: Path | str | None = None) -> list[str]:
-    """The sweeps that are shipped, and those of the user's folder."""
-    folders = [resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir is not None else [])]
-    return sorted({file.stem for folder in folders for file in _files(folder)})
-
-
-def _files(folder: Path) -> list[Path]:
-    """The configs of a folder by name, but for what is no file, or has a name that cannot be written."""
-    return sorted(file for file in folder.glob("*.yaml") if file.is_file() and file.stem.isprintable())
-
-
 def compose(
     overrides: Sequence[str] = (), config_dir: Path | str | None = None, allow: Sequence[str] = ()
 ) -> Composition:
@@ -112,23 +76,6 @@ def compose(
         If an override names an unknown key or option, or cannot be parsed or resolved.
     """
     return Variations(overrides, config_dir, allow).composition({})
-
-
-def _check_no_primary(config_dir: Path | str | None) -> None:
-    """Refuse a folder whose `config.yaml` would be passed over in silence.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file, and what takes its place.
-    """
-    if config_dir is None or Path(config_dir).resolve() == resource_folder("conf").resolve():
-        return
-    primary = Path(config_dir) / PRIMARY
-    if primary.exists():
-        raise ConfigError(
-            str(primary), "is not read; what it chooses belongs in preset/NAME.yaml, chosen by preset=NAME"
-        )
 
 
 class _Composed(NamedTuple):
@@ -155,7 +102,7 @@ class Variations:
         self._composed: dict[tuple[str, ...], _Composed] = {}
         if config_dir is not None and not Path(config_dir).is_dir():
             raise ConfigError("--config-dir", f"no such folder: {config_dir}")
-        _check_no_primary(config_dir)
+        check_no_primary(config_dir)
         self._folders = [Path(config_dir)] if config_dir is not None else _searched(overrides)
         self._allowed = prefixes(self._folders, allow)
 
@@ -187,7 +134,7 @@ class Variations:
         except (HydraException, OmegaConfBaseException, UserWarning) as error:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
-            raise ConfigError(" ".join(self._overrides), _of_a_file(error)) from error
+            raise ConfigError(" ".join(self._overrides), reason(error)) from error
         return Composition(plain, composed.choices, (*self._allowed, *beside(plain, self._folders)))
 
     def _compose(self, options: tuple[str, ...]) -> _Composed:
@@ -205,7 +152,7 @@ class Variations:
             self._check_files(parsed)
             sweeps = [each.value() for each in parsed if each.key_or_group == "sweep"]
             if sweeps:
-                _register_sweeps(self._config_dir, sweeps[-1])
+                register_sweeps(self._config_dir, sweeps[-1])
             with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
                 composed = hydra.compose("config", overrides, return_hydra_config=True)
             runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
@@ -254,32 +201,6 @@ def _parsed(overrides: Sequence[str]) -> list[Override]:
     return OverridesParser.create().parse_overrides(list(overrides))
 
 
-def _register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
-    """Make the files of `sweeps` options of Hydra's group `sweep`; those of `config_dir` come first.
-
-    A file that cannot be read is passed over, unless it is the wanted one.
-    """
-    from hydra.core.config_store import ConfigStore
-    from omegaconf import DictConfig, OmegaConf
-
-    store = ConfigStore.instance()
-    store.repo.pop("sweep", None)  # those of another config_dir
-    for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
-        for file in _files(folder):
-            try:
-                check_file(file)
-                node = OmegaConf.load(file)
-                if not isinstance(node, DictConfig):
-                    raise ConfigError(str(file), "must be a mapping")
-            except Exception as error:  # OmegaConf's, YAML's or the system's
-                if file.stem != wanted:
-                    continue
-                if isinstance(error, ConfigError):
-                    raise
-                raise ConfigError(str(file), _of_a_file(error)) from error
-            store.store(group="sweep", name=file.stem, node=node, package="_global_")
-
-
 def _searched(overrides: Sequence[str]) -> list[Path]:
     """The folders that overrides of hydra.searchpath name."""
     from hydra.errors import HydraException
@@ -291,17 +212,6 @@ def _searched(overrides: Sequence[str]) -> list[Path]:
         return []
     paths = [str(path) for value in values if isinstance(value, list) for path in value]
     return [Path(path.removeprefix("file://")) for path in paths if path.startswith("file://")]
-
-
-def _of_a_file(error: Exception) -> str:
-    """What is wrong with a file or a value, in words."""
-    if isinstance(error, RecursionError):
-        return "values nested too deeply, or a defaults list that leads back to itself"
-    return (
-        f"{error.strerror}: {error.filename}"
-        if isinstance(error, OSError) and error.strerror
-        else words(error)
-    )
 
 
 def _in_one_line(error: Exception) -> ConfigError:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simbias.messages import LONGEST, brief
+from simbias.messages import LONGEST, brief, words
 
 LONGEST_KEY = 160  # characters of the key or file that a message names
 
@@ -17,3 +17,14 @@ class ConfigError(ValueError):
     def __reduce__(self) -> tuple[type[ConfigError], tuple[str, str]]:
         """So that it comes back from a worker as what it is."""
         return ConfigError, (self.key, self.problem)
+
+
+def reason(error: Exception) -> str:
+    """What is wrong with a file or a value, in words."""
+    if isinstance(error, RecursionError):
+        return "values nested too deeply, or a defaults list that leads back to itself"
+    return (
+        f"{error.strerror}: {error.filename}"
+        if isinstance(error, OSError) and error.strerror
+        else words(error)
+    )

@@ -18,17 +18,10 @@ from simbias.config.components import construct, validate
 from simbias.config.composition import overridden
 from simbias.interfaces import Task
 from simbias.pictures.sweep.swept import SweepFigure
+from simbias.sweep.axes import Axis, label, read_axis
 
 MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
-RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
-    [
-        *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
-        *("hardware_seconds", "held_out", "lasted", "lasted_seconds"),
-        *("run_id", "trials", "succeeded", "mean", "low", "high", "held", "reliable", "paper"),
-    ]
-)
-
 FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
 Measure = Literal[
     "experiments", "iterations", "succeeded", "hardware_seconds", "held", "reliable", "lasted", "paper"
@@ -36,28 +29,6 @@ Measure = Literal[
 FIGURES = {
     "experiments": {"_target_": "simbias.pictures.sweep.experiments.Experiments"}
 }  # where none is named
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A dimension of the grid: points that each set the same keys."""
-
-    name: str
-    keys: tuple[str, ...]
-    values: tuple[tuple[Any, ...], ...]  # of each point, in the order of the keys
-    labels: tuple[str, ...]  # of each point
-    texts: tuple[tuple[str, ...], ...]  # of each point, a text for each column of a table
-
-    @property
-    def numeric(self) -> bool:
-        """Whether its labels are its values, and these are numbers."""
-        numbers = (isinstance(value, int | float) for point in self.values for value in point)
-        own = all(label == join(value) for label, value in zip(self.labels, self.values, strict=True))
-        return own and all(numbers)
-
-    def settings(self, index: int) -> dict[str, Any]:
-        """What a point sets."""
-        return dict(zip(self.keys, self.values[index], strict=True))
 
 
 @dataclass(frozen=True)
@@ -151,7 +122,7 @@ def expand(
     variations = Variations(overrides, config_dir, allow)
     base = variations.composition({})
     values = _specification(base)
-    axes = tuple(_axis(name, spec) for name, spec in values["axes"].items())
+    axes = tuple(read_axis(name, spec) for name, spec in values["axes"].items())
     _check_size(axes, values["trials"])
     _check_keys(axes, overrides, base.choices.keys())
     cells = tuple(_cells(axes, _common_seeds(values, axes), variations))
@@ -183,56 +154,6 @@ def _specification(base: Composition) -> dict[str, Any]:
         "figures_to": NotRequired[str | None],
     }
     return validate(node, fields, "sweep")
-
-
-def _axis(name: str, spec: Any) -> Axis:
-    """An axis from `key: [value, ...]` or `name: {keys, values, labels}`."""
-    where = f"sweep.axes.{name}"
-    if name in RESERVED - {"seed"}:
-        raise ConfigError(where, "an axis may not have this name: tables have a column of this name")
-    if not isinstance(spec, Mapping):
-        spec = {"keys": name, "values": spec}
-    fields = {
-        "keys": Required[str | list[str]],
-        "values": Required[list[Any]],
-        "labels": NotRequired[list[str | float]],
-    }
-    if not isinstance(spec.get("values"), list):
-        raise ConfigError(where, f"must be a list of values, got {spec.get('values')!r}")
-    checked = validate(spec, fields, where)
-    if not checked["keys"]:
-        raise ConfigError(where, "has no keys")
-    one = isinstance(checked["keys"], str)
-    keys = (checked["keys"],) if one else tuple(checked["keys"])
-    values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])
-    labels = tuple(map(label, checked.get("labels", map(join, values))))
-    if not values:
-        raise ConfigError(where, "has no values")
-    if len(labels) != len(values):
-        raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
-    if not all(text.isprintable() for text in (name, *labels)):
-        raise ConfigError(where, "has a name or label with letters that cannot be printed")
-    if len(set(labels)) != len(labels):
-        raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
-    texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
-    return Axis(name, keys, values, labels, tuple(map(tuple, texts)))
-
-
-def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:
-    """The values of a point, one for each key."""
-    if not isinstance(value, list) or len(value) != length:
-        raise ConfigError(where, f"each of its values must list {length}, one for each key, got {value!r}")
-    return tuple(value)
-
-
-def label(value: Any) -> str:
-    """A value as tables show it."""
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def join(values: Sequence[Any]) -> str:
-    """The values of a point as tables show them."""
-    return "/".join(map(label, values))
 
 
 def _check_size(axes: Sequence[Axis], trials: int) -> None:

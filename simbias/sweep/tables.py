@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from simbias.markdown import text
-from simbias.sweep.grid import Axis, Sweep
+from simbias.sweep.axes import Axis
+from simbias.sweep.grid import Sweep
 
 RESAMPLES = 10_000
 CONFIDENCE = 0.95

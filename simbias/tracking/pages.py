@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from simbias.tracking import fields
 
 if TYPE_CHECKING:
-    from simbias.sweep.grid import Axis, Sweep
+    from simbias.sweep.axes import Axis
+    from simbias.sweep.grid import Sweep
 
 MODE = "workflowType=machine_learning"  # else the UI opens in its mode for language models
 VIEW = "mlflow.sharedViewState."  # MLflow's prefix of an experiment's tags that hold views

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from simbias.config.composition import ConfigError, resource_folder
+from simbias.config.errors import ConfigError
+from simbias.config.resources import resource_folder
 from simbias.tracking.fields import HELD_OUT
 from simbias.tracking.rows import FINISHED, RunRow, is_whole
 from simbias.trial import Outcome

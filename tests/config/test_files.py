@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import simbias
-from simbias.config import ConfigError, compose, composition
+from simbias.config import ConfigError, compose, resources
 from simbias.config.errors import LONGEST_KEY
 from simbias.messages import LONGEST
 from simbias.sweep.grid import expand
@@ -51,10 +51,10 @@ def conf(tmp_path: Path) -> Path:
 
 def test_nobody_asks_for_them(conf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(expand(["+sweep=good", "bias=good", "tracking=none"], conf).trials) == 1
-    monkeypatch.setattr(composition, "resource_folder", lambda folder: conf / folder)
-    assert all(name.isprintable() for name in composition.sweeps())
-    assert {"good", "cut"} <= set(composition.sweeps())
-    assert not {"folder", "dangling", "circle", "pipe"} & set(composition.sweeps())
+    monkeypatch.setattr(resources, "resource_folder", lambda folder: conf / folder)
+    assert all(name.isprintable() for name in resources.sweeps())
+    assert {"good", "cut"} <= set(resources.sweeps())
+    assert not {"folder", "dangling", "circle", "pipe"} & set(resources.sweeps())
 
 
 @pytest.mark.parametrize("name", BROKEN)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from sweeping import write_sweep
 
 from simbias.config import ConfigError, Variations, compose, sweeps
-from simbias.sweep.grid import RESERVED, Sweep, expand
+from simbias.sweep.axes import RESERVED
+from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.tables import MEASURES
 from simbias.tracking.results import COLUMNS
 

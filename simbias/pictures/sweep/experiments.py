@@ -20,7 +20,8 @@ from simbias.pictures.sweep.swept import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.tables import CONFIDENCE, cells
 
 if TYPE_CHECKING:
-    from simbias.sweep.grid import Axis, Sweep
+    from simbias.sweep.axes import Axis
+    from simbias.sweep.grid import Sweep
 
 NUMBER = r"[-+]?\.?\d[-+.e\d]*"
 HEIGHT = 3.9  # in, without the legend

@@ -10,7 +10,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from simbias.config import options, sweeps
-from simbias.config.composition import resource_folder
+from simbias.config.resources import resource_folder
 
 QUICK = [
     "task.horizon=200",
