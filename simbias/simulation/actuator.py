@@ -121,6 +121,8 @@ def _within(x, limit):
 @compiled_as(_within)
 def limited(x: Array, limit: Array) -> Array:
     """X within +-limit, numbers or arrays."""
+    if isinstance(x, float):
+        return _within(x, limit)
     return np.minimum(np.maximum(x, -limit), limit)
 
 

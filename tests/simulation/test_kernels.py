@@ -1,0 +1,28 @@
+"""Functions of numbers, for vectors."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from simbias.simulation.kernels import elementwise
+from simbias.simulation.trigonometry import sincos
+
+
+def law(x, parameters):
+    """Something of all that a kernel may do: sines, square roots, quotients, squares."""
+    s, c = sincos(x[0])
+    return s / x[1], np.sqrt(x[1]) * c, x[0] * x[0] + parameters[0]
+
+
+@given(arrays(float, 2, elements=st.floats(allow_nan=True, allow_infinity=True)))
+def test_a_vector_alone_is_a_row_of_many(x: np.ndarray) -> None:
+    """To the last bit, also where it divides by zero or overflows: Python's numbers would raise there."""
+    alone = elementwise(law, x, parameters=np.array([0.5]))
+    np.testing.assert_array_equal(alone, elementwise(law, x[None], parameters=np.array([0.5]))[0])
+
+
+def test_a_quotient_by_zero_is_no_error() -> None:
+    """It is as NumPy has it."""
+    quotient, *_ = elementwise(law, np.array([1.0, 0.0]), parameters=np.array([0.0]))
+    assert quotient == np.inf
