@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -119,8 +119,8 @@ def _within(x, limit):
 
 
 @compiled_as(_within)
-def limited(x: Array, limit: Array) -> Array:
-    """X within +-limit, numbers or arrays."""
+def limited(x: Any, limit: Any) -> Any:
+    """X within +-limit, both numbers or arrays."""
     if isinstance(x, float):
         return _within(x, limit)
     return np.minimum(np.maximum(x, -limit), limit)

@@ -5,6 +5,8 @@ The mathematics library takes one number at a time, which would keep a whole clo
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from simbias.records import Array
@@ -48,7 +50,7 @@ def _by_polynomials(x: float) -> tuple[float, float]:
 
 
 @compiled_as(_by_polynomials)
-def sincos(x: Array) -> tuple[Array, Array]:
+def sincos(x: Any) -> tuple[Any, Any]:
     """Sine and cosine of x, a number or an array."""
     if isinstance(x, float):  # sums and products of Python's numbers are quicker than those of NumPy's
         return float(np.sin(x)), float(np.cos(x))
