@@ -14,10 +14,13 @@ from simbias.interfaces import Identification, Nominal, Task
 from simbias.parameters import Estimate, values_at
 from simbias.records import Array, Rollout
 from simbias.simulation.errors import FREEDOM, Errors
+from simbias.simulation.measurement import Linearised
 from simbias.simulation.open_loop import Windows, World, predict
 
-STEP = 1e-4  # of a coordinate, for derivatives by differences
+STEP = 1e-4  # of a coordinate, or of what a state varies, for derivatives by differences
+TINY = 1e-9  # added to what a state varies
 ROBUST = 0.1  # nu / d at first: the mode is found whatever happens in some windows
+COVARIANCES = 2  # times that the errors' covariance is estimated, with what the parameters hide of it
 TOLERANCE = 0.05  # in standard deviations of the posterior: a round that moves the mode by less is the last
 QUANTILE = 1.6449  # 95% of a standard normal
 
@@ -31,10 +34,12 @@ class Posterior(Identification):
 
     The d errors of a window are whitened by their own covariance over all windows, which is estimated in turn
     with the mode (`simbias.simulation.errors`). So it need not be known where errors come from: noise of the
-    sensors, also in the state that a window begins with, noise that acts on the robot, or what the model
-    lacks. The share makes windows count less where successive ones err alike, as they do where the model
-    lacks something: so the posterior is not surer than the data allows. Around the mode it is normal
-    (Laplace's approximation).
+    sensors, noise that acts on the robot, or what the model lacks. The share makes windows count less where
+    successive ones err alike, as they do where the model lacks something.
+
+    Around the mode the posterior is normal, and as wide as errors of that size scatter the mode. Of few
+    windows, what noise in the measured states does to errors, also in the one that a window begins with, is
+    better known by the model than from the windows (`simbias.simulation.measurement`).
 
     Parameters
     ----------
@@ -72,42 +77,47 @@ class Posterior(Identification):
         windows = Windows.of(rollouts, self._window, self._chunk) if rollouts else None
         if not nominal.parameters or not windows:
             return nominal
-        observed = windows.means
-        z = self._start(nominal, windows, observed)
+        z = self._start(nominal, windows)
         for freedom in (ROBUST, FREEDOM):
             for _ in range(self._rounds):
-                errors = Errors.of(_predicted(nominal, windows, z[None])[0] - observed, windows, freedom)
-                problem = _Problem(nominal, windows, observed, errors)
+                problem = Problem.at(nominal, windows, z, freedom)
                 before, z = z, problem.mode(z, self._evaluations)
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        return Identified(nominal, z, precision, {"windows": len(windows), "share": problem.errors.share})
+        diagnostics = {"windows": len(windows), "share": problem.errors.share}
+        return Identified(nominal, z, problem.spread(z), diagnostics)
 
-    def _start(self, nominal: Nominal, windows: Windows, observed: Array) -> Array:
+    def _start(self, nominal: Nominal, windows: Windows) -> Array:
         """The likeliest coordinates (p,) among the prior's median and draws from it."""
         z = np.random.default_rng(0).standard_normal((self._starts, len(nominal.parameters)))
         z[0] = 0.0
-        errors = _predicted(nominal, windows, z) - observed
+        errors = predict([_world(nominal, each) for each in z], windows) - windows.means
         fits = [Errors.of(each, windows, ROBUST).log_likelihoods(each).sum() for each in errors]
         return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
 
 
-def _predicted(nominal: Nominal, windows: Windows, z: Array) -> Array:
-    """Predictions (k, w, J, n) with the parameters at coordinates z (k, p)."""
-    worlds = [World(nominal.with_parameters(values_at(nominal.parameters, each))) for each in z]
-    return predict(worlds, windows)
+def _world(nominal: Nominal, z: Array, offset: Array | None = None) -> World:
+    """With the parameters at coordinates z (p,)."""
+    return World(nominal.with_parameters(values_at(nominal.parameters, z)), offset=offset)
 
 
-class _Problem:
+class Problem:
     """Nonlinear least squares for the mode, with the errors' covariance given."""
 
-    def __init__(self, nominal: Nominal, windows: Windows, observed: Array, errors: Errors) -> None:
+    def __init__(self, nominal: Nominal, windows: Windows, errors: Errors) -> None:
         self._nominal = nominal
         self._windows = windows
-        self._observed = observed
+        self._observed = windows.means
         self.errors = errors
         self._last: tuple[bytes, Array, Array] | None = None
+
+    @staticmethod
+    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Problem:
+        """The errors' covariance estimated at coordinates z (p,)."""
+        problem = Problem(nominal, windows, Errors(np.empty((0, 0))))
+        problem.errors = Errors.of(problem._errors(z[None])[0], windows, freedom)
+        return problem
 
     def mode(self, z: Array, evaluations: int) -> Array:
         """The most probable coordinates, searched from z."""
@@ -121,18 +131,53 @@ class _Problem:
         ).x
 
     def precision(self, z: Array) -> Array:
-        """Inverse covariance (p, p) of the posterior around the mode."""
+        """Curvature (p, p) of the negative logarithm of the density at z."""
         J = self._at(z)[1]
         return J.T @ J
+
+    def spread(self, z: Array) -> Array:
+        """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
+
+        G is the covariance of the density's slope, if the errors' is as noise and windows say, where H only
+        has the one by which errors are weighted (V. P. Godambe, Annals of Mathematical Statistics 31, 1960).
+        """
+        p, windows = len(z), self._windows
+        steps = STEP * (np.std(windows.states, axis=0) + TINY)
+        worlds = [_world(self._nominal, each) for each in z + STEP * np.eye(p + 1, p, -1)]
+        worlds += [_world(self._nominal, z, offset) for offset in np.diag(steps)]
+        each = predict(worlds, windows)
+        by_start = np.moveaxis((each[p + 1 :] - each[0]) / steps[:, None, None, None], 0, -1)
+        errors = each[0] - self._observed
+        white = self.errors.whiten(errors)
+        J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
+        by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
+        spread = solve_triangular(np.linalg.qr(self._at(z)[1], "r"), np.eye(p))
+        H, weights = spread @ spread.T, self.errors.share * self.errors.weights(white)
+        for _ in range(COVARIANCES):
+            linearised = Linearised.of(by_start, by_parameters @ spread)
+            ratio = np.linalg.solve(
+                self.errors.factor, Errors.of(errors, windows, FREEDOM, linearised).factor
+            )
+            across = (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
+            scattered = H @ np.hstack([np.eye(p), across])
+            upper: Array = np.linalg.qr(scattered.T, mode="r")
+            spread = upper.T
+        return spread
+
+    def log_densities(self, z: Array) -> Array:
+        """Logarithms (k,) of the posterior's density at coordinates z (k, p), but for a constant."""
+        white = self.errors.whiten(self._errors(z))
+        return -0.5 * (np.sum(z**2, axis=1) + self.errors.share * self.errors.losses(white).sum(axis=1))
+
+    def _errors(self, z: Array) -> Array:
+        """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
+        return predict([_world(self._nominal, each) for each in z], self._windows) - self._observed
 
     def _at(self, z: Array) -> tuple[Array, Array]:
         """Residuals, the prior's last, and their derivatives by z."""
         if self._last is None or self._last[0] != z.tobytes():
             p = len(z)
-            errors = (
-                _predicted(self._nominal, self._windows, z + STEP * np.eye(p + 1, p, -1)) - self._observed
-            )
-            white = self.errors.whiten(errors)
+            white = self.errors.whiten(self._errors(z + STEP * np.eye(p + 1, p, -1)))
             J = (white[1:] - white[0]) / STEP
             size = np.sum(white[0] ** 2, axis=1) + 1e-300
             flatter = np.sqrt(
@@ -149,16 +194,17 @@ class _Problem:
 class Identified(Nominal):
     """A nominal model at the most probable parameters; it draws from their posterior."""
 
-    def __init__(self, prior: Nominal, mode: Array, precision: Array, diagnostics: dict[str, float]) -> None:
+    def __init__(self, prior: Nominal, mode: Array, spread: Array, diagnostics: dict[str, float]) -> None:
         self._prior = prior
-        self._mode = mode  # (p,) coordinates
-        self._precision = np.linalg.cholesky(precision)  # its lower factor
-        self._model = prior.with_parameters(values_at(prior.parameters, mode))
-        self.kernel = self._model.kernel
+        self.mode = mode  # (p,) coordinates
+        self.model = prior.with_parameters(values_at(prior.parameters, mode))
+        self.kernel = self.model.kernel
         self.parameters = prior.parameters
-        self.memory_size = self._model.memory_size
+        self.memory_size = self.model.memory_size
         self.diagnostics = diagnostics
-        deviations = QUANTILE * np.sqrt(np.diag(np.linalg.inv(precision)))
+        self._spread = spread  # (p, p)
+        self.covariance = spread @ spread.T  # (p, p) of them
+        deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
         self.estimates = tuple(
             Estimate(p.name, p.unit, p.value, float(p.at(z)), float(p.at(z - d)), float(p.at(z + d)))
             for p, z, d in zip(prior.parameters, mode, deviations, strict=True)
@@ -166,15 +212,15 @@ class Identified(Nominal):
 
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n) of the most probable model."""
-        return self._model.step(x, u)
+        return self.model.step(x, u)
 
     def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
         """x_next (..., n), and the memory (..., s), of the most probable model."""
-        return self._model.advance(x, u, memory)
+        return self.model.advance(x, u, memory)
 
     def memories(self, states: Array, inputs: Array) -> Array:
         """Memory (k, s) in each frame of a record, from its start on."""
-        return self._model.memories(states, inputs)
+        return self.model.memories(states, inputs)
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its parameters."""
@@ -182,5 +228,5 @@ class Identified(Nominal):
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model from the posterior."""
-        e = solve_triangular(self._precision.T, rng.standard_normal(len(self._mode)), lower=False)
-        return self._prior.with_parameters(values_at(self._prior.parameters, self._mode + e))
+        e = self._spread @ rng.standard_normal(len(self.mode))
+        return self._prior.with_parameters(values_at(self._prior.parameters, self.mode + e))

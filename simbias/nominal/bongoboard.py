@@ -12,7 +12,15 @@ import numpy as np
 from simbias.config.numbers import MassOrZero
 from simbias.interfaces import Kernel, Nominal
 from simbias.nominal import bongoboard_equations, bongoboard_losses
-from simbias.nominal.bongoboard_uncertainty import MASSES, MECHANICAL, MOTOR, Uncertainty, declared, priors
+from simbias.nominal.bongoboard_uncertainty import (
+    MASSES,
+    MECHANICAL,
+    MOTOR,
+    Uncertainty,
+    declared,
+    only,
+    priors,
+)
 from simbias.parameters import values_at
 from simbias.records import Array
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
@@ -30,20 +38,30 @@ class LagrangianBongoboard(Nominal):
     other masses needs other parameters only. Slope, losses, payload and motor are as if they were not there,
     and cost nothing, unless they are uncertain.
 
+    Parameters
+    ----------
+    sampled
+        Names of the uncertainties that `draw` samples; None is all of them. The others stay as declared until
+        they are identified: no policy may hold on all that a wide prior allows.
+
     Raises
     ------
     ValueError
-        If the delay may be too many frames to remember.
+        If the delay may be too many frames to remember, or no uncertainty has a name.
     """
 
     kernel: Kernel
 
     def __init__(
-        self, task: Bongoboard, foot_mass: MassOrZero = 0.0, uncertainty: Uncertainty = _CERTAIN
+        self,
+        task: Bongoboard,
+        foot_mass: MassOrZero = 0.0,
+        uncertainty: Uncertainty = _CERTAIN,
+        sampled: list[str] | None = None,
     ) -> None:
         self._time_step = task.time_step
         self._robot = task.robot
-        self._uncertainty = uncertainty
+        self._drawn = uncertainty if sampled is None else only(sampled, uncertainty)
         self._taps = taps_of(uncertainty.delay, task.time_step)
         self._declared = declared(task.robot, foot_mass)
         self.parameters = tuple(priors(task.robot, float(task.input_limit[0]), uncertainty))
@@ -81,15 +99,19 @@ class LagrangianBongoboard(Nominal):
 
         What is added to the uncertainty changes nothing in what was drawn before.
         """
+        uncertainty = self._drawn
         masses = [*MASSES[:2], "foot_mass", *MASSES[2:]]  # a draw for the feet, too, though another is used
-        factors = np.exp(self._uncertainty.masses * rng.standard_normal(len(masses)))
+        factors = np.exp(uncertainty.masses * rng.standard_normal(len(masses)))
         drawn = dict(zip(masses, (factors * [self._declared[name] for name in masses]).tolist(), strict=True))
-        foot_mass = rng.uniform(0.0, self._uncertainty.foot_mass)
-        drawn["foot_mass"] = foot_mass if self._uncertainty.foot_mass else self._declared["foot_mass"]
-        others = [parameter for parameter in self.parameters if parameter.name not in drawn]
+        foot_mass = rng.uniform(0.0, uncertainty.foot_mass)
+        drawn["foot_mass"] = foot_mass if uncertainty.foot_mass else self._declared["foot_mass"]
+        others = [
+            each for each in self.parameters if each.name not in drawn and getattr(uncertainty, each.name)
+        ]
         values = values_at(others, rng.standard_normal(len(others))).tolist()
         drawn |= {parameter.name: value for parameter, value in zip(others, values, strict=True)}
-        return self.with_parameters(np.array([drawn[name] for name in self._names]))
+        known = self._declared | drawn
+        return self.with_parameters(np.array([known[name] for name in self._names]))
 
     def step(self, x: Array, u: Array) -> Array:
         """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""

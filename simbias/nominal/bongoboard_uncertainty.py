@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
 
 from simbias.config.numbers import Lag, MassOrZero, NonNegative, SlopeSpread, Spread
 from simbias.parameters import Parameter, Prior
@@ -51,6 +51,21 @@ MOTOR: dict[str, tuple[str, Prior]] = {
     "lag": ("s", "half_normal"),
     "delay": ("s", "uniform"),
 }
+
+
+def only(names: Sequence[str], uncertainty: Uncertainty) -> Uncertainty:
+    """The uncertainty of these alone.
+
+    Raises
+    ------
+    ValueError
+        If there is none of a name.
+    """
+    known = [each.name for each in fields(Uncertainty)]
+    for name in names:
+        if name not in known:
+            raise ValueError(f"sampled: no uncertainty is called {name}; there is {', '.join(known)}")
+    return Uncertainty(**{name: getattr(uncertainty, name) for name in names})
 
 
 def declared(robot: Robot, foot_mass: float) -> dict[str, float]:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from simbias.records import Array, Indices
+from simbias.simulation.measurement import Linearised, covariance_of_noise
 from simbias.simulation.open_loop import Windows
 
 FREEDOM = 1.0  # nu / d: a window whose errors are ten times as large as usual counts a fiftieth
@@ -29,10 +30,13 @@ class Errors:
     share: float = 1.0  # of the windows that tells something new; 1 if their errors are independent
 
     @staticmethod
-    def of(errors: Array, windows: Windows, freedom: float = FREEDOM) -> Errors:
+    def of(
+        errors: Array, windows: Windows, freedom: float = FREEDOM, linearised: Linearised | None = None
+    ) -> Errors:
         """Estimated from errors (w, J, n), some of which may be outliers or no numbers.
 
-        The scale matrix is shrunk towards its diagonal, the more the fewer windows there are.
+        The scale matrix is shrunk, the more the fewer windows there are: towards that of noise in the
+        measured states where the predictions are linearised, else towards its diagonal.
         """
         w, J = errors.shape[:2]
         least = np.tile(TINY * np.std(windows.states, axis=0) + 1e-12, J)
@@ -44,8 +48,11 @@ class Errors:
         for _ in range(ROUNDS):
             weights = made.weights(made.whiten(errors))
             covariance = e.T @ (weights[:, None] * e) / w + np.diag(least**2)
-            diagonal = np.diag(np.diag(covariance))
-            made = Errors(np.linalg.cholesky((1.0 - shrink) * covariance + shrink * diagonal), freedom)
+            target = np.diag(np.diag(covariance))
+            if linearised is not None:
+                covariance += linearised.doubt(weights)
+                target = covariance_of_noise(e, weights, linearised, least)
+            made = Errors(np.linalg.cholesky((1.0 - shrink) * covariance + shrink * target), freedom)
         white = made.whiten(errors)
         weighted = np.sqrt(made.weights(white))[:, None] * white
         return replace(made, share=1.0 / correlation_time(weighted, windows.experiments))

@@ -341,6 +341,21 @@ def test_parameters_are_those_that_are_uncertain_and_draws_differ():
     assert model.memory_size == 1 + 10
 
 
+def test_what_is_not_sampled_stays_as_declared_until_it_is_identified():
+    uncertainty = Uncertainty(masses=0.15, slope=0.02, lag=0.02, torque_limit=50.0)
+    model = LagrangianBongoboard(TASK, uncertainty=uncertainty, sampled=["slope"])
+    drawn, other = (model.draw(np.random.default_rng(seed)) for seed in range(2))
+    at = np.array([parameter.value for parameter in model.parameters])
+    names = [parameter.name for parameter in model.parameters]
+    at[names.index("torque_limit")] = np.inf  # as declared: none
+    at[names.index("slope")] = 0.013
+    same = model.with_parameters(at).kernel.parameters
+    np.testing.assert_array_equal(drawn.kernel.parameters[:6], same[:6])  # the motor
+    assert (drawn.kernel.parameters != other.kernel.parameters).any()
+    with pytest.raises(ValueError, match=r"^sampled: no uncertainty is called slop; there is masses, "):
+        LagrangianBongoboard(TASK, sampled=["slop"])
+
+
 def test_a_delay_of_too_many_frames_is_refused():
     with pytest.raises(ValueError, match="is 200 frames; at most 100 are remembered"):
         LagrangianBongoboard(TASK, uncertainty=Uncertainty(delay=0.2))

@@ -27,7 +27,7 @@ SHORT = [
 ]
 ROBUST = [
     *SHORT,
-    "preset=robust",
+    *("bias=sparse_gp", "evaluation=robust_models", "optimizer=hybrid", "method=frugal"),
     "optimizer.explorations=10",
     "evaluation.rollouts=3",
     "evaluation.sample_bias=true",
