@@ -26,7 +26,7 @@ optimizer: {max_evaluations: 30}
 method: {max_iterations: 2}
 tracking: {pictures: false}
 sweep:
-  trials: 7
+  trials: 5
   axes:
     hardware.noise.torque_variance: [0.0, 0.1]
     hardware.inertia_error: [0.0, 0.2]

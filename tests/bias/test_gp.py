@@ -9,8 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from in_lanes import corrections
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 import simbias
 from simbias.bias.covariance import stable_cholesky
@@ -38,8 +36,12 @@ def queries(k: int) -> Array:
     return np.random.default_rng(99).normal(size=(k, 7)) * SCALE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 50, 571])
 def test_agrees_with_scikit_learn(study: Study, n: int) -> None:
+    from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
     gp = GaussianProcess(study.task, length_scale=[0.5, 1, 1, 2, 1, 1, 0.7], signal_variance=1.3)
     transitions, inputs = data(n), queries(200)
     mean, variance = gp.fit(transitions).predict(inputs)

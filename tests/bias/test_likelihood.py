@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import check_grad
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 import simbias
 from simbias.bias.covariance import Hyperparameters
 from simbias.bias.likelihood import LEAST_NOISE, Learning, learn, log_marginal_likelihood
 from simbias.records import Array, Transitions
 from simbias.study import Study
+
+if TYPE_CHECKING:
+    from sklearn.gaussian_process import GaussianProcessRegressor
 
 pytestmark = pytest.mark.slow
 
@@ -36,6 +39,9 @@ def drawn(hyper: Hyperparameters, N: int, outputs: int, seed: int = 0) -> Transi
 
 def scikit_learn(theta: Array, data: Transitions, **options) -> GaussianProcessRegressor:
     """Their process with these hyper-parameters, as a start if it optimises them."""
+    from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
     *lengths, signal, noise_ratio = np.exp(theta)
     kernel = ConstantKernel(signal) * RBF(lengths) + WhiteKernel(signal * noise_ratio)
     return GaussianProcessRegressor(kernel, alpha=0.0, **options).fit(data.inputs, data.residuals)

@@ -8,13 +8,15 @@ from collections.abc import Iterator
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
+import yaml
 from robots import overrides
 
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError, compose, memory, options, sweeps
-from simbias.config.components import component_class, constructor_parameters
+from simbias.config.components import TARGET, component_class, constructor_parameters
 from simbias.config.errors import LONGEST_KEY
+from simbias.config.resources import resource_folder
 from simbias.messages import LONGEST
 
 GROUPS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
@@ -39,10 +41,16 @@ def numbers(hint: Any, name: str) -> Iterator[tuple[str, set[str]]]:
             yield from numbers(part, name)
 
 
+def shipped(group: str, option: str) -> Any:
+    """What names the class of an option: its file, or what that is composed with."""
+    own = yaml.safe_load((resource_folder("conf") / group / f"{option}.yaml").read_text())
+    return own if TARGET in own else compose(overrides(group, option)).config[group]
+
+
 def components() -> Iterator[tuple[str, type]]:
     """Every shipped component and figure."""
     for group, option in GROUPS:
-        yield f"{group}={option}", component_class(compose(overrides(group, option)).config[group], group)
+        yield f"{group}={option}", component_class(shipped(group, option), group)
     for name in sweeps():
         for figure, spec in compose([f"+sweep={name}"]).config["sweep"].get("figures", {}).items():
             yield f"{name}: {figure}", component_class(spec, figure)

@@ -171,6 +171,7 @@ def test_a_program_may_wait(point_mass: Study, tmp_path: Path) -> None:
         run(point_mass, program(tmp_path, "print(json.dumps({'waiting': 'charge the battery'}))"))
 
 
+@pytest.mark.slow
 def test_a_program_that_takes_too_long_is_ended_with_its_children(point_mass: Study, tmp_path: Path) -> None:
     text = (
         "import subprocess; child = subprocess.Popen(['sleep', '60']); "

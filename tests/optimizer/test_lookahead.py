@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import simbias
+from simbias.config import compose
+from simbias.config.build import construct
+from simbias.interfaces import Optimizer
 from simbias.optimizer.lookahead import MOST, look_ahead
 from simbias.records import Array, Optimum
 from simbias.search import STEP_LIMIT, TIME_LIMIT, Evaluations
@@ -40,10 +42,9 @@ class Counting:
         return self.cost(x)
 
 
-def minimize(name: str, objective, limit: int, seed: int, *overrides: str) -> Optimum:
-    optimizer = simbias.load(
-        ["tracking=none", f"optimizer={name}", f"optimizer.max_evaluations={limit}", *overrides]
-    ).optimizer
+def minimize(name: str, objective, limit: int, seed: int, **options: float) -> Optimum:
+    config = compose(["tracking=none", f"optimizer={name}"]).config["optimizer"]
+    optimizer = construct({**config, "max_evaluations": limit, **options}, Optimizer, "optimizer")
     return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), np.random.default_rng(seed))
 
 
@@ -95,7 +96,7 @@ def test_a_search_that_changes_its_mind_is_noticed() -> None:
 def test_a_search_ends_with_its_steps(name: str, points: int, seed: int) -> None:
     """After the batch in which they are used up; its best point is the best of all that it counts."""
     objective = Counting()
-    optimum = minimize(name, objective, 100_000, seed, f"optimizer.max_steps={STEPS * points}")
+    optimum = minimize(name, objective, 100_000, seed, max_steps=STEPS * points)
     assert objective.steps < STEPS * points + STEPS * MOST
     assert optimum.evaluations <= sum(objective.calls)
     assert optimum.cost == objective.cost(optimum.parameters)
@@ -105,8 +106,6 @@ def test_a_search_ends_with_its_steps(name: str, points: int, seed: int) -> None
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_search_ends_in_time(name: str) -> None:
     objective = Counting()
-    optimum = minimize(
-        name, objective, 100_000, 0, "optimizer.max_seconds=1e-9", "optimizer.relative_tolerance=1e-300"
-    )
+    optimum = minimize(name, objective, 100_000, 0, max_seconds=1e-9, relative_tolerance=1e-300)
     assert optimum.stopped_by == TIME_LIMIT
     assert len(objective.calls) == 1

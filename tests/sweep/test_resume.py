@@ -30,7 +30,7 @@ from simbias.tracking.store import connect
 pytestmark = pytest.mark.slow
 
 COMMAND = ["--config-dir", "conf", "+sweep=mine"]
-TRIALS = 28  # so many that some are left after every killing
+TRIALS = 20  # so many that some are left after every killing
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
 
 

@@ -76,7 +76,8 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
                 f"+sweep={name}",
                 "sweep.trials=1",
                 *QUICK,
-                "held_out.lasting=0",
+                *("method.max_iterations=1", "optimizer.max_evaluations=5"),
+                *("held_out.lasting=0", "held_out.starts=1"),
                 "tracking=none",
                 "engine=sequential",
             ]
@@ -101,11 +102,12 @@ def test_jobs_and_order_change_nothing(
         "two": ["engine.n_jobs=2"],
         "backwards": ["engine=sequential", "engine._target_=test_sweep.Backwards", "--allow", "test_sweep"],
     }
+    quick = ["+sweep=smoke", "optimizer.max_evaluations=15", "tracking.pictures=false"]
     found = {}
     for name, overrides in engines.items():
         (folder / name).mkdir()
         shutil.copy(folder / "mlflow.db", folder / name)
-        assert main(["+sweep=smoke", "optimizer.max_evaluations=15", *overrides, store(folder / name)]) == 0
+        assert main([*quick, *overrides, store(folder / name)]) == 0
         found[name] = (trial_by_trial(folder / name), table(folder / name))
     assert found["one"] == found["two"] == found["backwards"]
     assert len(found["one"][0]) == 4
@@ -115,6 +117,7 @@ def test_jobs_and_order_change_nothing(
 def single_is_the_same(folder: Path, swept: dict[str, Any]) -> None:
     """The same config as a trial of its own leaves the same metrics and files."""
     values = ["task.horizon=300", "optimizer.max_evaluations=15", "method.max_iterations=2"]
+    values.append("tracking.pictures=false")
     trial = expand(["+sweep=smoke", "optimizer.max_evaluations=15"]).trials[1]
     assert main([*values, "hardware.inertia_error=0.2", f"seed={trial.seed}", store(folder)]) in (0, 1)
     client = MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
@@ -244,7 +247,8 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert main(["+sweep=smoke", "sweep.dry_run=true", elsewhere]) == 0
     assert "0 of 4 trials are finished; the others may take" in capsys.readouterr().out
     assert not list((folder / "elsewhere").iterdir())
-    assert main(["+sweep=smoke", "sweep.trials=1", "engine=sequential", store(folder)]) == 0
+    quick = ["sweep.trials=1", "engine=sequential", "tracking.pictures=false"]
+    assert main(["+sweep=smoke", *quick, store(folder)]) == 0
     capsys.readouterr()
     assert main(["+sweep=smoke", "sweep.dry_run=true", store(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -273,6 +277,7 @@ def test_a_trial_that_raises(folder: Path) -> None:
     (conf / "hardware" / "hot.yaml").write_text("_target_: hot.Hot\nnoise: {}\n")
     module = folder / "hot.py"
     command = ["--config-dir", "conf", "+sweep=mine", "hardware=hot", *QUICK]
+    command.append("tracking.pictures=false")
     module.write_text(RAISING.replace("THRESHOLD", "0.01"))
     status, out, err = run(*command, folder=folder)
     assert status == 1, out + err
@@ -389,9 +394,8 @@ def test_own_components_are_swept(folder: Path) -> None:
     shutil.copytree(OWN_CONF, conf)
     (conf / "components.yaml").write_text("allow: [point_mass]\n")
     write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
-    status, _, err = run(
-        "--config-dir", "conf", "+sweep=wind", *POINT_MASS, "optimizer.max_evaluations=150", folder=folder
-    )
+    quick = ["optimizer.max_evaluations=150", "tracking.pictures=false"]
+    status, _, err = run("--config-dir", "conf", "+sweep=wind", *POINT_MASS, *quick, folder=folder)
     assert status == 0, err
     (slow,) = err.splitlines()  # once, although every trial is
     assert slow.startswith("simbias: simulated in NumPy, up to 300 times slower")

@@ -24,7 +24,7 @@ from simbias.trial import Outcome, TrialRecord, run_trial
 
 pytestmark = pytest.mark.slow
 
-KILLS = 6
+KILLS = 4
 SHORT = [
     *("task.horizon=400", "optimizer.max_evaluations=30", "method.max_iterations=8"),
     "cost.max_cost=1e-3",  # never reached

@@ -10,6 +10,7 @@ from mlflow import MlflowClient
 
 from simbias.tracking import nested
 from simbias.tracking.fields import PARENT
+from simbias.tracking.store import connect
 
 RUNS = 7
 
@@ -17,7 +18,9 @@ RUNS = 7
 @pytest.fixture
 def sweep(tmp_path: Path) -> tuple[MlflowClient, str, str]:
     """A store with a sweep whose trials ended in different ways, one of them deleted, and a stranger."""
-    client = MlflowClient(f"sqlite:///{tmp_path / 'a store.db'}")
+    uri = f"sqlite:///{tmp_path / 'a store.db'}"
+    connect(uri, "another")
+    client = MlflowClient(uri)
     experiment = client.create_experiment("e", artifact_location=(tmp_path / "files").as_uri())
     parent = client.create_run(experiment).info.run_id
     client.create_run(experiment, tags={"hash": "stranger"})

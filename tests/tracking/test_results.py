@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import last_policies
@@ -12,7 +13,7 @@ from side_by_side import side_by_side
 
 from simbias.config import ConfigError
 from simbias.sweep import tables
-from simbias.sweep.grid import expand
+from simbias.sweep.grid import Sweep, expand
 from simbias.tracking import results
 
 RESULTS = ROOT / "sweeps" / "results"
@@ -27,10 +28,16 @@ PAIRED = {
 PUBLISHED = sorted(path.parent for path in RESULTS.glob("*/trials.csv"))
 
 
+@cache
+def swept(name: str) -> Sweep:
+    """A shipped sweep; to expand it takes seconds."""
+    return expand([f"+sweep={name}"])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
 def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> None:
-    sweep = expand([f"+sweep={folder.name}"])
+    sweep = swept(folder.name)
     trials = results.published(sweep)
     assert len(trials) == len(sweep.trials)
     table = tables.layout(tables.cells(trials, sweep), sweep)
@@ -42,7 +49,7 @@ def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> No
 @pytest.mark.parametrize("folder", PUBLISHED, ids=lambda folder: folder.name)
 def test_published_trials_are_those_that_the_sweep_would_run(folder: Path) -> None:
     """An option that is added with its old behaviour as the default changes no seed."""
-    sweep = expand([f"+sweep={folder.name}"])
+    sweep = swept(folder.name)
     trials = results.published(sweep)
     planned = [(trial.hash, trial.repetition, trial.seed) for trial in sweep.trials]
     assert list(zip(trials["hash"], trials["repetition"], trials["seed"], strict=True)) == planned
@@ -58,7 +65,7 @@ def test_published_pairs_are_those_of_the_published_trials(name: str, axes: tupl
 
 @pytest.mark.slow
 def test_published_trials_are_typed_as_those_of_a_store() -> None:
-    trials = results.published(expand(["+sweep=learners"]))
+    trials = results.published(swept("learners"))
     axes = ["hardware.noise.torque_variance", "hardware.inertia_error", "bias"]
     assert list(trials.columns) == [*axes, *results.COLUMNS[:-1]]
     assert set(trials["hardware.inertia_error"]) == {"0", "0.2"}
@@ -99,7 +106,7 @@ def test_readme_shows_the_published_table_of_the_ablation() -> None:
 
 @pytest.mark.slow
 def test_readme_shows_what_the_policies_for_separate_feet_are_worth() -> None:
-    sweep = expand(["+sweep=feet"])
+    sweep = swept("feet")
     policies = pd.read_csv(RESULTS / "feet" / "policies.csv")
     trials = results.published(sweep)
     assert list(policies["repetition"]) == list(trials["repetition"])

@@ -11,6 +11,8 @@ from mlflow import MlflowClient
 
 from simbias.tracking import store
 
+pytestmark = pytest.mark.slow
+
 TIMES = ("creation_time", "last_update_time")  # columns that differ
 
 
