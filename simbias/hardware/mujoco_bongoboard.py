@@ -1,0 +1,181 @@
+"""The bongoboard in MuJoCo, in three dimensions, in place of the robot."""
+
+from __future__ import annotations
+
+from typing import Annotated, final
+
+import numpy as np
+from pydantic import Field
+
+from simbias.config.numbers import Count
+from simbias.hardware.bongoboard_running import Running, motion
+from simbias.hardware.loop import Record, experiment
+from simbias.hardware.pymunk_world import inertias
+from simbias.interfaces import Hardware, HardwareError, Policy
+from simbias.records import Array, Rollout
+from simbias.simulation.noise import QUIET, Noise, Variances
+from simbias.task.bongoboard import Bongoboard
+from simbias.task.mjcf_parameters import mujoco
+
+WIDTH = 0.3  # m, of wheel, board and foot plate: out of the plane in which everything moves
+STIFFNESS = 4  # steps of the engine in which contacts and joints recover from an error
+LEGS = [9, 11]  # among the positions
+OVERLAP = 2e-6  # m at the start, so that bodies touch from the first frame on
+
+
+@final
+class MujocoBongoboard(Hardware):
+    """Wheel, board, foot plate, two legs and pelvis as rigid bodies, each of which moves in one plane.
+
+    Wheel, board and plate touch by contacts with three-dimensional friction; the parallelogram of legs and
+    pelvis is one of joints. MuJoCo's constraints are soft: contacts give way a little.
+
+    Parameters
+    ----------
+    task
+        Geometry, masses, time step and failure.
+    inertia_error
+        Every mass and moment of inertia is multiplied by 1 + inertia_error.
+    noise
+        Variances on the torque and on what the policy sees, by name (`Noise`).
+    record
+        What cost and learning get to see: the true states, or the measured ones.
+    steps
+        Of the engine in each frame.
+    detachment
+        Gap, in m, above which the board has left the wheel.
+
+    Raises
+    ------
+    ValueError
+        If MuJoCo is not installed.
+    """
+
+    def __init__(
+        self,
+        task: Bongoboard,
+        inertia_error: Annotated[float, Field(ge=-0.99, le=100)] = 0.0,
+        noise: Variances = QUIET,
+        record: Record = "true_state",
+        steps: Count = 2,
+        detachment: Annotated[float, Field(ge=1e-9, le=1.0)] = 1e-3,
+    ) -> None:
+        self._task = task
+        self._steps = steps
+        self._text = mjcf(task, 1.0 + inertia_error, steps)
+        self.model = mujoco().MjModel.from_xml_string(self._text)
+        self._noise = Noise(task, noise)
+        self._record = record
+        self._detachment = detachment
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment with theta (p,) from start (6,); its cost is not set."""
+        if not np.isfinite(start).all():
+            raise HardwareError(f"the robot cannot start at {start}")
+        robot = Running(self._task, self.build, start, self._detachment)
+        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
+
+    def build(self, start: Array) -> World:
+        """The engine's world at a start (6,), as an experiment begins with it."""
+        return World(self._task, self.model, start, self._steps)
+
+
+class World:
+    """The engine's world in the pose and motion of a start (6,).
+
+    Its positions are x, z and angle of wheel, board and plate, then the angles of the left leg, the hip and
+    the right leg.
+    """
+
+    def __init__(self, task: Bongoboard, model: object, start: Array, steps: int) -> None:
+        self._model, self._steps = model, steps
+        self.data = mujoco().MjData(model)
+        begin = motion(task, start, OVERLAP)
+        for values, part in ((self.data.qpos, 0), (self.data.qvel, 1)):
+            foot, leg = begin["foot"][part][2], begin["left leg"][part][2]
+            bodies = (begin[name][part] for name in ("wheel", "board", "foot"))
+            values[:] = [*np.concatenate(list(bodies)), leg - foot, foot - leg, leg - foot]
+
+    def step(self, torque: float) -> None:
+        """One frame under an ankle torque (N m), half on each leg."""
+        self.data.ctrl[:] = torque / 2
+        mujoco().mj_step(self._model, self.data, nstep=self._steps)
+
+    def state(self) -> Array:
+        """The task's state (6,), of the bodies' angles and rates."""
+        both = np.stack([self.data.qpos, self.data.qvel])
+        wheel, board, leg = both[:, 2], both[:, 5], both[:, 8] + both[:, LEGS].mean(axis=1)
+        return np.stack([wheel, board - wheel, leg - board], axis=1).ravel()
+
+    def wheel_and_board(self) -> tuple[Array, Array]:
+        """Centre x, y (m) and global angle of wheel and board, (3,) each."""
+        return self.data.qpos[:3].copy(), self.data.qpos[3:6].copy()
+
+
+def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
+    """The robot as MJCF; angles are counter-clockwise, seen with x to the right and z up."""
+    robot = task.robot
+    masses = inertias(robot, "plate", scale)
+    seconds = task.time_step / steps
+
+    def inertial(name: str, height: float = 0.0) -> str:
+        mass, inertia = masses[name]
+        other = 0.6 * inertia  # about the axes in the plane, around which nothing turns
+        return f'<inertial mass="{mass}" pos="0 0 {height}" diaginertia="{other} {inertia} {other}"/>'
+
+    def moving(name: str) -> str:
+        return "".join(
+            f'<joint name="{name} {axis}" type="{kind}" axis="{direction}"/>'
+            for axis, kind, direction in (
+                ("x", "slide", "1 0 0"),
+                ("z", "slide", "0 0 1"),
+                ("angle", "hinge", "0 -1 0"),
+            )
+        )
+
+    def box(name: str, length: float, height: float) -> str:
+        return f'<geom name="{name}" type="box" size="{length / 2} {WIDTH / 2} {height / 2}"/>'
+
+    def leg(name: str, side: float, above: str = "") -> str:
+        return (
+            f'<body name="{name}" pos="{side * robot.ankle_spacing / 2} 0 {robot.ankle_height / 2}">'
+            f'<joint name="{name}" type="hinge" axis="0 -1 0"/>{inertial(name, robot.leg_length / 2)}{above}</body>'
+        )
+
+    pelvis = (
+        f'<body name="pelvis" pos="0 0 {robot.leg_length}"><joint name="hip" type="hinge" axis="0 -1 0"/>'
+        f'<inertial mass="{masses["pelvis"][0]}" pos="{robot.ankle_spacing / 2} 0 0" '
+        f'diaginertia="{masses["pelvis"][1]} {masses["pelvis"][1]} {masses["pelvis"][1]}"/></body>'
+    )
+    soft = f'solref="{STIFFNESS * seconds} 1" solimp="0.99 0.999 0.0001"'
+    pairs = "".join(
+        f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{robot.friction} {robot.friction} 0 0 0" {soft}/>'
+        for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))
+    )
+    return f"""
+    <mujoco model="bongoboard">
+      <compiler angle="radian"/>
+      <option timestep="{seconds}" gravity="0 0 {-robot.gravity}" integrator="implicitfast" cone="elliptic"
+        impratio="100" iterations="100" tolerance="1e-10"/>
+      <default><geom contype="0" conaffinity="0"/></default>
+      <worldbody>
+        <geom name="floor" type="plane" size="10 10 1"/>
+        <body name="wheel">{moving("wheel")}{inertial("wheel")}
+          <geom name="wheel" type="capsule" fromto="0 {-WIDTH / 2} 0 0 {WIDTH / 2} 0" size="{robot.wheel_radius}"/>
+        </body>
+        <body name="board">{moving("board")}{inertial("board")}
+          {box("board", robot.board_length, robot.board_thickness)}</body>
+        <body name="foot">{moving("foot")}{inertial("foot")}
+          {box("foot", robot.foot_length, robot.ankle_height)}
+          {leg("left leg", -1.0, pelvis)}{leg("right leg", 1.0)}</body>
+      </worldbody>
+      <contact>{pairs}</contact>
+      <equality>
+        <joint joint1="right leg" joint2="left leg" polycoef="0 1 0 0 0" {soft}/>
+        <joint joint1="hip" joint2="left leg" polycoef="0 -1 0 0 0" {soft}/>
+      </equality>
+      <actuator>
+        <motor name="left ankle" joint="left leg"/>
+        <motor name="right ankle" joint="right leg"/>
+      </actuator>
+    </mujoco>"""
