@@ -13,7 +13,6 @@ from simbias.records import Array
 from simbias.task.bongoboard import Bongoboard
 
 _ABSURD = 1e3  # rad, rad/s: no body gets there within a frame but by numerical instability
-_FOOT_IS_A_PLATE = "plate"
 
 
 class Engine(Protocol):
@@ -77,5 +76,5 @@ def contact(task: Bongoboard, wheel: Array, board: Array) -> tuple[float, float]
 def motion(task: Bongoboard, start: Array, overlap: float = 0.0) -> dict[str, tuple[Array, Array]]:
     """Place x, y, angle and velocity of every body, (3,) each, at a start (6,)."""
     h = 1e-30  # complex step: the velocities are exact
-    placed = places(task, start[:3] + 1j * h * start[3:], _FOOT_IS_A_PLATE, overlap)
+    placed = places(task, start[:3] + 1j * h * start[3:], "plate", overlap)
     return {name: (place.real, place.imag / h) for name, place in placed.items()}

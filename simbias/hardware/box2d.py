@@ -48,7 +48,7 @@ def box2d() -> Any:
 
 @final
 class Box2dBongoboard(Hardware):
-    """Wheel, board, foot plate, two legs and pelvis as rigid bodies; the plate stands on the board by contact.
+    """Wheel, board, foot plate, two legs and pelvis as rigid bodies; the plate stands by contact.
 
     The engine works in single precision. A step finds velocities first and then moves by them, as that of the
     Lagrangian model does.
@@ -143,8 +143,9 @@ class World:
             return engine.b2PolygonShape(box=(length / 2 / UNIT - SKIN, height / 2 / UNIT - SKIN))
 
         end = FLOOR_END / UNIT
+        floor = engine.b2EdgeShape(vertices=[(-end, -SKIN), (end, -SKIN)])
         shapes = (
-            (_FLOOR, self._world.CreateStaticBody(), engine.b2EdgeShape(vertices=[(-end, -SKIN), (end, -SKIN)])),
+            (_FLOOR, self._world.CreateStaticBody(), floor),
             (_WHEEL, self.bodies["wheel"], engine.b2CircleShape(radius=robot.wheel_radius / UNIT)),
             (_BOARD, self.bodies["board"], box(robot.board_length, robot.board_thickness)),
             (_FOOT, self.bodies["foot"], box(robot.foot_length, robot.ankle_height)),

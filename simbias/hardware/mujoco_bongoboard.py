@@ -139,7 +139,8 @@ def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
     def leg(name: str, side: float, above: str = "") -> str:
         return (
             f'<body name="{name}" pos="{side * robot.ankle_spacing / 2} 0 {robot.ankle_height / 2}">'
-            f'<joint name="{name}" type="hinge" axis="0 -1 0"/>{inertial(name, robot.leg_length / 2)}{above}</body>'
+            f'<joint name="{name}" type="hinge" axis="0 -1 0"/>'
+            f"{inertial(name, robot.leg_length / 2)}{above}</body>"
         )
 
     pelvis = (
@@ -148,8 +149,9 @@ def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
         f'diaginertia="{masses["pelvis"][1]} {masses["pelvis"][1]} {masses["pelvis"][1]}"/></body>'
     )
     soft = f'solref="{STIFFNESS * seconds} 1" solimp="0.99 0.999 0.0001"'
+    grip = robot.friction
     pairs = "".join(
-        f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{robot.friction} {robot.friction} 0 0 0" {soft}/>'
+        f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{grip} {grip} 0 0 0" {soft}/>'
         for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))
     )
     return f"""
@@ -161,7 +163,8 @@ def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
       <worldbody>
         <geom name="floor" type="plane" size="10 10 1"/>
         <body name="wheel">{moving("wheel")}{inertial("wheel")}
-          <geom name="wheel" type="capsule" fromto="0 {-WIDTH / 2} 0 0 {WIDTH / 2} 0" size="{robot.wheel_radius}"/>
+          <geom name="wheel" type="capsule" size="{robot.wheel_radius}"
+            fromto="0 {-WIDTH / 2} 0 0 {WIDTH / 2} 0"/>
         </body>
         <body name="board">{moving("board")}{inertial("board")}
           {box("board", robot.board_length, robot.board_thickness)}</body>

@@ -24,7 +24,7 @@ BALANCING = np.array([9.92, 6.37, -8.36, -4.38, 5.77])  # found on the hardware 
 @pytest.mark.parametrize("torque", [-3.0, 0.0, 5.0])
 @pytest.mark.parametrize(("engine", "median"), [(Box2dBongoboard, 1e-5), (MujocoBongoboard, 2e-4)])
 def test_a_frame_is_the_lagrangian_step(engine: Any, median: float, torque: float) -> None:
-    """For 0.1 s; later, contacts jump where all is fast. Single precision, and contacts that give way, leave so much."""
+    """For 0.1 s, as single precision and soft contacts allow; later, all is fast and contacts jump."""
     states = experiment(engine(build_twin(horizon=100)), torque).states
     model = LagrangianBongoboard(build_task(), foot_mass=1.0)
     errors = np.abs(states[1:] - model.step(states[:-1], np.array([torque])))
