@@ -7,23 +7,16 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import signal
-import socket
-import subprocess
-import sys
-import time
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from mlflow_ui import CHROMIUM, browse, serve, visit
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect
 from sweeping import run
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FOLDER = os.environ.get("SCREENSHOTS")
 if FOLDER:
     SWEEP = ["+sweep=learners", "sweep.axes.bias=[gp,none]", "sweep.trials=1"]
@@ -36,8 +29,6 @@ else:
     AXES = ("hardware.inertia_error",)
     CHARTED = re.compile("#0$")
 TRIAL = re.compile(r"#\d$")  # how the names of trials end
-PATIENCE = 60.0  # s
-NO_ASSISTANT = "localStorage.setItem('mlflow.assistant.fab.autoOpenedOnFirstLoad_v1', 'true')"
 
 pytestmark = [
     pytest.mark.slow,
@@ -55,79 +46,27 @@ class Site(NamedTuple):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """The command that the sweep printed, run; its processes are killed at the end."""
+    """The command that the sweep printed, run."""
     folder = tmp_path_factory.mktemp("swept")
     status, out, err = run(*SWEEP, folder=folder, timeout=3600 if FOLDER else 300)
     assert status == 0, err
     found = re.search(r"^Look at it:  (.*)  # http://127\.0\.0\.1:5000(/.*)$", out, re.MULTILINE)
     assert found, out
     command, address = found.groups()
-    port = free_port()
-    root = f"http://127.0.0.1:{port}"
-    environment = {
-        **os.environ,
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "MLFLOW_DISABLE_TELEMETRY": "true",
-    }
-    with (folder / "server.log").open("w") as log:
-        server = subprocess.Popen(
-            f"{command} --port {port}",
-            shell=True,
-            cwd=folder,
-            env=environment,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-    try:
-        wait_until_up(root, server, folder / "server.log")
+    with serve(command, folder) as root:
         yield Site(root, root + address)
-    finally:
-        os.killpg(server.pid, signal.SIGKILL)
-        server.wait()
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def wait_until_up(root: str, server: subprocess.Popen[bytes], log: Path) -> None:
-    end = time.monotonic() + 2 * PATIENCE
-    while time.monotonic() < end and server.poll() is None:
-        try:
-            with urllib.request.urlopen(f"{root}/health", timeout=5) as answer:
-                if answer.status == 200:
-                    return
-        except OSError:
-            time.sleep(0.2)
-    raise AssertionError(log.read_text())
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """Chromium that can reach nothing but this machine."""
-    arguments = [
-        "--disable-dev-shm-usage",
-        "--no-proxy-server",
-        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-    ]
-    expect.set_options(timeout=1000 * PATIENCE)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+    with browse() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
-    """A page of a person who was never here before, but for MLflow's assistant, which is folded away."""
-    context = browser.new_context(viewport={"width": 1400, "height": 900})
-    context.set_default_timeout(1000 * PATIENCE)
-    context.add_init_script(NO_ASSISTANT)
-    yield context.new_page()
-    context.close()
+    with visit(browser) as page:
+        yield page
 
 
 def links(page: Page, name: str | re.Pattern[str]) -> Locator:
