@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import qmc
 
 from simbias.config.numbers import EvaluationCount, Seconds, Share, Steps
 from simbias.interfaces import Optimizer
@@ -41,6 +40,8 @@ class Sobol(Optimizer):
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Evaluate one point after the other, wherever the best one is."""
+        from scipy.stats import qmc  # takes long to import
+
         sequence = qmc.Sobol(len(evaluations.lower), scramble=True, rng=rng)
         width = evaluations.upper - evaluations.lower
         while True:

@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from simbias.interfaces import Kernel
 from simbias.records import Array
@@ -91,6 +90,8 @@ class Actuators:
 
     def memories(self, inputs: Array) -> Array:
         """Memory (k, s) in each frame of a record of inputs (k, m) from the start on."""
+        from scipy.signal import lfilter  # half of what `import simbias` would take, and few need it
+
         k, columns = len(inputs), []
         for u, (gain, _, limit, keep, *weights) in zip(inputs.T, self._parameters, strict=True):
             delayed = np.convolve(u, weights)[:k]

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import binomtest
 
 from simbias.config.build import build
 from simbias.config.numbers import Coordinate, Count
@@ -183,6 +182,8 @@ class SuccessRates(SweepFigure):
 
 def _interval(succeeded: int, experiments: int) -> tuple[float, float]:
     """Wilson's interval of a success rate."""
+    from scipy.stats import binomtest  # takes long to import
+
     interval = binomtest(succeeded, experiments).proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
