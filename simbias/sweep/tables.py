@@ -16,6 +16,7 @@ from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
 
 RESAMPLES = 10_000
+AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
 CONFIDENCE = 0.95
 BLANK = "–"  # noqa: RUF001  where there is no number
 RELIABLE = 0.9  # of the held-out starts, at least so many are held by a policy that counts as reliable
@@ -45,9 +46,11 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
     sample = np.sort(np.asarray(values, dtype=np.float64))
     if len(sample) < 2:
         return nan, nan
-    draws = np.random.default_rng(0).choice(sample, (RESAMPLES, len(sample)))
+    rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
+    for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
+        some[:] = rng.choice(sample, (len(some), len(sample))).mean(axis=1)
     tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(draws.mean(axis=1), [tail, 100.0 - tail])
+    low, high = np.percentile(means, [tail, 100.0 - tail])
     return float(low), float(high)
 
 

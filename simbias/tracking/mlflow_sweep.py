@@ -37,7 +37,8 @@ CONFIG = "sweep.yaml"  # what all trials share
 FIGURES = "figures"  # folder of the parent's artifacts
 EXPERIMENTS = f"{FIGURES}/experiments"  # outcomes of batches
 MIXED = "simbias: trials of this sweep are from %d kinds of machines, so their last bits may differ: %s"
-NOTE_SECONDS = 5.0  # the parent's note is at most so old while trials end
+NOTE_SECONDS = 5.0  # the parent's note is at most so old while trials end,
+NOTE_SHARE = 0.02  # unless it would take more than this of the time
 
 
 class MlflowSweep(TrackedSweep):
@@ -63,7 +64,7 @@ class MlflowSweep(TrackedSweep):
         self._lock = lock  # until the record is closed
         self._journals = journals
         self.pictures = pictures
-        self._noted = 0.0
+        self._note_due = 0.0
         self._captions: dict[str, str] = {}  # of figures
         self.run_id = self._begin()
         client.set_experiment_tag(experiment_id, *pages.trials_view(sweep, self.run_id))
@@ -141,7 +142,7 @@ class MlflowSweep(TrackedSweep):
                 run.info.run_id,
                 fields.holds(record),
             )
-        if time.monotonic() - self._noted > NOTE_SECONDS:
+        if time.monotonic() > self._note_due:
             self._note("**Running**")
 
     def _note_machine(self, record: TrialRecord) -> None:
@@ -230,6 +231,7 @@ class MlflowSweep(TrackedSweep):
 
     def _note(self, verdict: str) -> None:
         """Write the parent's description: how far it is, the table, how to go on."""
+        began = time.monotonic()
         trials = self.results()
         arrangement = tables.layout(tables.cells(trials, self._sweep), self._sweep)
         link = pages.trials_page(self._experiment_id, self._sweep)
@@ -248,7 +250,8 @@ class MlflowSweep(TrackedSweep):
             markdown.code(self._again),
         ]
         self._client.set_tag(self.run_id, NOTE, "\n\n".join(parts))
-        self._noted = time.monotonic()
+        ended = time.monotonic()
+        self._note_due = ended + max(NOTE_SECONDS, (ended - began) / NOTE_SHARE)
 
     def _picture(self, name: str) -> str:
         """Address of a figure in MLflow's UI."""

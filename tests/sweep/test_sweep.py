@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tracemalloc
 import time
 from pathlib import Path
 from typing import Any
@@ -459,6 +460,17 @@ def test_interval_covers_the_mean_in_most_samples() -> None:
     assert interval([1.0, 2.0, 5.0]) == interval([5.0, 1.0, 2.0])
     assert np.isnan(interval([3.0])).all()
     assert interval([4.0, 4.0]) == (4.0, 4.0)
+
+
+def test_the_interval_of_a_large_cell_takes_no_more_memory() -> None:
+    """All its draws at once would take 160 MB."""
+    tracemalloc.start()
+    try:
+        interval(np.arange(2000.0))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 40e6
 
 
 def test_live_view_fills() -> None:
