@@ -8,8 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
-import tracemalloc
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
