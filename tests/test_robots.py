@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from io import BytesIO
 
+import numpy as np
 import pytest
 from PIL import Image
 
 import simbias
+from simbias.hardware.mujoco import Mujoco
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.overview import overview
 from simbias.records import Iteration
@@ -15,7 +17,7 @@ from simbias.study import Study
 from simbias.testing.conformance import verdicts
 from simbias.trial import run_trial
 
-ROBOTS = ("cartpole", "double_cartpole")
+ROBOTS = ("cartpole", "double_cartpole", "acrobot")
 
 
 @pytest.mark.slow
@@ -25,6 +27,19 @@ def test_a_robot_keeps_its_contracts(preset: str) -> None:
     found = list(verdicts(study, {"task", "nominal", "hardware", "policy"}))
     assert len(found) > 8
     assert not [verdict for verdict in found if verdict.problem]
+
+
+def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() -> None:
+    """MuJoCo and the published equations, each by steps of its own."""
+    study = simbias.load(["preset=acrobot", "tracking=none"])
+    nothing = {"*.friction": 0.0, "*.damping": 0.0, "*.armature": 0.0}
+    robot = Mujoco(study.task, study.config["hardware"]["file"], values=nothing)
+    theta, start = np.array([4.5, 3.0, 0.0, 0.5]), np.array([0.02, 0.0, 0.0, 0.0])
+    made = robot.run(study.policy, theta, start, np.random.default_rng(0))
+    predicted = study.nominal.step(made.states[:-1], made.inputs)
+    assert made.frames > 100
+    assert np.abs(made.states).max(axis=0)[1] > 0.1
+    np.testing.assert_allclose(predicted, made.states[1:], atol=2e-3)
 
 
 @pytest.fixture(scope="module")

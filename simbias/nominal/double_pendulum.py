@@ -1,4 +1,4 @@
-"""A planar double pendulum, both joints driven, with the friction of its drives."""
+"""A planar double pendulum, both joints driven or the second alone (an acrobot), with friction."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Annotated, final
+from typing import Literal, final
 
 import numpy as np
-from pydantic import Field
 
 from simbias.config.numbers import (
     Acceleration,
@@ -29,7 +28,8 @@ from simbias.simulation.kernels import elementwise
 from simbias.simulation.trigonometry import arctan, sincos
 
 SHARPNESS = 100.0  # s/rad, of Coulomb friction where the velocity changes its sign
-Two = Annotated[list[NonNegative], Field(min_length=2, max_length=2)]
+Driven = Literal["both", "second"]  # joints
+Zero = Literal["hanging", "upright"]  # where the first angle is 0
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,21 @@ _OF_DRIVES = {
 
 @final
 class DoublePendulum(Nominal):
-    """States are both angles (rad; 0 hangs down, the second relative to the first) and their velocities.
+    """States are both angles (rad, the second relative to the first) and their velocities.
 
     A step is as many midpoint steps as keep below `sub_step` seconds.
+
+    Parameters
+    ----------
+    driven
+        The joints that the task's inputs are torques on: both, or the second alone.
+    zero
+        Where the first angle is 0.
+
+    Raises
+    ------
+    ValueError
+        If the task has not four states, or not as many inputs as joints are driven.
     """
 
     kernel: Kernel
@@ -96,10 +108,19 @@ class DoublePendulum(Nominal):
         gravity: Acceleration = 9.81,
         uncertainty: Uncertainty = _CERTAIN,
         sub_step: TimeStep = 0.001,
+        driven: Driven = "both",
+        zero: Zero = "hanging",
     ) -> None:
+        wanted = (4, 2 if driven == "both" else 1)
+        if (len(task.states), len(task.inputs)) != wanted:
+            raise ValueError(
+                f"driven={driven}: expected a task with {wanted[0]} states and {wanted[1]} inputs; "
+                f"it has {len(task.states)} and {len(task.inputs)}"
+            )
         self._sub_steps = math.ceil(task.time_step / sub_step - 1e-9)
         self._time_step = task.time_step
-        self._gravity = gravity
+        self._gravity = gravity if zero == "hanging" else -gravity  # to turn the angle by pi turns gravity
+        self._driven: Driven = driven
         self._values = {
             **{f"{field.name}_1": getattr(first, field.name) for field in fields(Link)},
             **{f"{field.name}_2": getattr(second, field.name) for field in fields(Link)},
@@ -112,7 +133,9 @@ class DoublePendulum(Nominal):
     def _compiled(self) -> Kernel:
         """The step with the values that the model has."""
         h = self._time_step / self._sub_steps
-        return Kernel(_steps(self._sub_steps), np.array([h, *_lumped(self._values, self._gravity)]))
+        return Kernel(
+            _steps(self._sub_steps, self._driven), np.array([h, *_lumped(self._values, self._gravity)])
+        )
 
     def with_parameters(self, values: Array) -> DoublePendulum:
         """The model with other values (k,) of its parameters."""
@@ -123,7 +146,7 @@ class DoublePendulum(Nominal):
         return other
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., 4), one time step after x (..., 4) under torques u (..., 2) in N m."""
+        """x_next (..., 4), one time step after x (..., 4) under torques u (..., m) in N m."""
         return elementwise(self.kernel.function, x, u, parameters=self.kernel.parameters)
 
     def energy(self, x: Array) -> Array:
@@ -200,18 +223,30 @@ def _velocities(v, u, at, h, parameters):
     return v[0] + scale * (m_22 * f_1 - m_12 * f_2), v[1] + scale * (m_11 * f_2 - m_12 * f_1)
 
 
+def _on_both(u):
+    """Torques on both joints."""
+    return u[0], u[1]
+
+
+def _on_second(u):
+    """Torques on both joints, of which the first is free."""
+    return 0.0, u[0]
+
+
 @cache
-def _steps(count: int) -> Callable:
+def _steps(count: int, driven: Driven) -> Callable:
     """So many midpoint steps (J. C. Butcher, Numerical Methods for ODEs, 2016, Section 232)."""
+    on_joints = _on_both if driven == "both" else _on_second
 
     def step(x, u, parameters):
         """States a frame after x under u."""
+        torques = on_joints(u)
         q_1, q_2, v_1, v_2 = x
         h = parameters[0]
         for _ in range(count):
-            w_1, w_2 = _velocities((v_1, v_2), u, (q_1, q_2, v_1, v_2), 0.5 * h, parameters)
+            w_1, w_2 = _velocities((v_1, v_2), torques, (q_1, q_2, v_1, v_2), 0.5 * h, parameters)
             middle = (q_1 + 0.5 * h * v_1, q_2 + 0.5 * h * v_2, w_1, w_2)
-            v_1, v_2 = _velocities((v_1, v_2), u, middle, h, parameters)
+            v_1, v_2 = _velocities((v_1, v_2), torques, middle, h, parameters)
             q_1, q_2 = q_1 + h * w_1, q_2 + h * w_2
         return q_1, q_2, v_1, v_2
 

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from simbias.config import compose
+import simbias
+from simbias.config import ConfigError, compose
 from simbias.config.build import construct
 from simbias.interfaces import Nominal, Task
 from simbias.nominal.double_pendulum import DoublePendulum
 from simbias.parameters import values_at
 from simbias.records import Array
 
+UPRIGHT = np.array([np.pi, 0.0, 0.0, 0.0])
 FRICTION = {"damping_1": 0.02, "damping_2": 0.01, "friction_1": 0.16, "friction_2": 0.12}
 
 
@@ -103,3 +105,18 @@ def test_parameters_are_those_of_the_equations() -> None:
     )
     heavier = np.array([p.value * (2 if p.name == "mass_2" else 1) for p in nominal.parameters])
     assert np.abs(nominal.with_parameters(heavier).step(x, u) - nominal.step(x, u)).max() > 1e-4
+
+
+def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:
+    """The first angle counted from the top, the second torque alone."""
+    acrobot = simbias.load(["preset=acrobot", "tracking=none"]).nominal
+    x, u = np.random.default_rng(0).normal(0.0, 0.5, (20, 4)), np.linspace(-2.0, 2.0, 20)[:, None]
+    hanging = model().step(x + UPRIGHT, np.hstack([np.zeros((20, 1)), u]))
+    np.testing.assert_allclose(acrobot.step(x, u) + UPRIGHT, hanging, atol=1e-12)
+
+
+def test_a_task_with_other_inputs_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match="driven=second: expected a task with 4 states and 1 inputs; it has"
+    ):
+        simbias.load(["preset=double_pendulum", "hardware=pymunk", "nominal.driven=second", "tracking=none"])
