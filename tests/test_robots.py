@@ -17,7 +17,7 @@ from simbias.study import Study
 from simbias.testing.conformance import verdicts
 from simbias.trial import run_trial
 
-ROBOTS = ("cartpole", "double_cartpole", "acrobot")
+ROBOTS = ("cartpole", "double_cartpole", "acrobot", "biped")
 
 
 @pytest.mark.slow
@@ -40,6 +40,18 @@ def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() ->
     assert made.frames > 100
     assert np.abs(made.states).max(axis=0)[1] > 0.1
     np.testing.assert_allclose(predicted, made.states[1:], atol=2e-3)
+
+
+def test_a_biped_stands_by_contact_under_stiff_joints_and_falls_without_torque() -> None:
+    """As the model and as the hardware; its plate moves meanwhile."""
+    study = simbias.load(["preset=biped", "tracking=none"])
+    gains = np.array([-300.0, 0.0, -50.0, 0.0, 0.0, -200.0, 0.0, -20.0])
+    theta = np.sign(gains) * np.log1p(np.abs(gains))
+    for made in (study.simulate(theta), study.experiment(theta, np.random.default_rng(0))):
+        assert made.failure is None
+        assert np.ptp(made.states[:, 0]) > 0.03  # m, of the plate
+        assert np.abs(made.states[:, 2]).max() < 2e-3  # m, of the feet off the plate
+    assert study.experiment(np.zeros(8), np.random.default_rng(0)).failure == "leans"
 
 
 @pytest.fixture(scope="module")
