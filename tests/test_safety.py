@@ -134,6 +134,7 @@ def test_a_limit_of_nothing_is_bad_input(override: str, message: str) -> None:
         simbias.load([override, "tracking=none"])
 
 
+@pytest.mark.slow
 def test_limits_are_part_of_a_trials_identity_and_the_question_is_not() -> None:
     def identity(*overrides: str) -> str:
         return simbias.load([*overrides, "tracking=none"]).hash
@@ -188,6 +189,7 @@ def command(*overrides: str) -> list[str]:
     return ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *POINT_MASS, *quick, *overrides]
 
 
+@pytest.mark.slow
 def test_preview_shows_and_draws_the_first_experiment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -202,6 +204,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("answer", "status", "asked"), [("y", SUCCEEDED, 1), ("no", WAITING, 1), (EOFError(), WAITING, 1)]
 )

@@ -36,6 +36,7 @@ def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
     return float(np.sqrt(np.mean(e[:, -1, 2:] ** 2)))
 
 
+@pytest.mark.slow
 def test_it_finds_what_the_model_lacks(study: Study) -> None:
     rng, robot = np.random.default_rng(0), Sprung(study.nominal)
     learned = [experiment(robot, rng, 1500) for _ in range(2)]
@@ -55,6 +56,7 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
     np.testing.assert_allclose(*both, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_where_the_model_is_right_there_is_none(study: Study, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -68,6 +68,7 @@ def test_config_dir_must_exist() -> None:
         compose([], "/no/such/folder")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("group", "option"), OF_STUDIES)
 def test_every_shipped_option_builds(group: str, option: str) -> None:
     component = getattr(simbias.load(["tracking=none", *overrides(group, option)]), group)

@@ -48,6 +48,7 @@ def test_an_option_added_with_its_old_behaviour_as_default_changes_no_trial(
     assert own(tmp_path, version="version = 2") != before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "override",
     [

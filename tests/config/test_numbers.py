@@ -100,6 +100,7 @@ def test_a_number_out_of_its_range_is_one_short_line(override: str) -> None:
     assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = ["evaluation=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=10000"]
     with pytest.raises(ConfigError, match=r"^task\.horizon: 10000000 frames .* 10000 rollouts .* GiB"):
@@ -129,6 +130,7 @@ def test_a_sweep_that_is_too_large_is_refused_at_once(
     assert "100000" in line
 
 
+@pytest.mark.slow
 def test_axes_that_are_too_large_are_refused_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     values = ",".join(map(str, range(1, 400)))
     axes = f"{{bias.d: [{values}], hardware.iterations: [{values}]}}"

@@ -31,6 +31,7 @@ def test_no_private_parts(file: Path) -> None:
     assert [name for name in imports(file) if re.search(r"\._|\.externals", name)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_what_is_imported_is_declared(file: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -146,6 +146,7 @@ ANSWERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ANSWERS)
 def test_what_is_no_trajectory_is_one_line(point_mass: Study, tmp_path: Path, text: str) -> None:
     with pytest.raises(HardwareError) as caught:

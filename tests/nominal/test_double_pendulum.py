@@ -61,6 +61,7 @@ def rollout(nominal: Nominal, x: Array, u: Array, frames: int) -> Array:
     return x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drives", [{}, FRICTION | {"rotor_inertia": 6e-5}])
 def test_a_step_is_the_published_equations(drives: dict[str, float]) -> None:
     """Of order two, friction included: four times the steps, sixteen times less error."""

@@ -24,6 +24,7 @@ def made(study: Study, order: Order) -> Rollout:
     return Rollout(np.array(states), np.array(inputs), None if failure is None else len(inputs), failure)
 
 
+@pytest.mark.slow
 def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
     asked = 0
     while (order := point_mass.ask()) is not None:

@@ -203,6 +203,7 @@ class SpeechlessError(Exception):
 INSTEAD = "HardwareError: Breaking.run: expected a Rollout, got"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "reason"),
     [
@@ -272,6 +273,7 @@ class Odd:
 LONG = np.arange(3000.0) / 7.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("returned", "arrays", "texts"),
     [

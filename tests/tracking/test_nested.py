@@ -36,6 +36,7 @@ def sweep(tmp_path: Path) -> tuple[MlflowClient, str, str]:
     return client, experiment, parent
 
 
+@pytest.mark.slow
 def test_the_tables_are_read_as_mlflow_reads_them(sweep: tuple[MlflowClient, str, str]) -> None:
     client, experiment, parent = sweep
     file = nested.database(client.tracking_uri)
@@ -49,6 +50,7 @@ def test_the_tables_are_read_as_mlflow_reads_them(sweep: tuple[MlflowClient, str
     ]
 
 
+@pytest.mark.slow
 def test_tables_of_another_mlflow_are_read_by_mlflow(
     sweep: tuple[MlflowClient, str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
