@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
 from simbias.config.numbers import Count, Seconds
@@ -151,7 +151,7 @@ class Problem:
         white = self.errors.whiten(errors)
         J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
         by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
-        spread = solve_triangular(np.linalg.qr(self._at(z)[1], "r"), np.eye(p))
+        spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
         H, weights = spread @ spread.T, self.errors.share * self.errors.weights(white)
         for _ in range(COVARIANCES):
             linearised = Linearised.of(by_start, by_parameters @ spread)
@@ -160,8 +160,7 @@ class Problem:
             )
             across = (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
             scattered = H @ np.hstack([np.eye(p), across])
-            upper: Array = np.linalg.qr(scattered.T, mode="r")
-            spread = upper.T
+            spread = qr(scattered.T, mode="economic")[1].T
         return spread
 
     def log_densities(self, z: Array) -> Array:
