@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from simbias.interfaces import Model
-from simbias.records import Rollout, Transitions
+from simbias.records import Array, Rollout, Transitions
 from simbias.simulation.errors import Errors
 from simbias.simulation.open_loop import Windows, World, predict
 from simbias.study import Study
@@ -60,16 +62,26 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, f
     """Of each way to learn, the mean log-likelihood (nats) of a window that it did not learn from.
 
     The experiments or, of few, their parts are left out in turn. The errors of a window are distributed as
-    those are from which was learned (`simbias.simulation.errors`). Nothing if all are too short.
+    those in the others when they are left out (`simbias.simulation.errors`): errors where was learned are too
+    small, the more the more was learned. Nothing if all are too short.
     """
-    folds = _folds(experiments, max(1, round(WINDOW / study.task.time_step)))
+    frames = max(1, round(WINDOW / study.task.time_step))
+    chunk = max(1, round(frames / CHUNKS))
+    folds = _folds(experiments, frames)
+    windows = [Windows.of(fold, frames, chunk) for fold in folds]
     values: dict[str, float] = {}
     for name, way in WAYS.items() if len(folds) > 1 else ():
-        each = [
-            _of_fold(study, way, [r for other in folds if other is not fold for r in other], fold)
-            for fold in folds
+        errors = [
+            _errors(study, way, [r for other in folds if other is not fold for r in other], own)
+            for fold, own in zip(folds, windows, strict=True)
         ]
-        values[name] = sum(total for total, _ in each) / sum(count for _, count in each)
+        total = 0.0
+        for fold, own in enumerate(errors):
+            others = [other for other in range(len(folds)) if other != fold]
+            seen = Windows.of([r for other in others for r in folds[other]], frames, chunk)
+            distribution = Errors.of(np.concatenate([errors[other] for other in others]), seen)
+            total += float(distribution.log_likelihoods(own).sum())
+        values[name] = total / sum(map(len, errors))
     return values
 
 
@@ -78,19 +90,10 @@ def likeliest(values: Mapping[str, float]) -> Way:
     return WAYS[max(values, key=lambda name: values[name])] if values else list(WAYS.values())[-1]
 
 
-def _of_fold(
-    study: Study, way: Way, kept: Sequence[Rollout], left_out: Sequence[Rollout]
-) -> tuple[float, int]:
-    """Log-likelihood of what was left out, summed over windows, and how many these are."""
+def _errors(study: Study, way: Way, kept: Sequence[Rollout], left_out: Windows) -> Array:
+    """Errors (w, J, n) of the windows that were left out."""
     model = learn(study, way, kept, [kept]).model
-    chunk = max(1, round(WINDOW / CHUNKS / study.task.time_step))
-    frames = max(1, round(WINDOW / study.task.time_step))
-    errors = []
-    for rollouts in (kept, left_out):
-        windows = Windows.of(rollouts, frames, chunk)
-        errors.append((windows, predict([World(model.nominal)], windows, model.bias)[0] - windows.means))
-    distribution = Errors.of(errors[0][1], errors[0][0])
-    return float(distribution.log_likelihoods(errors[1][1]).sum()), len(errors[1][1])
+    return predict([World(model.nominal)], left_out, model.bias)[0] - left_out.means
 
 
 def _folds(experiments: Sequence[Rollout], least: int) -> list[list[Rollout]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import replace
 from typing import final
@@ -66,13 +66,16 @@ class LagrangianBongoboard(Nominal):
         self._declared = declared(task.robot, foot_mass)
         self.parameters = tuple(priors(task.robot, float(task.input_limit[0]), uncertainty))
         self._names = [parameter.name for parameter in self.parameters]
-        self._build({})
+        self._build({}, self._names if sampled is None else sampled)
 
-    def _build(self, values: Mapping[str, float]) -> None:
-        """Take values of some parameters, the others as declared, for the kernel."""
+    def _build(self, values: Mapping[str, float], present: Collection[str]) -> None:
+        """Take values of some parameters, the others as declared, for the kernel.
+
+        Of losses, payload and motor, it has those that are present, or none if none of a kind is.
+        """
         known = {**self._declared, **values}
         robot = replace(self._robot, **{name: known[name] for name in MASSES})
-        self._is_disturbed = not MECHANICAL.keys().isdisjoint(self._names)
+        self._is_disturbed = not MECHANICAL.keys().isdisjoint(present)
         if self._is_disturbed:
             parameters = bongoboard_losses.parameters(robot, self._time_step, known)
             mechanics = Kernel(bongoboard_losses.step, parameters)
@@ -81,7 +84,8 @@ class LagrangianBongoboard(Nominal):
             mechanics = Kernel(bongoboard_equations.step, np.concatenate(([self._time_step], lumped)))
         self._mechanics = self.kernel = mechanics
         self._actuators: Actuators | None = None
-        if not MOTOR.keys().isdisjoint(self._names):
+        self.memory_size = 0
+        if not MOTOR.keys().isdisjoint(present):
             self._actuators = Actuators(
                 [Actuator(*(known[name] for name in MOTOR))], self._time_step, self._taps
             )
@@ -90,8 +94,12 @@ class LagrangianBongoboard(Nominal):
 
     def with_parameters(self, values: Array) -> LagrangianBongoboard:
         """The model with other values (k,) of its `parameters`."""
+        return self._with(dict(zip(self._names, values.tolist(), strict=True)), self._names)
+
+    def _with(self, values: Mapping[str, float], present: Collection[str]) -> LagrangianBongoboard:
+        """Another model, as `_build` makes it."""
         changed = copy(self)
-        changed._build(dict(zip(self._names, values.tolist(), strict=True)))
+        changed._build(values, present)
         return changed
 
     def draw(self, rng: np.random.Generator) -> LagrangianBongoboard:
@@ -110,8 +118,9 @@ class LagrangianBongoboard(Nominal):
         ]
         values = values_at(others, rng.standard_normal(len(others))).tolist()
         drawn |= {parameter.name: value for parameter, value in zip(others, values, strict=True)}
-        known = self._declared | drawn
-        return self.with_parameters(np.array([known[name] for name in self._names]))
+        return self._with(
+            drawn, [each.name for each in self.parameters if getattr(uncertainty, each.name, 0)]
+        )
 
     def step(self, x: Array, u: Array) -> Array:
         """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""

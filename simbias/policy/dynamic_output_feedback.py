@@ -1,4 +1,4 @@
-"""Output feedback with memory: a filter, an integral, and the last inputs."""
+"""Output feedback with memory: a filter, an integral, and the last inputs; and with a constant."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ FilterSeconds = Annotated[float, Field(ge=0, le=10)]
 IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
 DelaySeconds = Annotated[float, Field(ge=0, le=1)]
 DelayRate = Annotated[float, Field(gt=0, le=1e6)]  # 1/s
+Constant = Annotated[float, Field(ge=0, le=1)]
 
 
 @final
 class DynamicOutputFeedback(Policy):
-    """u = H (y + rho w) + g s within the task's limits, a law that remembers; H as in Eq. 9 and 10.
+    """u = H (y + rho w) + g s + u_0 within the task's limits, a law that remembers; H as in Eq. 9 and 10.
 
     y are the outputs z, those of them that are rates through a low-pass filter of the time constant tau; w is
     the integral over time of some outputs; s is the integral of the law's own inputs over the last
-    `delay_seconds`. tau, rho and g are searched with H: three parameters more, with one input. What is
+    `delay_seconds`. tau, rho, g and u_0 are searched with H: four parameters more, with one input. What is
     switched off has none.
 
     - The filter keeps a sensor's noise out of the input, and delays it.
@@ -36,6 +37,7 @@ class DynamicOutputFeedback(Policy):
     - The inputs that were sent, but do not show in the measured state yet, say where the state will be: where
       the input B u acts after a delay, z + B s is the state that it will meet, to first order in the delay,
       and g = H B compensates the delay.
+    - The constant u_0 balances a steady load from the first frame on, before an integral has grown.
 
     Parameters
     ----------
@@ -51,6 +53,8 @@ class DynamicOutputFeedback(Policy):
         How far back the law remembers its inputs, in s; 0: not at all.
     delay_rate
         |g| <= delay_rate, in 1/s.
+    constant
+        |u_0| <= constant, as a share of the task's limits; 0: none.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class DynamicOutputFeedback(Policy):
         integrated: list[str] | None = None,
         delay_seconds: DelaySeconds = 0.0,
         delay_rate: DelayRate = 100.0,
+        constant: Constant = 0.0,
     ) -> None:
         names = [output.name for output in task.outputs]
         chosen = names[:1] if integrated is None else integrated
@@ -80,6 +85,10 @@ class DynamicOutputFeedback(Policy):
                 lower, upper = [*lower, 0.0], [*upper, most]
         if self._delay:
             lower, upper = [*lower, *[-delay_rate] * m], [*upper, *[delay_rate] * m]
+        self._constant = constant > 0
+        if constant > 0:
+            most_input = (constant * task.input_limit).tolist()
+            lower, upper = [*lower, *(-u for u in most_input)], [*upper, *most_input]
         self.bounds = np.array(lower), np.array(upper)
         self.n_parameters = len(lower)
         self.memory_size = 2 * q + self._delay * m
@@ -89,12 +98,12 @@ class DynamicOutputFeedback(Policy):
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the memory: y (q), rho w (q), last inputs (m d)."""
         q, m, d = self._q, self._m, self._delay
-        H, smoothing, gathering, g = self._parameters(theta)
+        H, smoothing, gathering, g, u_0 = self._parameters(theta)
         z, limit = self.outputs(x), self._task.input_limit
         before, w, past = memory[..., :q], memory[..., q : 2 * q], memory[..., 2 * q :]
         y = before + smoothing * (z - before)
         past = past.reshape(*past.shape[:-1], m, d)
-        asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1)
+        asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1) + u_0
         u = np.clip(asked, -limit, limit)
         free = (u == asked).all(axis=-1, keepdims=True)
         sent = np.concatenate([u[..., None], past], axis=-1)[..., :d]
@@ -105,12 +114,12 @@ class DynamicOutputFeedback(Policy):
         """Outputs z (..., q) at states x (..., n)."""
         return self._task.output(x)
 
-    def _parameters(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """H (..., m, q); what y and rho w take of z in a frame, (..., q) each; g in 1/frame, (..., m)."""
+    def _parameters(self, theta: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""
         h, rest = np.split(np.asarray(theta, dtype=np.float64), [self._m * self._q], axis=-1)
         leading, dt = h.shape[:-1], self._task.time_step
         smoothing, gathering = np.ones((*leading, self._q)), np.zeros((*leading, self._q))
-        g = np.zeros((*leading, self._m))
+        g = u_0 = np.zeros((*leading, self._m))
         if self._filters:
             tau, rest = rest[..., :1], rest[..., 1:]
             with np.errstate(divide="ignore"):
@@ -119,8 +128,10 @@ class DynamicOutputFeedback(Policy):
             rho, rest = rest[..., :1], rest[..., 1:]
             gathering = dt * rho * self._integrated
         if self._delay:
-            g = dt * rest
-        return signed_exponential(h).reshape(*leading, self._m, self._q), smoothing, gathering, g
+            g, rest = dt * rest[..., : self._m], rest[..., self._m :]
+        if self._constant:
+            u_0 = rest
+        return signed_exponential(h).reshape(*leading, self._m, self._q), smoothing, gathering, g, u_0
 
     def _compiled(self, thetas: Array) -> Kernel:
         """The policies (k, p); parameters: the limits, H row by row, and the rest as `_parameters` has it."""
@@ -133,12 +144,13 @@ class DynamicOutputFeedback(Policy):
 def _law(m: int, q: int, d: int) -> Callable:
     """The kernel of m inputs, q outputs and d frames; see `DynamicOutputFeedback.act`."""
     smoothing, gathering, g = m + m * q, m + m * q + q, m + m * q + 2 * q  # where they begin
+    constant = g + m
 
     def smooth(j, z, p, memory):
         return memory[j] + p[smoothing + j] * (z[j] - memory[j])
 
     def ask(i, y, p, memory):
-        u, past = 0.0, 0.0
+        u, past = p[constant + i], 0.0
         for j in range(q):
             u += p[m + i * q + j] * (y[j] + memory[q + j])
         for k in range(d):

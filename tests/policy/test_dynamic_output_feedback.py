@@ -117,6 +117,7 @@ def test_the_last_inputs_predict_a_delayed_state() -> None:
 
 
 ALL = ["filter_seconds=0.02", "integral_rate=1.0", "integrated=[x_p,alpha_f]", "delay_seconds=0.004"]
+ALL += ["constant=0.1"]
 
 
 @pytest.mark.slow
@@ -129,7 +130,7 @@ def test_compiled_rollouts_are_the_plain_ones() -> None:
     model = study.model(ZeroBias(6))
     compiled, plain = simulator(model, noise), PlainSimulator([model], [noise])
     assert isinstance(compiled, CompiledSimulator)
-    thetas = np.array([[9, 5, -7, -2, -5, 0.003, 0.5, -20.0], [3, 1, -3, 2, -8, 0.0, 0.0, 50.0]])
+    thetas = np.array([[9, 5, -7, -2, -5, 0.003, 0.5, -20.0, 3.0], [3, 1, -3, 2, -8, 0.0, 0.0, 50.0, -4.0]])
     starts = np.array([study.task.start_mean, 0.5 * study.task.start_mean])
     for fast, slow in zip(compiled.rollouts(thetas, starts), plain.rollouts(thetas, starts), strict=True):
         np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-6, atol=1e-8)
