@@ -3,7 +3,7 @@
 `python tests/studies/robots.py FILE PRESET ... [--seeds 10] [--experiments 40] [--ways WAY ...]` tries, for
 each preset and seed,
 
-- `preset`: the preset as it stands; `paper`: the paper's method; `robust`: that of `preset=robust`;
+- `preset`: the preset as it stands; `paper`: the paper's method; `robust`: that of `+sweep=table2_robust`;
 - `lqr`: LQR from the nominal model, linearised at the equilibrium;
 - `least_squares`: LQR from a linear model of the data, at first the nominal model's policy; fitted anew and
   tried again after each experiment that fails, with the nominal model as prior;
