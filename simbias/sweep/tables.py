@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from itertools import zip_longest
 from math import isnan, nan
 from typing import Any, NamedTuple
@@ -43,12 +44,15 @@ LATER: dict[str, Any] = {  # columns that trials of earlier versions lack
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
-    sample = np.sort(np.asarray(values, dtype=np.float64))
-    if len(sample) < 2:
-        return nan, nan
+    return _interval(tuple(sorted(values))) if len(values) > 1 else (nan, nan)
+
+
+@lru_cache(maxsize=1000)
+def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
+    """Of values in order; notes, tables and figures of a sweep ask for the same ones."""
     rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
     for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
-        some[:] = rng.choice(sample, (len(some), len(sample))).mean(axis=1)
+        some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(means, [tail, 100.0 - tail])
     return float(low), float(high)
