@@ -90,7 +90,7 @@ CONVERTED: dict[str, Callable[[Rollout], Any]] = {  # without loss
         inputs=rollout.inputs.tolist(),  # type: ignore[arg-type]
     ),
     "Fortran order": lambda rollout: replace(rollout, states=np.asfortranarray(rollout.states)),
-    "NumPy's truth": lambda rollout: replace(rollout, sensed=np.bool_(False)),  # type: ignore[arg-type]
+    "NumPy truth": lambda rollout: replace(rollout, sensed=np.bool_(False)),  # type: ignore[arg-type]
     "its own cost": lambda rollout: replace(rollout, cost={}, parameters=None),  # type: ignore[arg-type]
 }
 

@@ -265,6 +265,6 @@ def test_help_lists_what_is_in_an_own_folder(capsys: pytest.CaptureFixture[str],
         with pytest.raises(SystemExit):
             main(arguments)
     first, second = capsys.readouterr().out.split("usage:")[1:]
-    assert "  nominal        bongoboard | cartpole" in first
+    assert "  nominal        bongoboard | acrobot" in first
     assert "| none | point_mass\n" in first
     assert "| mine |" in second

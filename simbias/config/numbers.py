@@ -65,7 +65,7 @@ def frames_in(span: Span, time_step: float) -> int:
 
 # What has none, or any.
 Share = Annotated[float, Field(gt=0, le=1)]
-Deviation = Annotated[float, Field(gt=0, le=100)]  # in units of a box's width
+Deviation = Annotated[float, Field(ge=1e-6, le=100)]  # in units of a box's width
 Spread = Annotated[float, Field(ge=0, le=5)]  # standard deviation of a logarithm
 Scale = Annotated[float, Field(ge=1e-9, le=1e9)]  # what other numbers are divided by
 Positive = Annotated[float, Field(gt=0, le=1e9)]

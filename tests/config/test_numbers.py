@@ -100,6 +100,12 @@ def test_a_number_out_of_its_range_is_one_short_line(override: str) -> None:
     assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
 
 
+def test_a_deviation_of_next_to_nothing_is_refused() -> None:
+    """CMA-ES could not begin with it."""
+    with pytest.raises(ConfigError, match=r"^optimizer\.initial_deviation: must be greater than"):
+        simbias.load(["optimizer=cma", "optimizer.initial_deviation=5e-324", "tracking=none"])
+
+
 @pytest.mark.slow
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = ["evaluation=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=10000"]
