@@ -10,8 +10,8 @@ import numpy as np
 from simbias.checks import check_rollout
 from simbias.interfaces import Hardware, Optimizer, Policy, Task, Waiting
 from simbias.orders.order import Order
+from simbias.recollection import RecallingOptimizer
 from simbias.records import Array, Iteration, Optimum, Rollout
-from simbias.search import Evaluations
 
 Run = Callable[[Hardware, Optimizer], Iterator[Iteration]]  # a trial with these
 
@@ -96,37 +96,23 @@ class _Told(Hardware):
         return rollout
 
 
-class _Remembering(Optimizer):
-    """An optimizer that searches but once."""
+class _Remembering(RecallingOptimizer):
+    """An optimizer that remembers, as long as the dialogue lasts."""
 
     def __init__(self, optimizer: Optimizer) -> None:
-        self._optimizer = optimizer
-        self._found: list[Optimum] = []
+        super().__init__(optimizer)
+        self._optima: list[Optimum] = []
         self._next = 0
-        self.max_evaluations = optimizer.max_evaluations
-        self.relative_tolerance = optimizer.relative_tolerance
-        self.max_steps, self.max_seconds = optimizer.max_steps, optimizer.max_seconds
 
     def begin(self) -> None:
         """The trial begins anew."""
         self._next = 0
 
-    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """Search as the optimizer does."""
-        return self._optimizer.search(evaluations, rng)
-
-    def minimize(
-        self,
-        objective: Callable[[Array], float],
-        lower: Array,
-        upper: Array,
-        rng: np.random.Generator,
-        satisfactory: float = np.inf,
-        candidates: Sequence[Array] = (),
-    ) -> Optimum:
-        """The optimum, or the one that was found in its place before."""
-        if self._next == len(self._found):
-            found = self._optimizer.minimize(objective, lower, upper, rng, satisfactory, candidates)
-            self._found.append(found)
+    def recall(self) -> Optimum | None:
+        """The next one."""
         self._next += 1
-        return self._found[self._next - 1]
+        return self._optima[self._next - 1] if self._next <= len(self._optima) else None
+
+    def keep(self, optimum: Optimum) -> None:
+        """Remember it."""
+        self._optima.append(optimum)

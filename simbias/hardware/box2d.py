@@ -2,52 +2,42 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Annotated, Any, final
+from typing import Any, final
 
 import numpy as np
-from pydantic import Field
 
 from simbias.config.numbers import Count
-from simbias.hardware.bongoboard_running import Running, motion
-from simbias.hardware.loop import Record, experiment
-from simbias.hardware.pymunk_world import inertias
-from simbias.interfaces import Hardware, HardwareError, Policy
-from simbias.messages import words
-from simbias.records import Array, Rollout
-from simbias.simulation.noise import QUIET, Noise, Variances
+from simbias.extras import library
+from simbias.hardware.bongoboard_bodies import (
+    BOARD,
+    FLOOR,
+    FLOOR_END,
+    FOOT,
+    SETTLING_STEPS,
+    TOUCHES,
+    WHEEL,
+    Place,
+    inertias,
+    motion,
+)
+from simbias.hardware.bongoboard_engine import Depth, EngineBongoboard, InertiaError
+from simbias.hardware.loop import Record
+from simbias.records import Array
+from simbias.simulation.noise import QUIET, Variances
 from simbias.task.bongoboard import Bongoboard
 
-EXTRA = "pip install 'simbias[box2d]'"
 UNIT = 0.01  # m: the engine lets bodies overlap by 0.005 of its units, whatever they are
 SKIN = 0.01  # units by which it surrounds polygons and edges
 OVERLAP = 0.005 * UNIT  # m
-SETTLING_STEPS = 20  # of the first frame, repeated: the solver goes on from the forces it last found
-FLOOR_END = 10.0  # m, on either side
-
-# What touches what; legs and pelvis have no shape.
-_FLOOR, _WHEEL, _BOARD, _FOOT = 1, 2, 4, 8
-_TOUCHES = {_FLOOR: _WHEEL | _BOARD, _WHEEL: _FLOOR | _BOARD, _BOARD: _FLOOR | _WHEEL | _FOOT, _FOOT: _BOARD}
 
 
-@cache
 def box2d() -> Any:
-    """The library.
-
-    Raises
-    ------
-    ValueError
-        If it is not installed; the line says how to install it.
-    """
-    try:
-        import Box2D
-    except ImportError as error:
-        raise ValueError(f"Box2D is not installed ({words(error)}): {EXTRA}") from error
-    return Box2D
+    """The library."""
+    return library("Box2D", "Box2D", "box2d")
 
 
 @final
-class Box2dBongoboard(Hardware):
+class Box2dBongoboard(EngineBongoboard):
     """Wheel, board, foot plate, two legs and pelvis as rigid bodies; the plate stands by contact.
 
     The engine works in single precision. A step finds velocities first and then moves by them, as that of the
@@ -77,26 +67,16 @@ class Box2dBongoboard(Hardware):
     def __init__(
         self,
         task: Bongoboard,
-        inertia_error: Annotated[float, Field(ge=-0.99, le=100)] = 0.0,
+        inertia_error: InertiaError = 0.0,
         noise: Variances = QUIET,
         record: Record = "true_state",
         iterations: Count = 100,
-        detachment: Annotated[float, Field(ge=1e-9, le=1.0)] = 1e-3,
+        detachment: Depth = 1e-3,
     ) -> None:
         box2d()
-        self._task = task
+        super().__init__(task, noise, record, detachment)
         self._scale = 1.0 + inertia_error
-        self._noise = Noise(task, noise)
-        self._record = record
         self._iterations = iterations
-        self._detachment = detachment
-
-    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,) from start (6,); its cost is not set."""
-        if not np.isfinite(start).all():
-            raise HardwareError(f"the robot cannot start at {start}")
-        robot = Running(self._task, self.build, start, self._detachment)
-        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
 
     def build(self, start: Array) -> World:
         """The engine's world at a start (6,), as an experiment begins with it."""
@@ -111,7 +91,7 @@ class World:
         robot = task.robot
         world = self._world = box2d().b2World(gravity=(0.0, -robot.gravity / UNIT), doSleep=False)
         world.continuousPhysics = False
-        begin = motion(task, start, OVERLAP)
+        begin = motion(task, start, "plate", OVERLAP)
         self.bodies = bodies = {name: world.CreateDynamicBody() for name in inertias(robot, "plate", scale)}
         self._put(begin)
         self._add_shapes(task)
@@ -145,14 +125,14 @@ class World:
         end = FLOOR_END / UNIT
         floor = engine.b2EdgeShape(vertices=[(-end, -SKIN), (end, -SKIN)])
         shapes = (
-            (_FLOOR, self._world.CreateStaticBody(), floor),
-            (_WHEEL, self.bodies["wheel"], engine.b2CircleShape(radius=robot.wheel_radius / UNIT)),
-            (_BOARD, self.bodies["board"], box(robot.board_length, robot.board_thickness)),
-            (_FOOT, self.bodies["foot"], box(robot.foot_length, robot.ankle_height)),
+            (FLOOR, self._world.CreateStaticBody(), floor),
+            (WHEEL, self.bodies["wheel"], engine.b2CircleShape(radius=robot.wheel_radius / UNIT)),
+            (BOARD, self.bodies["board"], box(robot.board_length, robot.board_thickness)),
+            (FOOT, self.bodies["foot"], box(robot.foot_length, robot.ankle_height)),
         )
         for kind, body, shape in shapes:
             fixture = engine.b2FixtureDef(shape=shape, friction=robot.friction, density=0.0, restitution=0.0)
-            fixture.categoryBits, fixture.maskBits = kind, _TOUCHES[kind]
+            fixture.categoryBits, fixture.maskBits = kind, TOUCHES[kind]
             body.CreateFixture(fixture)
 
     def step(self, torque: float) -> None:
@@ -171,10 +151,8 @@ class World:
         )
         return np.column_stack([wheel, board - wheel, (left + right) / 2 - board]).ravel()
 
-    def wheel_and_board(self) -> tuple[Array, Array]:
-        """Centre x, y (m) and global angle of wheel and board, (3,) each."""
-        wheel, board = (
-            np.array([*(UNIT * body.worldCenter), body.angle])
-            for body in (self.bodies["wheel"], self.bodies["board"])
-        )
-        return wheel, board
+    def wheel_and_board(self) -> tuple[Place, Place]:
+        """Centre x, y (m) and global angle of wheel and board."""
+        wheel, board = self.bodies["wheel"], self.bodies["board"]
+        (wheel_x, wheel_y), (x, y) = wheel.worldCenter, board.worldCenter
+        return (UNIT * wheel_x, UNIT * wheel_y, wheel.angle), (UNIT * x, UNIT * y, board.angle)

@@ -8,7 +8,8 @@ from typing import Annotated, Any, final
 import numpy as np
 from pydantic import Field
 
-from simbias.hardware.loop import Record, experiment
+from simbias.extras import library
+from simbias.hardware.loop import Record, Robot, experiment
 from simbias.interfaces import Hardware, HardwareError, Policy, Task
 from simbias.messages import quote, words
 from simbias.records import Array, Rollout
@@ -17,7 +18,6 @@ from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.task.mjcf_parameters import Factors, Values, changes, put_values
 
 TERMINATED = "terminated"  # a failure that only the environment knows of
-EXTRA = "pip install 'simbias[gymnasium]'"
 ExpressionList = Annotated[list[Expression], Field(min_length=1)]
 
 
@@ -127,7 +127,7 @@ class Gymnasium(Hardware):
                 raise HardwareError(f"the robot cannot start at {start}")
             self._start(start)
             x = start
-        robot = _Running(self._environment, self._states, self._action, x)
+        robot = _Running(self._task, self._environment, self._states, self._action, x)
         return experiment(self._task, robot, policy, theta, noise, self._record)
 
 
@@ -168,32 +168,36 @@ class _Action:
         return round(float(action[0])) if self._discrete else action
 
 
-class _Running:
+class _Running(Robot):
     """The environment under way."""
 
-    def __init__(self, environment: Any, states: Expressions, action: _Action, start: Array) -> None:
+    def __init__(
+        self, task: Task, environment: Any, states: Expressions, action: _Action, start: Array
+    ) -> None:
+        self._task = task
         self._environment = environment
         self._states = states
         self._action = action
         self._x = start
+        self._terminated = False
 
     def state(self) -> Array:
         """The state (n,)."""
         return self._x
 
-    def step(self, u: Array) -> str | None:
+    def step(self, u: Array) -> None:
         """One step under the input u (m,)."""
-        observation, _, terminated, _, _ = self._environment.step(self._action(u))
+        observation, _, self._terminated, _, _ = self._environment.step(self._action(u))
         self._x = self._states(np.asarray(observation, dtype=np.float64))
-        return TERMINATED if terminated else None
+
+    def failure(self) -> str | None:
+        """The task's criterion that it violates, or that it says `terminated`."""
+        return self._task.failure(self._x) or (TERMINATED if self._terminated else None)
 
 
 def _make(name: str, options: dict[str, Any]) -> Any:
     """The environment."""
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise ValueError(f"Gymnasium is not installed ({words(error)}): {EXTRA}") from error
+    gymnasium = library("gymnasium", "Gymnasium", "gymnasium")
     if ":" in name:  # whose first part would be imported
         raise ValueError(f"{quote(name)} names a module; only registered environments are made")
     try:

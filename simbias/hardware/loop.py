@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+import math
+from abc import ABC, abstractmethod
+from typing import Literal
 
 import numpy as np
 
@@ -13,14 +15,24 @@ Record = Literal["true_state", "measured"]
 BLOW_UP = "physics_engine_blew_up"
 
 
-class Robot(Protocol):
+class Robot(ABC):
     """A robot under way."""
 
+    @abstractmethod
     def state(self) -> Array:
         """The true state (n,)."""
 
-    def step(self, u: Array) -> str | None:
-        """One frame under the input u (m,); the name of a failure that only the robot knows of, if any."""
+    @abstractmethod
+    def step(self, u: Array) -> None:
+        """One frame under the input u (m,)."""
+
+    @abstractmethod
+    def failure(self) -> str | None:
+        """Name of the criterion that it violates, if any."""
+
+    def reading(self) -> Array:
+        """What sensors without noise say of the state (n,)."""
+        return self.state()
 
 
 def experiment(
@@ -36,24 +48,24 @@ def experiment(
         If the policy asks for what is no number.
     """
     states = [robot.state()]
-    measured = [states[0] + noise.sensors[0]]
+    measured = [robot.reading() + noise.sensors[0]]
     inputs: list[Array] = []
-    failure = task.failure(states[0])
+    failure = robot.failure()
     controller = policy.controller(theta, task.time_step)
     while failure is None and len(inputs) < task.horizon:
         t = len(inputs)
         u = controller(measured[t])
-        if not np.isfinite(u).all():
+        if not _is_finite(u):
             raise HardwareError(f"in frame {t} the policy asks for an input of {u.tolist()}")
-        own = robot.step(u + noise.inputs[t])
+        robot.step(u + noise.inputs[t])
         x = robot.state()
-        if not np.isfinite(x).all():
+        if not _is_finite(x):
             failure = BLOW_UP  # x is no state; the record ends with the one before
             break
         inputs.append(u)
         states.append(x)
-        measured.append(x + noise.sensors[t + 1])
-        failure = task.failure(x) or own
+        measured.append(robot.reading() + noise.sensors[t + 1])
+        failure = robot.failure()
     seen = np.array(measured)
     return Rollout(
         states=seen if record == "measured" else np.array(states),
@@ -63,3 +75,8 @@ def experiment(
         measured=seen,
         sensed=record == "measured",
     )
+
+
+def _is_finite(values: Array) -> bool:
+    """Whether all of few numbers (n,) are finite; quicker than in NumPy."""
+    return all(map(math.isfinite, values.tolist()))

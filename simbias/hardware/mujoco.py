@@ -7,7 +7,7 @@ from typing import Annotated, final
 import numpy as np
 from pydantic import Field
 
-from simbias.hardware.loop import Record, experiment
+from simbias.hardware.loop import Record, Robot, experiment
 from simbias.interfaces import Hardware, HardwareError, Policy, Task
 from simbias.records import Array, Rollout
 from simbias.simulation.noise import QUIET, Noise, Variances
@@ -59,14 +59,15 @@ class Mujoco(Hardware):
         """One experiment with theta (p,) from start (n,); its cost is not set."""
         if not np.isfinite(start).all():
             raise HardwareError(f"the robot cannot start at {start}")
-        robot = _Running(self._robot, start, self._delay)
+        robot = _Running(self._task, self._robot, start, self._delay)
         return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
 
 
-class _Running:
+class _Running(Robot):
     """The engine under way."""
 
-    def __init__(self, robot: Mechanism, start: Array, delay: int) -> None:
+    def __init__(self, task: Task, robot: Mechanism, start: Array, delay: int) -> None:
+        self._task = task
         self._robot = robot
         self._engine = mujoco()
         self._data = self._engine.MjData(robot.model)
@@ -86,3 +87,7 @@ class _Running:
         self._waiting.append(self._robot.controls(u[None])[0])
         self._data.ctrl[:] = self._waiting.pop(0)
         self._engine.mj_step(self._robot.model, self._data, nstep=self._robot.substeps)
+
+    def failure(self) -> str | None:
+        """The task's criterion that it violates."""
+        return self._task.failure(self.state())

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, final
+from typing import final
 
 import numpy as np
-from pydantic import Field
 
 from simbias.config.numbers import Count
-from simbias.hardware.bongoboard_running import Running, motion
-from simbias.hardware.loop import Record, experiment
-from simbias.hardware.pymunk_world import inertias
-from simbias.interfaces import Hardware, HardwareError, Policy
-from simbias.records import Array, Rollout
-from simbias.simulation.noise import QUIET, Noise, Variances
+from simbias.hardware.bongoboard_bodies import Place, inertias, motion
+from simbias.hardware.bongoboard_engine import Depth, EngineBongoboard, InertiaError
+from simbias.hardware.loop import Record
+from simbias.records import Array
+from simbias.simulation.noise import QUIET, Variances
 from simbias.task.bongoboard import Bongoboard
 from simbias.task.mjcf_parameters import mujoco
 
@@ -24,7 +22,7 @@ OVERLAP = 2e-6  # m at the start, so that bodies touch from the first frame on
 
 
 @final
-class MujocoBongoboard(Hardware):
+class MujocoBongoboard(EngineBongoboard):
     """Wheel, board, foot plate, two legs and pelvis as rigid bodies, each of which moves in one plane.
 
     Wheel, board and plate touch by contacts with three-dimensional friction; the parallelogram of legs and
@@ -54,26 +52,16 @@ class MujocoBongoboard(Hardware):
     def __init__(
         self,
         task: Bongoboard,
-        inertia_error: Annotated[float, Field(ge=-0.99, le=100)] = 0.0,
+        inertia_error: InertiaError = 0.0,
         noise: Variances = QUIET,
         record: Record = "true_state",
         steps: Count = 2,
-        detachment: Annotated[float, Field(ge=1e-9, le=1.0)] = 1e-3,
+        detachment: Depth = 1e-3,
     ) -> None:
-        self._task = task
+        super().__init__(task, noise, record, detachment)
         self._steps = steps
         self._text = mjcf(task, 1.0 + inertia_error, steps)
         self.model = mujoco().MjModel.from_xml_string(self._text)
-        self._noise = Noise(task, noise)
-        self._record = record
-        self._detachment = detachment
-
-    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment with theta (p,) from start (6,); its cost is not set."""
-        if not np.isfinite(start).all():
-            raise HardwareError(f"the robot cannot start at {start}")
-        robot = Running(self._task, self.build, start, self._detachment)
-        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
 
     def build(self, start: Array) -> World:
         """The engine's world at a start (6,), as an experiment begins with it."""
@@ -90,7 +78,7 @@ class World:
     def __init__(self, task: Bongoboard, model: object, start: Array, steps: int) -> None:
         self._model, self._steps = model, steps
         self.data = mujoco().MjData(model)
-        begin = motion(task, start, OVERLAP)
+        begin = motion(task, start, "plate", OVERLAP)
         for values, part in ((self.data.qpos, 0), (self.data.qvel, 1)):
             foot, leg = begin["foot"][part][2], begin["left leg"][part][2]
             bodies = (begin[name][part] for name in ("wheel", "board", "foot"))
@@ -107,9 +95,10 @@ class World:
         wheel, board, leg = both[:, 2], both[:, 5], both[:, 8] + both[:, LEGS].mean(axis=1)
         return np.stack([wheel, board - wheel, leg - board], axis=1).ravel()
 
-    def wheel_and_board(self) -> tuple[Array, Array]:
-        """Centre x, y (m) and global angle of wheel and board, (3,) each."""
-        return self.data.qpos[:3].copy(), self.data.qpos[3:6].copy()
+    def wheel_and_board(self) -> tuple[Place, Place]:
+        """Centre x, y (m) and global angle of wheel and board."""
+        places = self.data.qpos.tolist()
+        return places[:3], places[3:6]
 
 
 def mjcf(task: Bongoboard, scale: float, steps: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -38,6 +39,6 @@ class Sensor:
         self._offset = np.array([offsets.get(name, 0.0) for name in names])
         self._delay = delay
 
-    def read(self, states: Array, t: int) -> Array:
-        """What it says (n,) in frame t of the states (t+1 or more, n) so far; at first, of the start."""
+    def read(self, states: Sequence[Array], t: int) -> Array:
+        """What it says (n,) in frame t of the states so far, t + 1 of (n,); at first, of the start."""
         return states[max(0, t - self._delay)] + self._offset

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from functools import cache
@@ -10,29 +11,21 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from simbias.messages import quote, words
+from simbias.extras import library
+from simbias.messages import quote
 
 # By name, `*` for any: `{"*.mass": 1.3}`.
 Values = dict[str, Annotated[float, Field(ge=0, le=1e6)]]
 Factors = dict[str, Annotated[float, Field(gt=0, le=1e3)]]
 UNNAMED = ("", "world")  # what has no parameters
-EXTRA = "pip install 'simbias[mujoco]'"
 
 
 @cache
 def mujoco() -> Any:
-    """The library.
-
-    Raises
-    ------
-    ValueError
-        If it is not installed; the line says how to install it.
-    """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ValueError(f"MuJoCo is not installed ({words(error)}): {EXTRA}") from error
-    return mujoco
+    """The library; it warns of unstable simulations in the log, not in a file of the current folder."""
+    engine = library("mujoco", "MuJoCo", "mujoco")
+    engine.set_mju_user_warning(logging.getLogger(__name__).info)
+    return engine
 
 
 class Quantity(NamedTuple):

@@ -28,8 +28,8 @@ from simbias.config.errors import ConfigError
 from simbias.experiments import Conditions, Conducted
 from simbias.interfaces import Hardware, Optimizer, Policy, Task
 from simbias.messages import words
+from simbias.recollection import RecallingOptimizer
 from simbias.records import Array, Optimum, Rollout
-from simbias.search import Evaluations
 from simbias.study import Study
 from simbias.tracking.files import load_rollout, raw_parts, save_arrays, save_rollout
 from simbias.trial import Recorder, TrialRecord
@@ -187,38 +187,25 @@ class KeptHardware(Conducted):
         return f"; it is kept in {paths[0]} and {paths[1].suffix}"
 
 
-class KeptOptimizer(Optimizer):
-    """An optimizer whose optima are kept, and searched but once."""
+class KeptOptimizer(RecallingOptimizer):
+    """An optimizer whose optima are on disk before anyone sees them."""
 
     def __init__(self, optimizer: Optimizer, journal: Journal) -> None:
-        self._optimizer = optimizer
+        super().__init__(optimizer)
         self._journal = journal
-        self.max_evaluations = optimizer.max_evaluations
-        self.relative_tolerance = optimizer.relative_tolerance
-        self.max_steps, self.max_seconds = optimizer.max_steps, optimizer.max_seconds
 
-    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """Search as the optimizer does."""
-        return self._optimizer.search(evaluations, rng)
-
-    def minimize(
-        self,
-        objective: Callable[[Array], float],
-        lower: Array,
-        upper: Array,
-        rng: np.random.Generator,
-        satisfactory: float = np.inf,
-        candidates: Sequence[Array] = (),
-    ) -> Optimum:
-        """The optimum, or the one that was found in its place before."""
+    def recall(self) -> Optimum | None:
+        """The next one of the journal."""
         path = self._journal.recall(SEARCH)
-        if path is not None:
-            fields = json.loads(path.read_text())
-            return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
-        optimum = self._optimizer.minimize(objective, lower, upper, rng, satisfactory, candidates)
+        if path is None:
+            return None
+        fields = json.loads(path.read_text())
+        return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
+
+    def keep(self, optimum: Optimum) -> None:
+        """Write it into the journal."""
         fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
         self._journal.keep(SEARCH, lambda file: file.write(json.dumps(fields).encode()))
-        return optimum
 
 
 def refusals(folder: Path) -> list[Path]:

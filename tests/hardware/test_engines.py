@@ -9,7 +9,7 @@ import pytest
 from bongoboard_twin import MOVING, START, UNLIMITED, build_task, build_twin, experiment
 
 import simbias
-from simbias.hardware.bongoboard_running import contact
+from simbias.hardware.bongoboard_bodies import contact
 from simbias.hardware.box2d import UNIT, Box2dBongoboard
 from simbias.hardware.loop import BLOW_UP
 from simbias.hardware.mujoco_bongoboard import MujocoBongoboard
@@ -49,7 +49,7 @@ def test_it_begins_where_it_is_asked_to(engine: Any) -> None:
     task = build_task()
     world = engine(task).build(MOVING)
     np.testing.assert_allclose(world.state(), MOVING, atol=1e-6)
-    depth, gap = contact(task, *world.wheel_and_board())
+    depth, gap = contact(task.robot, *world.wheel_and_board())
     assert depth < 0
     assert abs(gap) < 1e-4
 

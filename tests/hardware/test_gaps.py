@@ -79,7 +79,7 @@ def powers(hardware: PymunkBongoboard, torque: float, start: Array = MOVING) -> 
     world, task = hardware.build(start), hardware._task
     energies, states = [energy(world, task.robot.gravity)], [world.state()]
     for _ in range(task.horizon):
-        world.step(torque, task.time_step)
+        world.step(torque)
         energies.append(energy(world, task.robot.gravity))
         states.append(world.state())
     return np.array(energies), np.array(states)
@@ -156,7 +156,7 @@ def test_backlash_has_a_dead_zone() -> None:
     rotor, leg = world.bodies["left rotor"], world.bodies["left leg"]
     free, apart = torque / inertia * 0.001, []
     for frame in range(60):
-        world.step(torque, 0.001)
+        world.step(torque)
         apart.append(rotor.angle - leg.angle)
         if max(apart) < 0.9 * play / 2:
             assert rotor.angular_velocity == pytest.approx(free * (frame + 1), rel=1e-9)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from mechanisms import cart_pole, mjcf
 
-from simbias.hardware.loop import BLOW_UP, experiment
+from simbias.hardware.loop import BLOW_UP, Robot, experiment
 from simbias.hardware.mujoco import Mujoco
 from simbias.nominal.mujoco import Mujoco as NominalMujoco
 from simbias.policy.output_feedback import OutputFeedback
@@ -70,7 +72,7 @@ def test_a_fall_ends_it(tmp_path: Path) -> None:
     assert abs(fallen.states[-1, 1]) > 1.0 >= abs(fallen.states[-2, 1])
 
 
-class Exploding:
+class Exploding(Robot):
     """A robot whose state is no number after five frames."""
 
     def __init__(self) -> None:
@@ -82,9 +84,25 @@ class Exploding:
     def step(self, u: Array) -> None:
         self.frames += 1
 
+    def failure(self) -> None:
+        return None
+
 
 def test_what_blows_up_ends_with_the_state_before() -> None:
     task = cart_pole()
     noise = Noise(task, {}).draw(np.random.default_rng(0))
     made = experiment(task, Exploding(), OutputFeedback(task), THETA, noise, "true_state")
     assert (made.failure, made.failed_at, made.frames, len(made.states)) == (BLOW_UP, 4, 4, 5)
+
+
+def test_an_unstable_simulation_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = Mujoco(cart_pole(), mjcf(tmp_path))
+    with caplog.at_level(logging.INFO):
+        robot.run(
+            OutputFeedback(cart_pole()), THETA, np.array([0.0, 0.1, 1e12, 0.0]), np.random.default_rng(0)
+        )
+    assert "The simulation is unstable" in caplog.text
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
