@@ -81,6 +81,8 @@ class Evaluations:
         self._last_step = np.inf if max_steps is None else self._steps + max_steps
         self._deadline = np.inf if max_seconds is None else time.monotonic() + max_seconds
         self._until_satisfied = False
+        self._replayed: list[float] = []
+        self._replay_end: Evaluations | None = None
         self._best_point: Array | None = None
         self.best_cost = np.inf
         self._worst_cost = -np.inf
@@ -141,6 +143,8 @@ class Evaluations:
         ValueError
             If the cost is not finite.
         """
+        if self._replayed:
+            return self._replay()
         self._go_on()
         inside = self._inside(point)
         return self._judged(inside, float(self._objective(inside.copy())))
@@ -191,12 +195,25 @@ class Evaluations:
         except SearchEnded as end:
             return str(end)
 
-    def rehearsal(self, objective: Callable[[Array], float]) -> Evaluations:
-        """These evaluations as they stand, of costs that are known; they go on apart, until adopted."""
+    def rehearsal(
+        self, objective: Callable[[Array], float], replayed: Sequence[float], replay_end: Evaluations
+    ) -> Evaluations:
+        """These evaluations as they stand, of costs that are known; they go on apart, until adopted.
+
+        The first of them are those of an earlier rehearsal: they have these costs, and end as it stood then.
+        """
         branch = copy(self)
         branch._objective = objective
         branch._last_step = branch._deadline = np.inf
+        branch._replayed, branch._replay_end = list(reversed(replayed)), replay_end
         return branch
+
+    def _replay(self) -> float:
+        """The next cost of an earlier rehearsal; after the last one, these stand where it stood."""
+        cost = self._replayed.pop()
+        if not self._replayed and self._replay_end is not None:
+            self.adopt(self._replay_end)
+        return cost
 
     def exploration(self, limit: int) -> Evaluations:
         """So many of these evaluations, to begin again with; they go on apart, until adopted.

@@ -2,10 +2,13 @@
 
 The points that DIRECT asks for next rarely depend on the last few costs. So a search is run on with guessed
 costs until it has asked for some points; they are evaluated together, and the search is run again from its
-start on what is known. The last run knows every cost: it is the sequential search, point by point.
+start on what is known. The last run knows every cost: it is the sequential search, point by point. What a run
+was told before its first guess is what every later run is told, so that is not looked up again.
 """
 
 from __future__ import annotations
+
+from copy import copy
 
 import numpy as np
 
@@ -14,6 +17,7 @@ from simbias.search import Evaluations, Search, SearchEnded
 
 FIRST_GUESS = 1e6
 MOST = 32  # points evaluated together; of more, too many guesses are wrong
+CAPRICIOUS = "the search asks for other points when it is given the same costs"
 
 
 class AskedEnough(Exception):  # noqa: N818 (no error, as StopIteration is none)
@@ -29,20 +33,30 @@ def look_ahead(search: Search, evaluations: Evaluations) -> str:
     together = evaluations.together
     if together is None:
         return search(evaluations)
-    known: dict[bytes, float] = {}
+    past = Past(evaluations)
     guessed: dict[bytes, Array] = {}
     size = MOST
     while True:
-        rehearsal = Rehearsal(known, size, evaluations.spent if known else None)
+        rehearsal = Rehearsal(past, size, evaluations.spent if past.known else None)
         if (stopped_by := rehearsal.run(search, evaluations)) is not None:
             return stopped_by
         used = sum(point in rehearsal.asked for point in guessed)
         if guessed:
             if not used:
-                raise RuntimeError("the search asks for other points when it is given the same costs")
+                raise RuntimeError(CAPRICIOUS)
             size = min(2 * used, MOST)  # where most guesses were wrong, fewer are made
         guessed = rehearsal.unknown
-        known.update(zip(guessed, together(np.array(list(guessed.values()))), strict=True))
+        past.known.update(zip(guessed, together(np.array(list(guessed.values()))), strict=True))
+
+
+class Past:
+    """What is known of a search: costs by point, and those of its first points, in their order."""
+
+    def __init__(self, evaluations: Evaluations) -> None:
+        self.known: dict[bytes, float] = {}
+        self.first: list[float] = []
+        self.end = evaluations  # as they stand after the first
+        self.next: bytes | None = None  # the point that follows them
 
 
 class Rehearsal:
@@ -51,34 +65,42 @@ class Rehearsal:
     Where the search's steps or seconds are spent, it ends with what is known.
     """
 
-    def __init__(self, known: dict[bytes, float], size: int, spent: str | None) -> None:
-        self._known = known
+    def __init__(self, past: Past, size: int, spent: str | None) -> None:
+        self._past = past
         self._size = size
         self._spent = spent
-        self._guess = max(known.values(), default=FIRST_GUESS)
+        self._guess = max(past.known.values(), default=FIRST_GUESS)
         self.asked: set[bytes] = set()
         self.unknown: dict[bytes, Array] = {}
 
     def run(self, search: Search, evaluations: Evaluations) -> str | None:
         """Why the search ended, in words; None if it asked for unknown costs, and is to be run again."""
-        rehearsed = evaluations.rehearsal(self._recall)
+        self._evaluations = evaluations.rehearsal(self._recall, self._past.first, self._past.end)
         try:
-            stopped_by = rehearsed.run(search)
+            stopped_by = self._evaluations.run(search)
         except AskedEnough:
             return None
         if self.unknown:
             return None
-        evaluations.adopt(rehearsed)
+        evaluations.adopt(self._evaluations)
         return stopped_by
 
     def _recall(self, point: Array) -> float:
         """The cost of a point (p,), known or guessed."""
         key = point.tobytes()
+        if not self.asked and self._past.next not in (None, key):
+            raise RuntimeError(CAPRICIOUS)
         self.asked.add(key)
-        if key not in self._known:
+        cost = self._past.known.get(key)
+        if cost is None:
             if self._spent is not None:
                 raise SearchEnded(self._spent)
+            if not self.unknown:
+                self._past.end, self._past.next = copy(self._evaluations), key
             self.unknown[key] = point.copy()
             if len(self.unknown) >= self._size:
                 raise AskedEnough
-        return self._known.get(key, self._guess)
+            return self._guess
+        if not self.unknown:
+            self._past.first.append(cost)
+        return cost
