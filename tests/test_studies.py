@@ -46,3 +46,25 @@ def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(tmp_path: Path) 
     wide = ["--sweep", "gaps", "--cell", "motor 60", "--everywhere", "--screening", "2"]
     study("searched_on_hardware", "found.csv", *short, *wide, folder=tmp_path)
     assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%"]
+
+
+def test_robots_are_tried_by_each_way(tmp_path: Path) -> None:
+    ways = ["--ways", "preset", "paper", "robust", "lqr", "least_squares", "bayesian"]
+    short = ["--seeds", "1", "--experiments", "3", "--set", "optimizer.max_evaluations=20", "task.horizon=20"]
+    study("robots", "robots.csv", "cartpole", *ways, *short, folder=tmp_path)
+    tried = pd.read_csv(tmp_path / "robots.csv")
+    assert list(tried["way"]) == ways[1:]
+    assert tried["held"].between(0, 20).all()
+    made = tried.set_index("way")["experiments"]
+    assert 1 <= made["lqr"] <= 2
+    assert 1 <= made["bayesian"] <= 4
+
+
+def test_what_is_learned_on_one_engine_is_tried_on_all(tmp_path: Path) -> None:
+    short = ["--seeds", "1", "task.horizon=60", "optimizer.max_evaluations=20", "evaluation=nominal_start"]
+    printed = study("engines", "engines.csv", *short, folder=tmp_path)
+    tried = pd.read_csv(tmp_path / "engines.csv")
+    engines = ["pymunk", "box2d", "mujoco_bongoboard"]
+    assert list(tried["learned on"]) == engines
+    assert (tried[engines] == 20).all(axis=None)  # nobody falls within 60 ms
+    assert [line.split(" | ")[0] for line in printed.splitlines()[2:]] == [f"| {name}" for name in engines]

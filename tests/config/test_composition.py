@@ -89,6 +89,13 @@ def test_presets_combine() -> None:
     assert combined.hash == compose(["preset=[robust,cartpole]", "bias=none"]).hash
 
 
+def test_the_papers_method_is_had_on_any_robot() -> None:
+    default, other = compose(), compose(["preset=[acrobot,paper]"])
+    method = ("identification", "bias", "evaluation", "optimizer", "method")
+    assert [other.choices[group] for group in method] == [default.choices[group] for group in method]
+    assert other.choices["hardware"] == "acrobot"
+
+
 @pytest.mark.parametrize(("group", "option"), COMPONENTS)
 def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
     """Every value a person may change stands in the YAML, to be seen."""

@@ -1,9 +1,10 @@
 """The robots that ship: how many experiments until success, by each method, and by what others would do.
 
-`python tests/studies/robots.py FILE PRESET ... [--seeds 10] [--experiments 40] [--ways WAY ...]` tries, for
-each preset and seed,
+    python tests/studies/robots.py FILE PRESET ... [--seeds 10] [--experiments 40] [--ways WAY ...]
 
-- `preset`: the preset as it stands; `paper`: the paper's method; `robust`: that of `+sweep=table2_robust`;
+tries, for each preset and seed,
+
+- `preset`: the preset as it stands; `paper`, `robust`: with the method of `preset=paper`, `preset=robust`;
 - `lqr`: LQR from the nominal model, linearised at the equilibrium;
 - `least_squares`: LQR from a linear model of the data, at first the nominal model's policy; fitted anew and
   tried again after each experiment that fails, with the nominal model as prior;
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,17 +35,7 @@ from simbias.interfaces import Policy, Task
 from simbias.records import Array, Rollout
 from simbias.study import Study
 
-METHODS = {
-    "preset": [],
-    "paper": [
-        *("identification=none", "bias=gp", "evaluation=nominal_start"),
-        *("optimizer=nlopt_direct", "method=algorithm1"),
-    ],
-    "robust": [
-        *("identification=none", "bias=sparse_gp", "evaluation=robust_models"),
-        *("optimizer=hybrid", "method=frugal"),
-    ],
-}
+METHODS = ("preset", "paper", "robust")
 STEP = 1e-5  # of states and inputs, in their units, for derivatives
 PRIOR = 1e-3  # weight of the nominal model's linearisation against a sample, in scaled units
 SCALES = {"m": 0.1, "rad": 0.1, "m/s": 1.0, "rad/s": 1.0}  # of states: 1/x^2 weighs them (Bryson's rule)
@@ -129,10 +120,10 @@ def by_bayesian_optimisation(study: Study, seed: int) -> Iterator[Array]:
         search.register(point, -np.log10(max(rollout.cost, 1e-6)))
 
 
-def tried(preset: str, way: str, seed: int, most: int) -> dict[str, Any]:
+def tried(preset: str, way: str, seed: int, most: int, overrides: Sequence[str]) -> dict[str, Any]:
     """Experiments until a policy passes two in a row, and what it is worth; a method makes 20 at most."""
-    chosen = [f"preset={preset}", *METHODS.get(way, []), "tracking=none", f"seed={seed}"]
-    study = simbias.load(chosen)
+    presets = f"[{preset},{way}]" if way in METHODS[1:] else preset
+    study = simbias.load([f"preset={presets}", "tracking=none", f"seed={seed}", *overrides])
     began = time.perf_counter()
     if way in METHODS:
         *_, last = study.run()
@@ -193,9 +184,10 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--experiments", type=int, default=40, help="that a way may make")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS)
+    parser.add_argument("--set", nargs="+", default=[], metavar="OVERRIDE", help="of every trial's config")
     arguments = parser.parse_args()
     rows = Parallel(n_jobs=2)(
-        delayed(tried)(preset, way, seed, arguments.experiments)
+        delayed(tried)(preset, way, seed, arguments.experiments, arguments.set)
         for preset in arguments.presets
         for way in arguments.ways
         for seed in range(arguments.seeds)
