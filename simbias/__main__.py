@@ -159,8 +159,8 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
 
 def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
     """Run a trial as far as it goes; `again` is the command that goes on with it."""
-    from simbias.messages import with_type
-    from simbias.terminal.trial import TrialConsole, asking, counted, traceback_file
+    from simbias.messages import counted, with_type
+    from simbias.terminal.trial import TrialConsole, asking, traceback_file
     from simbias.trial import Outcome, run_trial
 
     if tracked.changed:

@@ -32,6 +32,11 @@ def quote(value: object) -> str:
         return f"a value of type {type(value).__name__}"
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def words(error: BaseException, longest: int = LONGEST_REASON) -> str:
     """What an error says, not too long, or else its type; some errors cannot even say what they are."""
     try:

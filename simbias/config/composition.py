@@ -107,7 +107,7 @@ class Variations:
         self._allowed = prefixes(self._folders, allow)
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
-        """The composition with options (`bias`) and values (`bias.d`) set.
+        """The composition with options (`bias`), values (`bias.d`) and new values (`+hardware.noise.x`) set.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class Variations:
                 config = composed.config.copy()
                 for key, value in settings.items():
                     if key not in groups:
-                        OmegaConf.update(config, key, value)
+                        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key[:1] == "+")
                 plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         except ConfigError:
             raise

@@ -27,6 +27,7 @@ class Axis:
     values: tuple[tuple[Any, ...], ...]  # of each point, in the order of the keys
     labels: tuple[str, ...]  # of each point
     texts: tuple[tuple[str, ...], ...]  # of each point, a text for each column of a table
+    added: frozenset[str] = frozenset()  # those of the keys that the config has not, in the YAML with a +
 
     @property
     def numeric(self) -> bool:
@@ -36,8 +37,9 @@ class Axis:
         return own and all(numbers)
 
     def settings(self, index: int) -> dict[str, Any]:
-        """What a point sets."""
-        return dict(zip(self.keys, self.values[index], strict=True))
+        """What a point sets; keys that the config has not begin with +, as in an override."""
+        names = (f"+{key}" if key in self.added else key for key in self.keys)
+        return dict(zip(names, self.values[index], strict=True))
 
 
 def read_axis(name: str, spec: Any) -> Axis:
@@ -58,7 +60,8 @@ def read_axis(name: str, spec: Any) -> Axis:
     if not checked["keys"]:
         raise ConfigError(where, "has no keys")
     one = isinstance(checked["keys"], str)
-    keys = (checked["keys"],) if one else tuple(checked["keys"])
+    written = (checked["keys"],) if one else tuple(checked["keys"])
+    keys = tuple(key.removeprefix("+") for key in written)
     values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])
     labels = tuple(map(label, checked.get("labels", map(join, values))))
     if not values:
@@ -70,7 +73,8 @@ def read_axis(name: str, spec: Any) -> Axis:
     if len(set(labels)) != len(labels):
         raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
     texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
-    return Axis(name, keys, values, labels, tuple(map(tuple, texts)))
+    added = frozenset(key for key, text in zip(keys, written, strict=True) if key != text)
+    return Axis(name, keys, values, labels, tuple(map(tuple, texts)), added)
 
 
 def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:

@@ -202,13 +202,25 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
         for axis, index in zip(axes, point, strict=True):
             settings |= axis.settings(index)
             seeding |= {} if axis.name in common_seeds else axis.settings(index)
-        composition = variations.composition(settings).trial
+        composition = _composed(variations, settings, axes)
         labels = tuple(axis.labels[index] for axis, index in zip(axes, point, strict=True))
         twin = known.setdefault(composition.cell, labels)
         if twin != labels:
             raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")
         identity = variations.composition(seeding).trial.cell if common_seeds else composition.cell
         yield Cell(labels, composition, identity)
+
+
+def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequence[Axis]) -> Composition:
+    """The composition of a cell's trials; of a key that the config has not, its axis is told."""
+    try:
+        return variations.composition(settings).trial
+    except ConfigError as error:
+        for axis in axes:
+            if error.key in axis.keys and error.problem.startswith("no such key"):
+                where, problem = f"sweep.axes.{axis.name}.keys", f"{error}; +{error.key} would add it"
+                raise ConfigError(where, problem) from error
+        raise
 
 
 def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:

@@ -19,7 +19,7 @@ from simbias import remarks
 from simbias.evidence import WINDOW
 from simbias.experiments import ask
 from simbias.interfaces import SlowWarning
-from simbias.messages import brief
+from simbias.messages import brief, counted
 from simbias.prediction import predict
 from simbias.records import Array, Iteration, Rollout, Search
 from simbias.study import Observer, Study
@@ -205,11 +205,6 @@ def evidence_text(evidence: Mapping[str, float]) -> str:
     values = ", ".join(f"{name} {value:.1f}" for name, value in evidence.items())
     best = max(evidence, key=lambda name: evidence[name])
     return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
-
-
-def counted(count: int, noun: str) -> str:
-    """A number of things."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 class _Announcer(Listener):

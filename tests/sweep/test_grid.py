@@ -142,7 +142,8 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
         (["+sweep=smoke", "sweep.trialss=1"], "sweep.trialss: no such key"),
         (["+sweep=smoke", "+sweep.trialss=1"], "sweep.trialss: no such key"),
         (["+sweep=smoke", "sweep.axes=3"], "sweep.axes: must be a valid dictionary, got 3"),
-        (["+sweep=smoke", "+sweep.axes.nosuch=[1]"], "nosuch: no such key"),
+        (["+sweep=smoke", "+sweep.axes.nosuch=[1]"], "sweep.axes.nosuch.keys: nosuch: no such key"),
+        (["+sweep=fig6", "preset=cartpole"], "sweep.axes.noise.keys: hardware.noise.torque_variance: "),
         (["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"], "bias=nosuch: no such option"),
         (["+sweep=smoke", "+sweep.axes.bias=[]"], "sweep.axes.bias: has no values"),
         (["+sweep=smoke", "+sweep.axes.x={keys: [], values: [[]]}"], "sweep.axes.x: has no keys"),
@@ -167,6 +168,21 @@ def test_bad_sweep(overrides: list[str], message: str) -> None:
         expand(overrides)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_an_axis_may_add_a_key() -> None:
+    """So the paper's figures are had of robots whose quantities have other names."""
+    noise = "sweep.axes.noise.keys=+hardware.noise.force_variance"
+    sweep = expand(["+sweep=fig6", "preset=cartpole", noise])
+    assert [cell.composition.config["hardware"]["noise"] for cell in sweep.cells] == [
+        {"force_variance": 0.0},
+        {"force_variance": 0.1},
+    ]
+    alone = compose(["preset=cartpole", "bias=sparse_gp", "+hardware.noise.force_variance=0.1"])
+    assert sweep.cells[1].composition.cell == alone.trial.cell
+    assert sweep.axes[0].keys == ("hardware.noise.force_variance",)
+    with pytest.raises(ConfigError, match="is an axis of the sweep"):
+        expand(["+sweep=fig6", "preset=cartpole", noise, "+hardware.noise.force_variance=0.1"])
 
 
 def test_axes_may_not_have_the_names_of_other_columns() -> None:

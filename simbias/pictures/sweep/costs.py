@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from simbias.messages import counted
 from simbias.pictures.series import draw_legend
 from simbias.pictures.style import HARDWARE, SIMULATION, plain, shade_beyond
 from simbias.pictures.sweep.batches import Outcomes
@@ -67,7 +68,7 @@ def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
         for aside, trial in zip(np.linspace(-SPREAD / 2, SPREAD / 2, len(trials)), trials, strict=True):
             _line(axes, trial, float(aside) if len(trials) > 1 else 0.0)
         axes.set_title(fill(title, LINE), fontsize="medium")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         plain(axes)
     grid[0, 0].set_yscale("log")
     for axes in grid.flat[: len(panels)]:
@@ -79,10 +80,13 @@ def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
         axes.tick_params(labelbottom=True)
     for axes in grid[:, 0]:
         axes.set_ylabel("cost Z on hardware (dimensionless)")
-    entries = {
+    ends = {ended for own in panels.values() for ended in own.groupby("repetition")["succeeded"].last()}
+    marks = {
         "trial that succeeds": Line2D([], [], color=SIMULATION, marker="o"),
         "trial that never does": Line2D([], [], color=HARDWARE, marker="X", linestyle="--"),
     }
+    both = zip(marks.items(), (True, False), strict=True)
+    entries = {name: mark for (name, mark), end in both if end in ends}
     draw_legend(figure, list(entries.values()), list(entries))
     return figure
 
@@ -102,11 +106,11 @@ def _caption(panels: dict[str, pd.DataFrame], max_cost: float) -> str:
     for title, own in panels.items():
         trials = [trial for _, trial in own.groupby("repetition")]
         lengths = [len(trial) for trial in trials if trial["succeeded"].iloc[-1]]
-        when = (
-            f", after {min(lengths)} to {max(lengths)} iterations (median {np.median(lengths):g})"
-            if lengths
-            else ""
-        )
+        when = ""
+        if lengths and min(lengths) == max(lengths):
+            when = f", after {counted(lengths[0], 'iteration')}"
+        elif lengths:
+            when = f", after {min(lengths)} to {max(lengths)} iterations (median {np.median(lengths):g})"
         where = f"{title}: " if title else ""
         sentences.append(f"{where}{len(lengths)} of {len(trials)} trials end below the limit{when}")
     return (
