@@ -14,6 +14,8 @@ from scipy.special import ndtr, ndtri
 
 from simbias.records import Array
 
+LARGEST = 100.0  # exponent: a search for the mode may come by where a parameter would overflow
+
 Prior = Literal["normal", "log_normal", "half_normal", "uniform"]
 
 
@@ -37,7 +39,7 @@ class Parameter(NamedTuple):
         if self.prior == "normal":
             return self.value + self.spread * z
         if self.prior == "log_normal":
-            return self.value * np.exp(self.spread * z)
+            return self.value * np.exp(np.clip(self.spread * z, -LARGEST, LARGEST))
         if self.prior == "half_normal":
             return self.value - self.spread * ndtri(ndtr(-z) / 2)
         return self.value + self.spread * ndtr(z)

@@ -29,3 +29,9 @@ def test_values_keep_leading_axes() -> None:
     values = values_at(parameters, z)
     assert values.shape == z.shape
     np.testing.assert_array_equal(values[1, 2], values_at(parameters, z[1, 2]))
+
+
+def test_a_search_far_from_the_prior_overflows_nothing() -> None:
+    parameter, _ = PRIORS["log_normal"]
+    with np.errstate(all="raise"):
+        assert np.isfinite(parameter.at(np.array([-1e6, 1e6]))).all()

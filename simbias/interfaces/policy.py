@@ -42,6 +42,13 @@ class Policy(ABC):
     def outputs(self, x: Array) -> Array:
         """What the policy feeds back: z (..., q) at states x (..., n)."""
 
+    def imitating(self, states: Array, inputs: Array) -> Array | None:
+        """The parameters (p,) that come nearest to inputs (k, T, m) at states (k, T, n); None: not known.
+
+        These are k records of T frames, of inputs that know more than the policy may.
+        """
+        return None
+
     def law(self, theta: Array) -> Law:
         """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
         return Law(f"u = {type(self).__name__}.act(theta, x, t, memory)", {"theta": theta})

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from simbias.config.numbers import Count, CountOrZero, Positive
+from simbias.design import designs
 from simbias.evidence import learn, likeliest, log_likelihoods
 from simbias.learning import Stopwatch, experiment, search
 from simbias.records import Array, Iteration, Learning, Rollout
@@ -43,6 +44,9 @@ class Algorithm1(Method):
     by_evidence
         Search on the model that predicts experiments best which it did not learn from: the nominal one as
         declared, with identified parameters, or with a bias too (`simbias.evidence`); else on the last.
+    design
+        Evaluate policies first that come near to linear-quadratic regulators (`simbias.design`) of so many
+        models: the most probable one, and draws.
     """
 
     def __init__(
@@ -56,6 +60,7 @@ class Algorithm1(Method):
         warm_start: bool = False,
         passes: Count | None = None,
         by_evidence: bool = False,
+        design: CountOrZero = 0,
     ) -> None:
         if passes is not None and passes < experiments:
             raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
@@ -69,6 +74,7 @@ class Algorithm1(Method):
         self._satisfactory_cost = satisfactory_cost
         self._warm_start = warm_start
         self._by_evidence = by_evidence
+        self._design = design
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration; comments give the listing's lines."""
@@ -82,8 +88,10 @@ class Algorithm1(Method):
         for i in range(self.max_iterations):  # 2, 3, 15
             clock = Stopwatch()
             with clock("search"):
+                candidates = earlier + designs(model, self._design)
                 proposal = search(
-                    study, model, search_rng, observer, earlier, self._retry_search, self._satisfactory_cost
+                    *(study, model, search_rng, observer, candidates),
+                    *(self._retry_search, self._satisfactory_cost),
                 )  # 4, 5
             theta = proposal.optimum.parameters
             if self._warm_start:

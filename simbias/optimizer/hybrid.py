@@ -19,7 +19,8 @@ class Hybrid(Optimizer):
     """A global search explores the box until a cost is satisfactory, CMA-ES goes on from its best point.
 
     Where not even that is satisfactory, both begin again, elsewhere if the exploration is random. Candidates
-    of which one is satisfactory take the place of the first exploration.
+    of which one is satisfactory take the place of the first exploration; with a deviation of their own,
+    others do too.
 
     Parameters
     ----------
@@ -39,6 +40,9 @@ class Hybrid(Optimizer):
         epsilon: the search ends when CMA-ES improves the best cost Z by less than epsilon |Z|.
     max_steps, max_seconds
         Of simulation and of wall time, after which the search ends too.
+    candidate_deviation
+        Standard deviation of CMA-ES's first generation around the best of the candidates, whatever it costs,
+        in units of the box's width; None is `initial_deviation`, around a satisfactory one.
     """
 
     def __init__(
@@ -52,6 +56,7 @@ class Hybrid(Optimizer):
         relative_tolerance: Share,
         max_steps: Steps | None = None,
         max_seconds: Seconds | None = None,
+        candidate_deviation: Deviation | None = None,
     ) -> None:
         self.max_evaluations = max_evaluations
         self.relative_tolerance = relative_tolerance
@@ -65,16 +70,27 @@ class Hybrid(Optimizer):
         self._initial_deviation = initial_deviation
         self._population = population
         self._resolution = resolution
+        self._candidate_deviation = candidate_deviation
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Explore and refine, again and again as long as that fails."""
+        own = self._candidate_deviation if evaluations.count else None
         while True:
-            start = evaluations.start if evaluations.satisfied else self._explored(evaluations, rng)
-            stopped_by = evolve(
-                evaluations, rng, start, self._initial_deviation, self._population, self._resolution
-            )
+            if own is None:
+                start = evaluations.start if evaluations.satisfied else self._explored(evaluations, rng)
+                stopped_by = self._refined(evaluations, rng, start, self._initial_deviation)
+            else:
+                stopped_by = self._refined(evaluations, rng, evaluations.start, own)
+                own = None
             if evaluations.satisfied and stopped_by != RESOLUTION:
                 return stopped_by
+
+    def _refined(
+        self, evaluations: Evaluations, rng: np.random.Generator, start: Array, deviation: float
+    ) -> str:
+        """CMA-ES from a point (p,); why it ended. Its resolution is in proportion to its deviation."""
+        resolution = self._resolution * deviation / self._initial_deviation
+        return evolve(evaluations, rng, start, deviation, self._population, resolution)
 
     def _explored(self, evaluations: Evaluations, rng: np.random.Generator) -> Array:
         """The best point (p,) of a global search."""

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.interfaces import Kernel, Policy, Task
-from simbias.policy.gains import signed_exponential
+from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
 from simbias.records import Array
 
 RATE = "/s"  # what the units of rates end with
@@ -19,7 +19,7 @@ FilterSeconds = Annotated[float, Field(ge=0, le=10)]
 IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
 DelaySeconds = Annotated[float, Field(ge=0, le=1)]
 DelayRate = Annotated[float, Field(gt=0, le=1e6)]  # 1/s
-Constant = Annotated[float, Field(ge=0, le=1)]
+Constant = Annotated[float, Field(ge=0, le=100)]
 
 
 @final
@@ -113,6 +113,25 @@ class DynamicOutputFeedback(Policy):
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
         return self._task.output(x)
+
+    def imitating(self, states: Array, inputs: Array) -> Array:
+        """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n).
+
+        They have neither filter nor integral.
+        """
+        z, ones = self.outputs(states), np.ones((*states.shape[:2], 1))
+        H, g, u_0 = [], [], []
+        for u in np.moveaxis(inputs, -1, 0):
+            total = np.pad(np.cumsum(u, axis=1), ((0, 0), (self._delay + 1, 0)))
+            past = total[:, self._delay :] - total[:, : total.shape[1] - self._delay]
+            features = [z, past[:, :-1, None], self._constant * ones]
+            gains = least_squares_gains(np.concatenate(features, axis=-1), u)
+            H.append(gains[: self._q])
+            g.append(gains[self._q] / self._task.time_step)
+            u_0.append(gains[self._q + 1])
+        parts = [inverse_signed_exponential(np.concatenate(H)), np.zeros(self._filters + self._integrates)]
+        parts += [np.array(g)] * (self._delay > 0) + [np.array(u_0)] * self._constant
+        return np.clip(np.concatenate(parts), *self.bounds)
 
     def _parameters(self, theta: Array) -> tuple[Array, Array, Array, Array, Array]:
         """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""

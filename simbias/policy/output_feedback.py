@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.interfaces import Controller, Kernel, Law, Policy, Task
-from simbias.policy.gains import signed_exponential
+from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
 from simbias.records import Array
 
 
@@ -65,6 +65,12 @@ class OutputFeedback(Policy):
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
         return self._task.output(x)
+
+    def imitating(self, states: Array, inputs: Array) -> Array:
+        """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n)."""
+        z = self.outputs(states)
+        H = [least_squares_gains(z, inputs[..., i]) for i in range(inputs.shape[-1])]
+        return np.clip(inverse_signed_exponential(np.concatenate(H)), *self.bounds)
 
     def _compiled(self, thetas: Array) -> Kernel:
         """The policies (k, p) with their gains computed once: parameters (k, m + m q)."""

@@ -7,7 +7,7 @@ wheel; the robot's legs turn together on the board (a parallelogram), so its pel
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -122,8 +122,16 @@ def _output(x, lengths):
     return x_p, d_x_p, theta, d_theta, phi
 
 
+def _states(x, lengths):
+    """All of the state as outputs."""
+    return x
+
+
 class Bongoboard(Task):
-    """Balance for `horizon` frames of `time_step` seconds with an ankle torque within `input_limit` N m."""
+    """Balance for `horizon` frames of `time_step` seconds with an ankle torque within `input_limit` N m.
+
+    Policies feed back the outputs of Fig. 3(b), which leave out how fast the board turns, or all states.
+    """
 
     states = (
         Quantity("alpha_w", "rad", "angle"),
@@ -134,7 +142,7 @@ class Bongoboard(Task):
         Quantity("d_theta", "rad/s", "velocity"),
     )
     inputs = (Quantity("torque", "N m", "torque"),)
-    outputs = (
+    outputs: tuple[Quantity, ...] = (
         Quantity("x_p", "m"),
         Quantity("d_x_p", "m/s"),
         Quantity("theta", "rad"),
@@ -153,6 +161,7 @@ class Bongoboard(Task):
         time_step: TimeStep = 0.001,
         horizon: Frames = 5000,
         input_limit: Force = 100.0,
+        outputs: Literal["pelvis", "states"] = "pelvis",
     ) -> None:
         self.robot = robot
         self.limits = limits
@@ -177,15 +186,18 @@ class Bongoboard(Task):
         )
         height = r + thickness + robot.ankle_height
         self.measure_kernel = Kernel(_measure, np.array([r, robot.board_length, thickness]))
-        self.output_kernel = Kernel(_output, np.array([r, height, robot.leg_length]))
+        lengths = np.array([r, height, robot.leg_length])
+        self.output_kernel = Kernel(_output if outputs == "pelvis" else _states, lengths)
+        if outputs == "states":
+            self.outputs = self.states
 
     def measure(self, x: Array) -> Array:
         """Measures (..., 6) of the criteria 1-6 of Section IV-C at states x (..., 6)."""
         return elementwise(_measure, x, parameters=self.measure_kernel.parameters)
 
     def output(self, x: Array) -> Array:
-        """Outputs z (..., 5) at states x (..., 6) (Fig. 3(b))."""
-        return elementwise(_output, x, parameters=self.output_kernel.parameters)
+        """Outputs z (..., 5) at states x (..., 6) (Fig. 3(b)), or these themselves."""
+        return elementwise(self.output_kernel.function, x, parameters=self.output_kernel.parameters)
 
     def pose(self, angles: Array) -> Pose:
         """Positions and angles of the bodies at (alpha_w, alpha_b, theta), real or complex."""

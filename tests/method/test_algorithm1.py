@@ -10,10 +10,12 @@ import pytest
 from point_mass import Distance, PointMass
 
 from simbias.bias.none import NoBias
+from simbias.design import regulated
 from simbias.evaluation.nominal_start import NominalStart
 from simbias.interfaces import Evaluation, FittedBias, Hardware, HardwareError
 from simbias.method.algorithm1 import Algorithm1
 from simbias.optimizer.nlopt import Nlopt
+from simbias.policy.output_feedback import OutputFeedback
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
 
@@ -240,6 +242,27 @@ def test_a_warm_search_evaluates_the_earlier_policies_first(point_mass: Study, w
     centre = np.mean(point_mass.policy.bounds, axis=0).tolist()
     expected = [centre, policies[0].tolist(), policies[0].tolist()] if warm else [centre] * 3
     assert [evaluated[0] for evaluated in first_evaluated] == expected
+
+
+def test_a_search_may_begin_with_regulators(point_mass: Study) -> None:
+    evaluated: list[np.ndarray] = []
+
+    class Recorded(NominalStart):
+        def objective(self, model, cost, rng):
+            objective = super().objective(model, cost, rng)
+            return lambda theta: evaluated.append(theta) or objective(theta)
+
+    study = replace(
+        point_mass,
+        evaluation=Recorded(point_mass.task),
+        bias=no_bias(),
+        policy=OutputFeedback(point_mass.task),
+        method=Algorithm1(1, design=1),
+    )
+    list(study.run())
+    expected = regulated(study.model())
+    assert len(expected) > 1
+    np.testing.assert_array_equal(evaluated[: len(expected)], expected)
 
 
 def test_z_max_itself_is_no_reset_and_no_success(point_mass: Study) -> None:

@@ -435,6 +435,19 @@ def test_hybrid_turns_local_once_satisfied() -> None:
     assert np.max(after) < 2.0
 
 
+def test_hybrid_may_begin_near_a_candidate_that_fails() -> None:
+    """With a deviation for that: it goes down the plateaus; else it explores."""
+
+    def distances(candidate_deviation: float | None) -> Array:
+        watched, candidate = Watched(narrow), SHIFT + 1.0
+        optimizer = Hybrid("sobol", 300, 0.25, 8, 0.01, 40, 1e-6, None, None, candidate_deviation)
+        box = np.full(5, -10.0), np.full(5, 10.0)
+        optimizer.minimize(watched, *box, np.random.default_rng(0), 200.0, [candidate])
+        return np.linalg.norm(np.array(watched.points[1:]) - candidate, axis=1)
+
+    assert distances(0.01).max() < 3.0 < np.median(distances(None))
+
+
 @each_shipped
 def test_a_failed_search_says_so(make: Make) -> None:
     """Whatever ended it; one that found a satisfactory cost does not."""

@@ -75,3 +75,11 @@ def test_several_inputs_have_rows_of_gains(point_mass: Study) -> None:
     function, parameters = policy.kernel(theta[None])
     np.testing.assert_allclose(policy.controller(theta, 0.1)(x), expected, rtol=1e-12)
     np.testing.assert_allclose(function(tuple(x), tuple(parameters[0])), expected, rtol=1e-12)
+
+
+def test_it_imitates_its_own_inputs(study: Study) -> None:
+    policy = OutputFeedback(study.task)
+    theta = np.array([3.0, -2.0, 1.0, 0.5, -4.0])
+    states = 0.01 * np.random.default_rng(0).normal(size=(3, 20, 6))
+    answers, _ = policy.act(theta, states, 0.0, np.zeros((3, 20, 0)))
+    np.testing.assert_allclose(policy.imitating(states, answers), theta, rtol=1e-6)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import simbias
 from simbias.records import Array
 from simbias.study import Study
 
@@ -50,6 +51,14 @@ def test_outputs_are_the_pelvis_the_ankle_and_the_foot(study: Study, x: Array) -
     moving = study.task.pose(x[:3] + 1j * h * x[3:])
     expected = [moving.pelvis[0].real, moving.pelvis[0].imag / h, x[2], x[5], moving.board_angle.real]
     np.testing.assert_allclose(study.task.output(x), expected, atol=1e-12)
+
+
+def test_outputs_may_be_all_states() -> None:
+    task = simbias.load(["tracking=none", "task.outputs=states"]).task
+    x = np.random.default_rng(0).normal(size=(3, 6))
+    np.testing.assert_array_equal(task.output(x), x)
+    assert task.outputs == task.states
+    assert task.output_kernel.function(tuple(x[0]), ()) == tuple(x[0])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,122 @@
+"""Where a policy search may begin: policies that come near to linear-quadratic regulators of the model.
+
+Costs of policies that fall say little about which ones do not. Of the model, linearised where the robot can
+rest, theory gives inputs that stabilise it, of the whole state with all that it does not show, as a delay's
+or a lag's. A policy that knows less imitates them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import least_squares
+
+from simbias.interfaces import Model
+from simbias.records import Array
+
+PRICES = (10.0, 100.0, 1000.0, 10000.0)  # of inputs at their limits, that of a state of one unit being 1
+FORGOTTEN = 1e-9  # price of what a memory holds
+NEAR = (
+    1e-3  # price of being away from zero, that of accelerations being 1: of all rests, the nearest is taken
+)
+STEP = (
+    0.1  # of states, and of inputs over their limits, for slopes by differences: friction is steeper at rest
+)
+RECORDS, SECONDS = 16, 1.0  # of the regulated model, that are imitated,
+SHAKEN = 0.01  # by random inputs of this share of the limits
+SEED = 0  # of these records: the same model has the same policies
+SETTLED = 1000  # frames, after which a memory is that of a steady input
+
+
+class Linear(NamedTuple):
+    """A model around a rest: s' - s_0 = A (s - s_0) + B (u - u_0), s the states, then the memory."""
+
+    A: Array  # (l, l)
+    B: Array  # (l, m)
+    rest: Array  # s_0 (l,)
+    inputs: Array  # u_0 (m,)
+    states: int  # n
+
+
+def designs(model: Model, count: int) -> list[Array]:
+    """Those of so many models: the most probable one, and draws of what is not known of it."""
+    rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
+    drawn = [replace(model, nominal=model.nominal.draw(rng)) for rng in rngs]
+    return [theta for each in [model, *drawn][:count] for theta in regulated(each)]
+
+
+def regulated(model: Model) -> list[Array]:
+    """Policies (p,) that imitate regulators, from quick ones to cheap ones; none if the model has no such."""
+    try:
+        linear = linearised(model)
+    except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
+        return []
+    found, rng = [], np.random.default_rng(SEED)
+    for price in PRICES:
+        gains = regulator(linear, price * np.diag(model.task.input_limit**-2.0))
+        if gains is not None:
+            theta = model.policy.imitating(*_records(model, linear, gains, rng))
+            if theta is not None:
+                found.append(theta)
+    return found
+
+
+def rest(model: Model) -> tuple[Array, Array]:
+    """States (n,) and inputs (m,) that the model keeps, the nearest to zero as far as there is one."""
+    task = model.task
+    n, rates = len(task.states), 1 / task.time_step
+
+    def residuals(both: Array) -> Array:
+        x, u = both[:n], both[n:] * task.input_limit
+        moved = model.nominal.step(x, u) + model.bias.correction(x, u) - x
+        return np.concatenate([rates * moved, NEAR * both])
+
+    found = least_squares(residuals, np.zeros(n + len(task.inputs)), xtol=1e-12, ftol=1e-12).x
+    return found[:n], found[n:] * task.input_limit
+
+
+def linearised(model: Model) -> Linear:
+    """The corrected model with its memory, by central differences."""
+    x, u = rest(model)
+    n, size, limit = len(x), model.nominal.memory_size, model.task.input_limit
+    memory = model.nominal.memories(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
+    point = np.concatenate([x, memory, u])
+    steps = STEP * np.diag(np.concatenate([np.ones(n + size), limit]))
+
+    def following(points: Array) -> Array:
+        states, memories, inputs = np.split(points, [n, n + size], axis=-1)
+        after, kept = model.nominal.advance(states, inputs, memories)
+        return np.concatenate([after + model.bias.correction(states, inputs), kept], axis=-1)
+
+    slopes = (following(point + steps) - following(point - steps)) / (2 * np.diag(steps)[:, None])
+    return Linear(slopes[: n + size].T, slopes[n + size :].T, point[: n + size], u, n)
+
+
+def regulator(linear: Linear, R: Array) -> Array | None:
+    """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u; None without one."""
+    A, B = linear.A, linear.B
+    Q = np.diag(np.where(np.arange(len(A)) < linear.states, 1.0, FORGOTTEN))
+    try:
+        S = solve_discrete_are(A, B, Q, R)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    return np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
+
+
+def _records(model: Model, linear: Linear, gains: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """States (k, T, n) of the regulated linear model from the task's starts, and its regulator's inputs."""
+    task = model.task
+    n, frames = len(task.states), task.frames(SECONDS)
+    s = np.zeros((RECORDS, len(linear.rest)))
+    s[:, :n] = [task.draw_start(rng) - linear.rest[:n] for _ in range(RECORDS)]
+    states, inputs = [], []
+    for _ in range(frames):
+        u = -s @ gains.T
+        states.append(s[:, :n] + linear.rest[:n])
+        inputs.append(u + linear.inputs)
+        shaken = u + SHAKEN * task.input_limit * rng.standard_normal(u.shape)
+        s = s @ linear.A.T + shaken @ linear.B.T
+    return np.stack(states, axis=1), np.stack(inputs, axis=1)
