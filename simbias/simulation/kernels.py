@@ -45,9 +45,9 @@ LANES = 16  # rollouts that run in step: as many single-precision numbers fill t
 
 def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array:
     """A function of numbers, for vectors with any leading axes (..., n): all rows at once."""
+    if all(vector.ndim == 1 for vector in vectors):  # as a robot's control loop asks
+        return _of_numbers(function, vectors, parameters)
     with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
-        if all(vector.ndim == 1 for vector in vectors):  # as a robot's control loop asks
-            return _of_numbers(function, vectors, parameters)
         columns = function(*map(_columns, vectors), tuple(parameters))
     rows = np.empty((*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns)))
     for index, column in enumerate(columns):
@@ -56,11 +56,15 @@ def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array
 
 
 def _of_numbers(function: Callable, vectors: Sequence[Array], parameters: Array) -> Array:
-    """A function of numbers, for one vector each: Python's own are quicker, but do not divide by zero."""
+    """A function of numbers, for one vector each.
+
+    Python's own numbers are quicker than NumPy's and overflow without a warning, but do not divide by zero.
+    """
     try:
         return np.array(function(*(tuple(vector.tolist()) for vector in vectors), tuple(parameters.tolist())))
     except (ArithmeticError, ValueError):
-        return np.array(function(*map(tuple, vectors), tuple(parameters)))
+        with np.errstate(all="ignore"):
+            return np.array(function(*map(tuple, vectors), tuple(parameters)))
 
 
 def _columns(vectors: Array) -> tuple[Array, ...]:

@@ -5,6 +5,7 @@ The mathematics library takes one number at a time, which would keep a whole clo
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,8 @@ def _by_polynomials(x: float) -> tuple[float, float]:
 def sincos(x: Any) -> tuple[Any, Any]:
     """Sine and cosine of x, a number or an array."""
     if isinstance(x, float):  # sums and products of Python's numbers are quicker than those of NumPy's
+        if not math.isfinite(x):
+            return math.nan, math.nan
         return float(np.sin(x)), float(np.cos(x))
     return np.sin(x), np.cos(x)
 
