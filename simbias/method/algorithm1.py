@@ -88,10 +88,9 @@ class Algorithm1(Method):
         for i in range(self.max_iterations):  # 2, 3, 15
             clock = Stopwatch()
             with clock("search"):
-                candidates = earlier + designs(model, self._design)
+                first = earlier + designs(model, self._design)
                 proposal = search(
-                    *(study, model, search_rng, observer, candidates),
-                    *(self._retry_search, self._satisfactory_cost),
+                    study, model, search_rng, observer, first, self._retry_search, self._satisfactory_cost
                 )  # 4, 5
             theta = proposal.optimum.parameters
             if self._warm_start:
