@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from simbias.interfaces import Hardware, HardwareError, Task
-from simbias.messages import printable, quote
+from simbias.messages import LONGEST_VALUE, brief, quote
 from simbias.records import Array, Rollout
+
+LARGEST = 1e15  # of a state or input, in any unit: no sensor says more, and single precision holds its square
 
 
 def check_rollout(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
@@ -65,10 +67,11 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
         raise HardwareError(f"{name}: expected the shape {words}, got {array.shape}")
     with np.errstate(over="ignore"):  # what float64 cannot hold is refused as not finite
         own = np.array(array, dtype=np.float64, order="C")
-    wrong = np.flatnonzero(~np.isfinite(own).all(axis=1))
+    wrong = np.flatnonzero(~(np.abs(own) <= LARGEST).all(axis=1))
     if len(wrong):
+        expected = f"numbers up to {LARGEST:g}" if np.isfinite(own).all() else "finite numbers"
         raise HardwareError(
-            f"{name}: expected finite numbers, got {quote(own[wrong[0]].tolist())} in frame {wrong[0]}"
+            f"{name}: expected {expected}, got {quote(own[wrong[0]].tolist())} in frame {wrong[0]}"
         )
     return own
 
@@ -91,4 +94,4 @@ def _failure(given: Any, failed_at: int | None, name: str) -> str | None:
         raise HardwareError(f"{name}: expected a name or None, got {quote(given)}")
     if failed_at is None and given is not None:
         raise HardwareError(f"{name}: expected None without failed_at, got {quote(given)}")
-    return None if failed_at is None else printable(given or "failed")
+    return None if failed_at is None else brief(given or "", LONGEST_VALUE) or "failed"

@@ -109,11 +109,18 @@ class Conducted(Hardware):
         returned = self._guarded(policy, theta, start, rng)
         try:
             return check_rollout(returned, self._hardware, self._task)
-        except HardwareError as error:
-            raise HardwareError(f"{error}{self.refuse(returned, theta, start, str(error))}") from error
+        except Exception as error:  # also what a rollout of its own class raises
+            problem = str(error)
+            if not isinstance(error, HardwareError):
+                problem = f"{self._name}.run: expected a Rollout, got {with_type(error, MESSAGE_LENGTH)}"
+            raise HardwareError(f"{problem}{self.refuse(returned, theta, start, problem)}") from error
 
     def _guarded(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
-        """What the hardware returns, not yet checked; an aborted experiment as far as it was recorded."""
+        """What the hardware returns, not yet checked; an aborted experiment as far as it was recorded.
+
+        It gets copies: what it writes into them is its own.
+        """
+        theta, start = theta.copy(), start.copy()
         if self._bounds is None:
             return self._returned(lambda: self._hardware.run(policy, theta, start, rng))
         guarded = Guarded(policy, self._task, self._bounds)

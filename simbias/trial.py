@@ -126,12 +126,12 @@ def run_trial(
             record = run.record(Outcome.SUCCEEDED if succeeded else Outcome.NOT_SUCCEEDED)
         except Waiting as reason:
             record = run.record(Outcome.WAITING, words(reason))
-        except (Exception, SystemExit) as error:
-            record = run.record(Outcome.ERROR, told(error), with_trace(error))
-            record = replace(record, traceback_file=recorder.explained(record.traceback))
-        except BaseException:
+        except (KeyboardInterrupt, GeneratorExit):
             recorder.ended(run.record(Outcome.INTERRUPTED))
             raise
+        except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
+            record = run.record(Outcome.ERROR, told(error), with_trace(error))
+            record = replace(record, traceback_file=recorder.explained(record.traceback))
         recorder.ended(record)
         if record.outcome.final and recorder.pictures:
             record = replace(record, pictures=_drawn(study, record, recorder.pictures))

@@ -54,6 +54,14 @@ RAISED: dict[str, Callable[[Rollout], Any]] = {  # what they raise or how they e
     "own words": lambda rollout: _raise(HardwareError("the battery is empty")),
 }
 
+
+class Unread(Rollout):
+    def __getattribute__(self, name: str) -> Any:
+        if name == "states":
+            raise KeyError("no connection")
+        return super().__getattribute__(name)
+
+
 RETURNED: dict[str, Callable[[Rollout], Any]] = {
     "None": lambda rollout: None,
     "list": lambda rollout: [rollout.states.tolist(), rollout.inputs.tolist(), None],
@@ -69,6 +77,8 @@ RETURNED: dict[str, Callable[[Rollout], Any]] = {
     ),
     "ended early": lambda rollout: replace(rollout, states=rollout.states[:51], inputs=rollout.inputs[:50]),
     "NaN": lambda rollout: replace(rollout, states=_hole(rollout)),
+    "absurd": lambda rollout: replace(rollout, states=np.full_like(rollout.states, -1e300)),
+    "a class of its own": lambda rollout: Unread(rollout.states, rollout.inputs),
     "complex": lambda rollout: replace(rollout, states=rollout.states.astype(complex)),
     "object": lambda rollout: replace(rollout, states=rollout.states.astype(object)),
     "text": lambda rollout: replace(rollout, inputs=np.full((rollout.frames, 1), "1.0")),

@@ -16,6 +16,7 @@ from records import assert_equal
 from simbias import experiments
 from simbias.experiments import Conditions
 from simbias.interfaces import Hardware, HardwareError, Policy, Waiting
+from simbias.messages import LONGEST_VALUE
 from simbias.records import Array, Rollout
 from simbias.study import Study
 
@@ -42,6 +43,8 @@ LINES = {
     "another rate": "run: inputs: expected at most 100 frames of 0.02 s, got 200; is its rate another?",
     "ended early": "run: ended after 50 of 100 frames without a failure; failed_at and failure say of one",
     "NaN": "run: states: expected finite numbers, got [nan, ",
+    "absurd": "run: states: expected numbers up to 1e+15, got [-1e+300, ",
+    "a class of its own": "run: expected a Rollout, got KeyError: 'no connection'",
     "complex": "run: states: expected real numbers, got complex128",
     "object": "run: states: expected real numbers, got object",
     "text": "run: inputs: expected real numbers, got <U3",
@@ -131,6 +134,24 @@ def test_a_buffer_that_the_hardware_uses_again_changes_no_record(point_mass: Stu
 def test_a_failures_name_can_be_stored(point_mass: Study) -> None:
     made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure="caf\udce9\0"))
     assert made.failure == r"caf\udce9\x00"
+    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure=100_000 * "x"))
+    assert len(str(made.failure)) <= LONGEST_VALUE
+    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure=" \n"))
+    assert made.failure == "failed"
+
+
+def test_a_hardware_that_writes_into_what_it_gets_changes_no_record(point_mass: Study) -> None:
+    class Writing(Doing):
+        def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+            rollout = super().run(policy, theta, start, rng)
+            theta[:], start[:] = np.nan, np.nan
+            return rollout
+
+    theta = THETA.copy()
+    writing = replace(point_mass, hardware=Writing(point_mass.hardware, lambda rollout: rollout))
+    made = writing.experiment(theta, np.random.default_rng(1))
+    np.testing.assert_array_equal(theta, THETA)
+    assert_equal(made, experiment(point_mass, lambda rollout: rollout))
 
 
 def test_a_limit_changes_no_experiment(point_mass: Study) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import isnan, nan
@@ -130,6 +131,7 @@ def test_a_record_of_a_trial_that_came_to_its_end(point_mass: Study, succeeds: b
         (Waiting("run.csv is\nnot there."), Outcome.WAITING, "run.csv is not there."),
         (HardwareError("hot"), Outcome.ERROR, "HardwareError: hot"),
         (SystemExit(), Outcome.ERROR, "SystemExit"),
+        (asyncio.CancelledError(), Outcome.ERROR, "CancelledError"),
     ],
 )
 def test_a_record_of_a_trial_that_stopped(

@@ -13,8 +13,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import TARGET, check_allowed
-from simbias.config.errors import ConfigError
-from simbias.messages import quote, words
+from simbias.config.errors import ConfigError, reason
+from simbias.messages import quote, with_type, words
 
 
 def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = (), **provided: Any) -> Any:
@@ -37,7 +37,9 @@ def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = ()
     arguments = constructor_arguments(component, config, key, frozenset(provided))
     try:
         return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
         raise ConfigError(key, words(error)) from error
 
 
@@ -58,7 +60,9 @@ def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
     check_allowed(module_name, f"{key}.{TARGET}", allowed)
     try:
         component = getattr(importlib.import_module(module_name), name)
-    except Exception as error:  # a module of one's own may raise anything
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a module of one's own may raise anything, and may exit
         kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
         raise ConfigError(
             f"{key}.{TARGET}", f"cannot import {quote(target)} ({kind}{words(error)})"
@@ -79,7 +83,12 @@ def constructor_arguments(
         Naming `key` and the argument.
     """
     given = {name: value for name, value in config.items() if name != TARGET}
-    return _converted(given, _schema(component, provided), key)
+    try:
+        schema = _schema(component, provided)
+    except Exception as error:  # of annotations that name what is imported for type checkers alone, say
+        problem = f"the annotations of {component.__name__}'s constructor cannot be read ({with_type(error)})"
+        raise ConfigError(key, problem) from error
+    return _converted(given, schema, key)
 
 
 @cache
@@ -126,6 +135,8 @@ def _converted(values: Mapping[str, Any], adapter: TypeAdapter, key: str) -> dic
         return dict(adapter.validate_python(values))
     except ValidationError as error:
         raise _in_one_line(error, key) from error
+    except Exception as error:  # of the system, where a path cannot even be asked for
+        raise ConfigError(key, reason(error)) from error
 
 
 def _in_one_line(error: ValidationError, key: str) -> ConfigError:

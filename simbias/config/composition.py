@@ -97,6 +97,8 @@ class Variations:
         config_dir: Path | str | None = None,
         allow: Sequence[str] = (),
     ) -> None:
+        for override in overrides:
+            _check_text(override)
         self._overrides = list(overrides)
         self._config_dir = config_dir
         self._composed: dict[tuple[str, ...], _Composed] = {}
@@ -214,9 +216,17 @@ def _searched(overrides: Sequence[str]) -> list[Path]:
     return [Path(path.removeprefix("file://")) for path in paths if path.startswith("file://")]
 
 
+def _check_text(override: str) -> None:
+    """Refuse what no store can keep: bytes of a command line that are no UTF-8."""
+    try:
+        override.encode()
+    except UnicodeEncodeError as error:
+        raise ConfigError(override, "is no UTF-8") from error
+
+
 def _in_one_line(error: Exception) -> ConfigError:
     """Hydra's and OmegaConf's multi-line errors, as one line that names the key."""
-    from hydra.errors import MissingConfigException
+    from hydra.errors import MissingConfigException, OverrideParseException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
     if isinstance(error, MissingConfigException) and error.options is not None:
@@ -229,6 +239,9 @@ def _in_one_line(error: Exception) -> ConfigError:
         name = str(error).split("'")[1]
         return ConfigError(name, "no such key; --cfg job shows them all, --help the groups")
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
+    if isinstance(error, OverrideParseException):
+        said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it is the override again
+        return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
     return ConfigError("", ": ".join(lines[:2]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import signal
 import threading
 import time
@@ -21,11 +22,13 @@ from simbias.config import ConfigError
 from simbias.config.numbers import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
+from simbias.messages import quote
 
 if TYPE_CHECKING:
     from distributed import Client, Future
     from distributed.security import Security
 
+ADDRESS = re.compile(r"(\w+://)?(\[[\da-fA-F:.]+\]|[\w.-]+):\d{1,5}/?")
 CONNECT_SECONDS = 5.0
 RECOUNT_SECONDS = 1.0  # between two looks at how many workers there are
 LIBRARIES = ("OMP", "OPENBLAS", "MKL", "NUMBA")
@@ -65,6 +68,8 @@ class Dask(Engine):
         self._address = address
         self._tls = tls if tls and tls.ca_file else None
         self.n_jobs = n_jobs
+        if address and not ADDRESS.fullmatch(address):
+            raise ValueError(f"address must be like tls://host:8786, got {quote(address)}")
         if self._tls and not (address or "").startswith("tls://"):
             raise ValueError("tls is for an address that begins with tls://")
         if address and not address.startswith("tls://") and not _is_loopback(address):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
@@ -90,7 +93,7 @@ def plain(axes: Axes) -> None:
 def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG or, if the path ends so, as SVG; the same figure gives the same file."""
     if Path(path).suffix == ".svg":
-        with rc_context({"svg.hashsalt": "simbias"}):
+        with rc_context({"svg.hashsalt": "simbias"}), _silence():
             figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
     else:
         render(figure, PUBLISHED_DOTS_PER_INCH).save(path, "PNG", optimize=True)
@@ -103,11 +106,20 @@ def png(figure: Figure) -> bytes:
     return file.getvalue()
 
 
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Without warnings of labels for which there is no room, or of letters that no font has."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        yield
+
+
 def render(figure: Figure, dots_per_inch: int) -> Image.Image:
     """A figure in pixels, of 256 colours: in line art none is missed, and files are a third as large."""
     figure.set_dpi(dots_per_inch)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    with _silence():
+        canvas.draw()
     size = canvas.get_width_height()
     picture = Image.frombytes("RGBA", size, canvas.buffer_rgba().tobytes()).convert("RGB")
     return picture.quantize(256, dither=Image.Dither.NONE)

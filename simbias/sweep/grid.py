@@ -15,7 +15,7 @@ from pydantic import Field
 
 from simbias.config import Composition, ConfigError, Variations
 from simbias.config.components import construct, validate
-from simbias.config.composition import overridden
+from simbias.config.composition import NOT_HASHED, overridden
 from simbias.interfaces import Task
 from simbias.pictures.sweep.swept import SweepFigure
 from simbias.sweep.axes import Axis, label, read_axis
@@ -169,6 +169,8 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
     owners: dict[str, str] = {"seed": ""}
     for axis in axes:
         for key in axis.keys:
+            if (root := key.partition(".")[0]) in NOT_HASHED:
+                raise ConfigError(f"sweep.axes.{axis.name}", f"{root} changes no trial's result")
             if key in owners:
                 raise ConfigError(
                     f"sweep.axes.{axis.name}", f"{key} is set elsewhere: {owners[key] or 'trials'}"

@@ -35,7 +35,9 @@ def run_plan(plan: Plan) -> TrialRecord:
         try:
             study = build(Composition(plan.config, plan.choices, plan.allowed))
             recorder = Journal(Path(plan.journal), plan.pictures) if plan.journal else Recorder()
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             return lost(with_type(error))
         record = run_trial(study, recorder)
     return replace(record, iterations=tuple(map(_light, record.iterations)))

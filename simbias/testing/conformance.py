@@ -31,7 +31,7 @@ class Verdict:
 
     check: Check
     problem: str  # in one line; empty where there is none
-    error: Exception | None = None  # that it came from
+    error: BaseException | None = None  # that it came from
 
 
 def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
@@ -40,13 +40,15 @@ def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
         if check.group in groups:
             try:
                 check.run(study)
-            except Exception as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # also SystemExit
                 yield Verdict(check, _problem(study, check.group, error), error)
             else:
                 yield Verdict(check, "")
 
 
-def _problem(study: Study, group: str, error: Exception) -> str:
+def _problem(study: Study, group: str, error: BaseException) -> str:
     """What is wrong, with the name of the component's class."""
     component = type(getattr(study, group)).__name__
     text = told(error)

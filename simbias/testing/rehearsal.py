@@ -7,6 +7,7 @@ from simbias.config.errors import ConfigError
 from simbias.study import Study
 from simbias.testing.conformance import verdicts
 
+LEAST_SECONDS = 0.01  # of an experiment: in less nothing can fail, and every policy would succeed
 GROUPS = ("task", "nominal", "policy")  # whose checks take milliseconds
 
 
@@ -16,13 +17,22 @@ def rehearse(study: Study) -> None:
     Raises
     ------
     ConfigError
-        If one breaks its contract or raises: one line with component, method, expected and got.
+        If one breaks its contract or raises: one line with component, method, expected and got. Or if an
+        experiment is so short that it tells nothing.
     """
+    task = study.task
+    if (seconds := task.horizon * task.time_step) < LEAST_SECONDS:
+        problem = (
+            f"{task.horizon} frames of {task.time_step:g} s are {seconds:g} s, in which nothing can fail"
+        )
+        raise ConfigError("task.horizon", f"{problem}; at least {LEAST_SECONDS:g} s are needed")
     own = [group for group in GROUPS if is_own(getattr(study, group))]
     for verdict in verdicts(study, own):
         if verdict.problem:
             raise ConfigError("", verdict.problem) from verdict.error
     try:
         study.warm_up()
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         raise ConfigError("", told(error)) from error

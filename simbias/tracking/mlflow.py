@@ -56,6 +56,8 @@ class Mlflow(Tracking):
         pictures: bool = True,
         journals: str | None = None,
     ) -> None:
+        if not experiment.isprintable() or set(experiment.strip()) <= {"."}:
+            raise ValueError("experiment must be a name that can be printed, and no dots alone")
         self._uri = uri
         self._experiment = experiment
         self._pictures = pictures
@@ -64,7 +66,7 @@ class Mlflow(Tracking):
     def open(self, study: Study) -> TrackedTrial:
         """Begin a run, or go on with the one that the trial began; what came to its end stays as it is.
 
-        Processes that share a new SQLite store must wait for the first: creation by several at once fails.
+        Processes may share a new SQLite store: one makes it, the others find it.
         """
         from simbias.pictures.trial.gallery import ALL
 

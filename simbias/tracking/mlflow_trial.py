@@ -54,7 +54,8 @@ class MlflowTrial(TrackedTrial):
         self._writes = Writes()
         self._rows: list[notes.Row] = []
         self._iterations: list[Iteration] = []  # of the rows
-        self._logged = int(run.data.metrics.get(ITERATIONS, 0))
+        self._before = run.data.metrics  # of an earlier process
+        self._logged = int(self._before.get(ITERATIONS, 0))
         self._time = self._last_time(run)  # s since the epoch, up to the last iteration
         self._seconds = run.data.metrics.get(fields.SECONDS, 0.0)  # that earlier processes took
         if run.info.status != "RUNNING":  # it was ended early, and goes on
@@ -137,7 +138,8 @@ class MlflowTrial(TrackedTrial):
         self._time = record.started + record.seconds
         whole = replace(record, seconds=self._seconds + record.seconds)
         numbers = fields.trial_metrics(whole).items()
-        writes.metrics.append([(name, value, 0, self._time) for name, value in numbers])
+        new = [(name, value) for name, value in numbers if self._before.get(name) != value]
+        writes.metrics.append([(name, value, 0, self._time) for name, value in new])
         self._note(notes.verdict(self._rows, record))
         writes.tags |= {"outcome": record.outcome, **fields.machine_tags(record)}
         if record.held_out:

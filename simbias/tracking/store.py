@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import re
@@ -9,7 +10,7 @@ import shutil
 import sqlite3
 import textwrap
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,12 +133,13 @@ def _probe_database(uri: str) -> str | None:
         return None
     if url.database in (None, "", ":memory:"):
         raise ValueError("a database in memory keeps nothing")
-    path = Path(str(url.database)).resolve()
+    path = _resolved(str(url.database))
     artifacts = path.parent / "mlartifacts"
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder {path.parent}")
     if artifacts.exists() and not artifacts.is_dir():
         raise NotADirectoryError(f"{artifacts} is in the place of the folder for its files")
+    _remove_parts(path)
     if not path.exists() or not path.stat().st_size:
         _create(path)
     with closing(sqlite3.connect(path)) as database:
@@ -158,16 +160,30 @@ def _check_tables(database: sqlite3.Connection) -> None:
 def _create(path: Path) -> None:
     """Make a SQLite store elsewhere and put it in its place when it is whole.
 
-    MLflow can never use a database again in whose making it was killed.
+    MLflow can never use a database again in whose making it was killed. If another process is quicker, its
+    store stays.
     """
-    number = re.compile(rf"\.{re.escape(path.name)}\.(\d+){re.escape(PART)}")
-    for part in path.parent.iterdir():  # also what SQLite has beside them, as a journal
-        if (match := number.match(part.name)) and not _alive(int(match[1])):
-            part.unlink(missing_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     shutil.copyfile(_empty_store(), part)
     _client(f"sqlite:///{part}").search_experiments(max_results=1)  # makes MLflow's own experiment
-    part.replace(path)
+    if path.exists() and not path.stat().st_size:
+        path.unlink(missing_ok=True)
+    try:
+        os.link(part, path)  # unlike a rename, it replaces nothing
+    except FileExistsError:
+        pass
+    except OSError:  # a file system without links
+        part.replace(path)
+    part.unlink(missing_ok=True)
+
+
+def _remove_parts(path: Path) -> None:
+    """Remove what processes left that were killed while they made this store."""
+    number = re.compile(rf"\.{re.escape(path.name)}\.(\d+){re.escape(PART)}")
+    with suppress(OSError):  # where others may write but not read
+        for part in path.parent.iterdir():  # also what SQLite has beside them, as a journal
+            if (match := number.match(part.name)) and not _alive(int(match[1])):
+                part.unlink(missing_ok=True)
 
 
 def _empty_store() -> Path:
@@ -216,9 +232,23 @@ def database(uri: str) -> Path | None:
     if not uri.startswith("sqlite"):
         return None
     try:
-        return Path(str(sqlalchemy.make_url(uri).database)).resolve()
-    except sqlalchemy.exc.ArgumentError as error:
+        return _resolved(str(sqlalchemy.make_url(uri).database))
+    except (sqlalchemy.exc.ArgumentError, OSError) as error:
         raise ConfigError("tracking.uri", cause(error)) from error
+
+
+def _resolved(file: str) -> Path:
+    """The file that links lead to.
+
+    Raises
+    ------
+    OSError
+        If they lead in a circle.
+    """
+    path = Path(os.path.realpath(file))
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), file)
+    return path
 
 
 @contextmanager

@@ -138,9 +138,24 @@ def test_what_is_allowed_is_no_part_of_a_trials_identity() -> None:
     assert other.allowed == ("elsewhere", "point_mass")
 
 
-def test_a_module_that_raises_is_one_line(project: Path) -> None:
-    (project / "beside.py").write_text("1 / 0")
-    with pytest.raises(
-        ConfigError, match=r"^bias\._target_: cannot import 'beside\.Mine' \(ZeroDivisionError: "
-    ):
+EXITS = "raise SystemExit(7)"
+CANCELLED = "import asyncio\nraise asyncio.CancelledError('late')"
+CONSTRUCTOR = CLASS.replace(" ...", "\n    def __init__(self{}) -> None: {}")
+UNKNOWN = CONSTRUCTOR.format(", size: 'Unknown' = 3", "pass")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("1 / 0", r"bias\._target_: cannot import 'beside\.Mine' \(ZeroDivisionError: division by zero\)$"),
+        (EXITS, r"bias\._target_: cannot import 'beside\.Mine' \(SystemExit: 7\)$"),
+        (CANCELLED, r"bias\._target_: cannot import 'beside\.Mine' \(CancelledError: late\)$"),
+        (CONSTRUCTOR.format("", EXITS), r"bias: 7$"),
+        (CONSTRUCTOR.format("", CANCELLED.replace("\n", "; ")), r"bias: late$"),
+        (UNKNOWN, r"bias: the annotations of Mine's constructor cannot be read \(NameError: name 'Unknown' "),
+    ],
+)
+def test_a_module_that_raises_is_one_line(project: Path, text: str, line: str) -> None:
+    (project / "beside.py").write_text(text)
+    with pytest.raises(ConfigError, match=f"^{line}"):
         simbias.load(["bias=beside", "tracking=none"], "conf")

@@ -95,6 +95,13 @@ def test_an_option_is_a_name(override: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("override", ["bias=\udce9", "tracking.journals='a\udce9'", "\udce9"])
+def test_bytes_that_are_no_text_are_refused(override: str) -> None:
+    """A store could not keep them."""
+    with pytest.raises(ConfigError, match=r"\\udce9.*: is no UTF-8$"):
+        compose([override, "tracking=none"])
+
+
 def test_components_that_nobody_can_read_are_named(tmp_path: Path) -> None:
     for text in (BOMB, "a: [1", "3"):
         (tmp_path / "components.yaml").write_text(text)

@@ -106,6 +106,16 @@ def test_a_deviation_of_next_to_nothing_is_refused() -> None:
         simbias.load(["optimizer=cma", "optimizer.initial_deviation=5e-324", "tracking=none"])
 
 
+@pytest.mark.parametrize("override", ["task.time_step=1e-6", "task.horizon=9"])
+def test_an_experiment_in_which_nothing_can_fail_is_refused(
+    override: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every policy would succeed."""
+    for more in ([], ["+sweep=smoke", "sweep.dry_run=true"]):
+        assert main([override, *more, "tracking=none"]) == 2
+        assert "s, in which nothing can fail; at least 0.01 s are needed" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = ["evaluation=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=10000"]

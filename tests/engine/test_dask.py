@@ -142,6 +142,7 @@ def test_certificates(tmp_path: Path) -> None:
             ["engine.tls.ca_file=/nowhere"],
             r"engine\.tls\.ca_file: Path does not point to a file, got '/nowhere'",
         ),
+        ([f"engine.tls.ca_file={5000 * 'x'}"], "^engine: File name too long: x"),
         ([f"engine.tls.ca_file={__file__}"], "engine.*tls needs a ca_file and a cert"),
         (
             [f"engine.tls.ca_file={__file__}", f"engine.tls.cert={__file__}"],
@@ -189,8 +190,16 @@ def test_something_else_at_the_port(scheme: str, words: bytes, monkeypatch: pyte
     assert time.monotonic() - start < 5
 
 
+@pytest.mark.parametrize(
+    "address", ["nonsense://x", "no port", "../..", "tcp://a b:1", "tcp://x:999999", "<b>"]
+)
+def test_what_is_no_address_is_refused(address: str) -> None:
+    with pytest.raises(ConfigError, match=r"^engine: address must be like tls://host:8786, got '"):
+        engine(compose(["engine=dask", f"engine.address='{address}'"]))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "no port"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x:1", "localhost:9"])
 def test_no_scheduler_at_the_address(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
     with pytest.raises(ConfigError, match=rf"engine\.address: {address}: no scheduler answers"):

@@ -341,6 +341,50 @@ def test_parameters_are_those_that_are_uncertain_and_draws_differ():
     assert model.memory_size == 1 + 10
 
 
+def test_priors_are_as_declared():
+    """Unit, median or bound, spread and kind of each; the motor saturates at most so far below the limit."""
+    robot, limit = TASK.robot, float(TASK.input_limit[0])
+    assert [parameter[:5] for parameter in LagrangianBongoboard(TASK, uncertainty=UNKNOWN).parameters] == [
+        ("wheel_mass", "kg", robot.wheel_mass, 0.15, "log_normal"),
+        ("board_mass", "kg", robot.board_mass, 0.15, "log_normal"),
+        ("leg_mass", "kg", robot.leg_mass, 0.15, "log_normal"),
+        ("pelvis_mass", "kg", robot.pelvis_mass, 0.15, "log_normal"),
+        ("pelvis_inertia", "kg m^2", robot.pelvis_inertia, 0.15, "log_normal"),
+        ("foot_mass", "kg", 0.0, 2.0, "uniform"),
+        ("slope", "rad", 0.0, 0.1, "normal"),
+        ("ankle_damping", "N m s/rad", 0.0, 2.0, "half_normal"),
+        ("ankle_stiffness", "N m/rad", 0.0, 10.0, "half_normal"),
+        ("ankle_friction", "N m", 0.0, 2.0, "half_normal"),
+        ("rolling_resistance", "N m", 0.0, 1.0, "half_normal"),
+        ("payload_mass", "kg", 0.0, 3.0, "half_normal"),
+        ("payload_x", "m", 0.0, 0.1, "normal"),
+        ("payload_y", "m", 0.0, 0.1, "normal"),
+        ("motor_gain", "1", 1.0, 0.3, "log_normal"),
+        ("torque_offset", "N m", 0.0, 1.0, "normal"),
+        ("torque_limit", "N m", limit - 60.0, 60.0, "uniform"),
+        ("lag", "s", 0.0, 0.02, "half_normal"),
+        ("delay", "s", 0.0, 0.01, "uniform"),
+    ]
+    (weak,) = LagrangianBongoboard(TASK, uncertainty=Uncertainty(torque_limit=2 * limit)).parameters
+    assert weak[2:4] == (0.0, limit)
+
+
+def test_a_motor_acts_on_the_torque():
+    """Nothing but its offset, then its gain, too, differs from those of an ideal one."""
+    x, u = np.tile(MOVING, (3, 1)), np.array([[-10.0], [0.0], [20.0]])
+    ideal, offset = LagrangianBongoboard(TASK, 1.0), with_values(TASK, torque_offset=3.0)
+    both = with_values(TASK, torque_offset=3.0, motor_gain=0.5)
+    for model, torque in ((ideal, u), (offset, u + 3.0), (both, 0.5 * u + 3.0)):
+        memory = np.zeros((3, model.memory_size))
+        np.testing.assert_allclose(model.step(x, u), ideal.step(x, torque), rtol=1e-12)
+        advanced, after = model.advance(x, u, memory)
+        np.testing.assert_allclose(advanced, ideal.step(x, torque), rtol=1e-12)
+        assert after.shape == memory.shape
+        assert model.memories(x, u).shape == memory.shape
+        np.testing.assert_allclose(model.energy(x), model.energy(MOVING))
+    assert ideal.memories(x, u).shape == (3, 0)
+
+
 def test_what_is_not_sampled_is_not_there_until_it_is_identified():
     uncertainty = Uncertainty(masses=0.15, slope=0.02, lag=0.02, delay=0.01)
     model = LagrangianBongoboard(TASK, uncertainty=uncertainty, sampled=["masses"])

@@ -152,7 +152,15 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
             ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['a\tb']}"],
             "sweep.axes.x: has a name or label with letters that cannot be printed",
         ),
+        (
+            ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['$\\frac$']}"],
+            "sweep.axes.x: between dollars Matplotlib expects mathematics, got '$",
+        ),
         (["+sweep=smoke", "+sweep.axes.bias=[gp, gp]"], "sweep.axes.bias: has the same value or label twice"),
+        (
+            ["+sweep=smoke", "+sweep.axes.x={keys: tracking.uri, values: [a]}"],
+            "sweep.axes.x: tracking changes no trial's result",
+        ),
         (["+sweep=smoke", "+sweep.axes.seed=[1, 2]"], "sweep.axes.seed: seed is set elsewhere"),
         (["+sweep=smoke", "+sweep.axes.x={keys: hardware.inertia_error, values: [0.1]}"], "set elsewhere"),
         (["+sweep=smoke", "+sweep.axes.x={keys: [seed, bias], values: [0.1]}"], "each of its values must"),

@@ -13,7 +13,7 @@ from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, NoReturn
 from urllib.parse import unquote, urlparse
 
 import numpy as np
@@ -382,6 +382,28 @@ def test_what_ended_early_goes_on_in_its_run(folder: Path, outcome: Outcome | No
     assert not (folder / "journals").exists()
 
 
+def test_killed_before_its_state_is_written_a_trial_keeps_nothing_twice(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, trial = described(), open_trial(folder, described())
+
+    def kill(*_: object, **__: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MlflowClient, "set_terminated", kill)
+        with pytest.raises(KeyboardInterrupt):
+            keep(trial, three(), Outcome.SUCCEEDED)
+    trial._journal.release()  # type: ignore[attr-defined]  # as the system does
+    before = histories(folder, read(folder))
+    keep(open_trial(folder, study), three(), Outcome.SUCCEEDED)
+    run = read(folder)
+    assert run.info.status == "FINISHED"
+    after = histories(folder, run)
+    for name in after.keys() - {"trial/seconds"}:
+        assert after[name] == before[name], name
+
+
 def test_an_error_that_is_mended_leaves_no_file(folder: Path) -> None:
     """A store that cannot remove files keeps it, and works."""
     for broken in (False, True):
@@ -497,6 +519,12 @@ def test_where_journals_are(folder: Path, tmp_path: Path, given: bool) -> None:
     store.open(study)
     assert (tmp_path / "own" if given else folder / "journals").joinpath("my___lab", study.hash).is_dir()
     assert (folder / "journals").exists() is not given
+
+
+@pytest.mark.parametrize("name", ["", "..", " .", "a\nb", "\x1b[31m"])
+def test_an_experiments_name_is_one(name: str) -> None:
+    with pytest.raises(ValueError, match=r"^experiment must be a name"):
+        Mlflow(experiment=name)
 
 
 def test_a_trial_that_cannot_be_described_is_no_running_run(folder: Path) -> None:

@@ -46,3 +46,22 @@ def test_it_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert store._empty_store() == first
     assert first.stat().st_mtime_ns == written
     assert [path.name for path in tmp_path.iterdir()] == [first.name]
+
+
+def test_of_two_processes_that_make_it_at_once_the_first_does(tmp_path: Path) -> None:
+    """Else what the first has kept by then would be lost."""
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    store.connect(uri, "mine")
+    store._create(tmp_path / "mlflow.db")
+    assert MlflowClient(uri).get_experiment_by_name("mine") is not None
+    assert not list(tmp_path.glob(f".*{store.PART}"))
+    (tmp_path / "empty.db").touch()
+    store.connect(f"sqlite:///{tmp_path}/empty.db", "mine")
+
+
+def test_what_a_kill_left_of_one_goes_with_the_next_start(tmp_path: Path) -> None:
+    uri, dead = f"sqlite:///{tmp_path}/mlflow.db", tmp_path / f".mlflow.db.{2**22 + 1}{store.PART}"
+    for _ in range(2):
+        dead.touch()
+        store.connect(uri, "mine")
+        assert not dead.exists()

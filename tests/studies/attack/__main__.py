@@ -1,8 +1,9 @@
 """An attack on all that comes from outside, of so many minutes: is anything but refused in one line, or run?
 
 `python tests/studies/attack FOLDER [--minutes 12] [--seed 0]` writes FOLDER/attack_<seed>.csv, how many cases
-of each surface ended how, and FOLDER/finds_<seed>.csv, a row for each that ended as none should. A case is
-drawn by the seed, but how many there is time for depends on the machine.
+of each surface ended how, FOLDER/finds_<seed>.csv, a row for each that ended as none should, and
+FOLDER/ran_<seed>.csv, the values and forms that ran, for a person to judge. A case is drawn by the seed, but
+how many there is time for depends on the machine.
 
 A trial that runs for long, as it was told to, is interrupted after some seconds, and has to end then.
 """
@@ -26,7 +27,7 @@ import pandas as pd
 
 from attack.surfaces import SURFACES, template
 from attack.values import form_case, value_case
-from attack.verdict import Result, attempt
+from attack.verdict import Result, Verdict, attempt
 
 SHARES = {  # of the time
     "values": 0.42,
@@ -43,9 +44,11 @@ SHARES = {  # of the time
 def cases(surface: str, rng: random.Random, work: Path) -> Iterator[Result]:
     """Results of cases of a surface, without end."""
     while True:
-        if surface in ("values", "forms"):
-            case, command = (value_case if surface == "values" else form_case)(rng)
-            yield attempt(surface, case, command)
+        if surface == "values":
+            case, command, key = value_case(rng)
+            yield attempt(surface, case, command, key=key)
+        elif surface == "forms":
+            yield attempt(surface, *form_case(rng))
         else:
             yield from SURFACES[surface](rng, work)
 
@@ -83,6 +86,8 @@ def main() -> None:
     counts.round(1).to_csv(parsed.folder / f"attack_{parsed.seed}.csv")
     finds = table[[result.verdict.find for result in results]]
     finds.to_csv(parsed.folder / f"finds_{parsed.seed}.csv", index=False)
+    ran = table[table["surface"].isin(["values", "forms"]) & (table["verdict"] == Verdict.RAN)]
+    ran[["surface", "case", "status"]].to_csv(parsed.folder / f"ran_{parsed.seed}.csv", index=False)
     print(counts["cases"].unstack(fill_value=0).to_string())
     print(f"{len(results)} cases, {len(finds)} finds")
     sys.stdout.flush()

@@ -180,8 +180,8 @@ def _near(value: Any, rng: random.Random) -> str:
     return rng.choice(VALUES)
 
 
-def value_case(rng: random.Random) -> tuple[str, list[str]]:
-    """A value at a key, and the command that gives it."""
+def value_case(rng: random.Random) -> tuple[str, list[str], str]:
+    """A value at a key, the command that gives it, and the key."""
     name, (choice, value) = rng.choice(sorted(keys().items(), key=lambda item: item[0]))
     key = name.rpartition(" ")[2]
     given = _near(value, rng) if rng.random() < 0.4 else rng.choice(VALUES)
@@ -191,7 +191,7 @@ def value_case(rng: random.Random) -> tuple[str, list[str]]:
     if key.startswith("tracking"):  # no pictures of what nobody looks at
         store = []
     quick = [each for each in QUICK if each.partition("=")[0] != key and not (store and "tracking" in each)]
-    return f"{choice} {override}", [choice, *store, *quick, override]
+    return f"{choice} {override}", [choice, *store, *quick, override], key
 
 
 def form_case(rng: random.Random) -> tuple[str, list[str]]:
@@ -220,4 +220,5 @@ def form_case(rng: random.Random) -> tuple[str, list[str]]:
     else:
         flag = rng.choice(["--config-dir", "--allow", "--cfg", "--unknown", "check"])
         return f"{flag} {text}", [flag, text, "tracking=none", *QUICK[:3]]
-    return override, [override, "tracking=none", "engine=sequential", *QUICK[:3]]
+    others = ["tracking=none", "engine=sequential", *QUICK[:3]]  # but for what a later one would replace
+    return override, [override, *(each for each in others if each.split("=")[0] != override.split("=")[0])]

@@ -88,12 +88,14 @@ def attempt(
     forked: bool = True,
     seconds: float = STOP_SECONDS,
     tolerated: str = "(?!)",
+    key: str = "",
 ) -> Result:
     """Run simbias with these arguments in a process and a folder of its own, both gone afterwards.
 
     The process is a fork, so that what is imported and compiled is there, unless it needs workers. `prepare`
     runs in it first, in the folder, a copy of the template. It has so many seconds before it is interrupted,
-    and may print lines that match what is tolerated. What ran is wrong if `inspect` says so.
+    and may print lines that match what is tolerated. What ran is wrong if `inspect` says so; a refusal, if it
+    names neither the key nor its group, or comes only once the trial runs.
     """
     with tempfile.TemporaryDirectory(prefix="attack-") as name:
         folder = Path(name, "two", "levels", "deep")  # so that ../.. is nobody else's
@@ -108,6 +110,9 @@ def attempt(
         out, err = _read(folder / "stdout"), _read(folder / "stderr")
         verdict = judge(status, out, re.sub(f"^{tolerated}.*\\n", "", err, flags=re.MULTILINE))
         if verdict is Verdict.RAN and not inspect(folder):
+            verdict = Verdict.WRONG
+        late = status == 1 and not err.startswith("simbias: HardwareError")
+        if verdict is Verdict.REFUSED and key and (late or key.partition(".")[0] not in err):
             verdict = Verdict.WRONG
         lines = (err.strip() or out.strip() or " ").splitlines()
         _unlock(folder)
