@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from simbias.records import Array
 
@@ -40,6 +39,8 @@ class Parameter(NamedTuple):
             return self.value + self.spread * z
         if self.prior == "log_normal":
             return self.value * np.exp(np.clip(self.spread * z, -LARGEST, LARGEST))
+        from scipy.special import ndtr, ndtri  # lazily: most trials need none
+
         if self.prior == "half_normal":
             return self.value - self.spread * ndtri(ndtr(-z) / 2)
         return self.value + self.spread * ndtr(z)

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 import simbias
 from simbias.config import Variations
@@ -13,6 +16,37 @@ from simbias.study import Study
 ROOT = Path(__file__).resolve().parent.parent
 OWN_CONF = ROOT / "tests" / "own_conf"
 POINT_MASS = [f"{group.name}=point_mass" for group in sorted(OWN_CONF.iterdir())]
+ALL_SLOW = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.slow\b", re.MULTILINE)
+
+_writes_no_bytecode = sys.dont_write_bytecode
+
+
+def rest_slow(fast: int, cases: list[Any]) -> list[Any]:
+    """Cases of one property: the first few are fast tests, all of them slow ones."""
+    return [*cases[:fast], *(_slow(case) for case in cases[fast:])]
+
+
+def _slow(case: Any) -> Any:
+    """A case that is left out of the fast tests."""
+    values = case if isinstance(case, tuple) else (case,)
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+def pytest_sessionstart() -> None:
+    """Keep the tests' bytecode: pytest would rewrite 20,000 lines at each start, in each process."""
+    sys.dont_write_bytecode = False
+
+
+def pytest_collection_finish() -> None:
+    """Write none while tests run: they write modules anew, some within a second."""
+    sys.dont_write_bytecode = _writes_no_bytecode
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Without slow tests, do not import what only they need: MLflow, a browser, a cluster."""
+    if config.option.markexpr != "not slow" or collection_path.suffix != ".py":
+        return None
+    return ALL_SLOW.search(collection_path.read_text(encoding="utf-8")) is not None or None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -21,6 +55,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         slow.setdefault(item.path, []).append(item.get_closest_marker("slow") is not None)
     items.sort(key=lambda item: -sum(slow[item.path]) / len(slow[item.path]))  # a file stays in one piece
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Linear algebra on one thread, as in a trial: its threads wait for each other in a busy loop."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from simbias.config import compose, options
+from simbias.config.components import TARGET
+from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
 MODEL = "gymnasium:envs/mujoco/assets/inverted_pendulum.xml"
@@ -33,6 +38,12 @@ def overrides(group: str, option: str) -> list[str]:
         return [choice, *NEEDED[choice]]
     preset = _presets().get((group, option))
     return [f"preset={preset}", *NEEDED.get(f"preset={preset}", [])] if preset else [choice]
+
+
+def shipped(group: str, option: str) -> Any:
+    """What names the class of an option: its file, or what that is composed with."""
+    own = yaml.safe_load((resource_folder("conf") / group / f"{option}.yaml").read_text())
+    return own if TARGET in own else compose(overrides(group, option)).config[group]
 
 
 @cache

@@ -10,14 +10,16 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlparse
 
 import numpy as np
 import psutil
 from conftest import ROOT
-from mlflow import MlflowClient
-from mlflow.entities import Run
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
 
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 FOUR_CELLS = """
@@ -99,9 +101,16 @@ def workers(process: subprocess.Popen[str]) -> list[int]:
     return [child.pid for child in children if any("popen_loky" in word for word in child.cmdline())]
 
 
+def client_of(folder: Path) -> MlflowClient:
+    """Of the store in a folder."""
+    from mlflow import MlflowClient  # lazily: it takes seconds
+
+    return MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
+
+
 def runs(folder: Path) -> tuple[list[Run], list[Run]]:
     """Parent runs and trials' runs of the store in a folder."""
-    client = MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
+    client = client_of(folder)
     experiment = client.get_experiment_by_name("simbias")
     assert experiment is not None
     found = list(client.search_runs([experiment.experiment_id], max_results=1000))
@@ -120,7 +129,7 @@ def trial_by_trial(folder: Path) -> dict[str, Any]:
     assert {run.data.tags["mlflow.parentRunId"] for run in trials} == {parents[0].info.run_id}
     assert {run.info.status for run in trials} == {"FINISHED"}
     assert len({run.data.tags["hash"] for run in trials}) == len(trials)
-    client = MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
+    client = client_of(folder)
     return {run.data.tags["hash"]: everything(client, run) for run in trials}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,10 @@ def imports(file: Path) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
 
 
-GRAPH = {name: {found for found in imports(file) if found in MODULES} for name, file in MODULES.items()}
+@cache
+def graph() -> dict[str, set[str]]:
+    """The modules of simbias that each of them imports."""
+    return {name: {found for found in imports(file) if found in MODULES} for name, file in MODULES.items()}
 
 
 def circles() -> list[set[str]]:
@@ -52,7 +56,7 @@ def circles() -> list[set[str]]:
     def visit(name: str) -> None:
         order[name] = low[name] = len(order)
         stack.append(name)
-        for other in GRAPH[name]:
+        for other in graph()[name]:
             if other not in order:
                 visit(other)
                 low[name] = min(low[name], low[other])
@@ -64,7 +68,7 @@ def circles() -> list[set[str]]:
                 component.add(stack.pop())
             components.append(component)
 
-    for name in GRAPH:
+    for name in graph():
         if name not in order:
             visit(name)
     return [component for component in components if len(component) > 1]
@@ -82,7 +86,7 @@ def test_no_circle_of_imports_is_large() -> None:
 @pytest.mark.parametrize("name", [name for name in MODULES if room(name) in COMPONENTS])
 def test_a_component_imports_none_of_another_group(name: str) -> None:
     """But for the robot's own: its model and its hardware know its task."""
-    foreign = {found for found in GRAPH[name] if room(found) in COMPONENTS and room(found) != room(name)}
+    foreign = {found for found in graph()[name] if room(found) in COMPONENTS and room(found) != room(name)}
     if room(name) in ROBOTS:
         foreign = {found for found in foreign if room(found) != "task"}
     assert not foreign
@@ -90,7 +94,7 @@ def test_a_component_imports_none_of_another_group(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in MODULES if room(name) in COMPONENTS])
 def test_a_component_knows_neither_stores_nor_sweeps_nor_terminals(name: str) -> None:
-    rooms = {room(found) for found in GRAPH[name]}
+    rooms = {room(found) for found in graph()[name]}
     assert not rooms & {"tracking", "sweep", "terminal", "engine", "pictures"} or name.endswith("_drawing")
 
 

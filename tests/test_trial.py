@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from records import assert_equal, timeless
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from simbias.interfaces import HardwareError, Waiting
 from simbias.records import Array, Iteration, Rollout
@@ -205,7 +205,8 @@ def test_linear_algebra_runs_on_one_thread(point_mass: Study) -> None:
         def iterated(self, iteration: Iteration) -> None:
             seen.append([pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"])
 
-    run_trial(scripted(point_mass), observer=Looking())
+    with threadpool_limits(2, user_api="blas"):
+        run_trial(scripted(point_mass), observer=Looking())
     assert seen
     assert all(threads and set(threads) == {1} for threads in seen)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
-from scipy.optimize import Bounds, minimize
 
 from simbias.bias.covariance import Hyperparameters, correlation, output_scale
 from simbias.config.numbers import Count, Spread
@@ -30,6 +29,8 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
 
     All outputs share them, each over its root mean square. Deterministic; without data, the medians.
     """
+    from scipy.optimize import Bounds, minimize  # lazily: most trials learn none
+
     N = len(transitions)
     chosen = np.linspace(0, N - 1, min(N, learning.points)).astype(int)
     scale = output_scale(transitions.residuals)

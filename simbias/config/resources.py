@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -52,17 +53,14 @@ def register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
     A file that cannot be read is passed over, unless it is the wanted one.
     """
     from hydra.core.config_store import ConfigStore
-    from omegaconf import DictConfig, OmegaConf
 
     store = ConfigStore.instance()
     store.repo.pop("sweep", None)  # those of another config_dir
     for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
         for file in _files(folder):
             try:
-                check_file(file)
-                node = OmegaConf.load(file)
-                if not isinstance(node, DictConfig):
-                    raise ConfigError(str(file), "must be a mapping")
+                about = file.stat()
+                node = _sweep(file, about.st_mtime_ns, about.st_size)
             except Exception as error:  # OmegaConf's, YAML's or the system's
                 if file.stem != wanted:
                     continue
@@ -70,6 +68,18 @@ def register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
                     raise
                 raise ConfigError(str(file), reason(error)) from error
             store.store(group="sweep", name=file.stem, node=node, package="_global_")
+
+
+@cache
+def _sweep(file: Path, time: int, size: int) -> Any:
+    """The config in a file that was changed last at that time; Hydra copies what it uses of it."""
+    from omegaconf import DictConfig, OmegaConf
+
+    check_file(file)
+    node = OmegaConf.load(file)
+    if not isinstance(node, DictConfig):
+        raise ConfigError(str(file), "must be a mapping")
+    return node
 
 
 def check_no_primary(config_dir: Path | str | None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaln
 
 from simbias.records import Array, Indices
 from simbias.simulation.measurement import Linearised, covariance_of_noise
@@ -72,6 +71,8 @@ class Errors:
 
     def log_likelihoods(self, errors: Array) -> Array:
         """Log-likelihoods (w,) of errors (w, J, n), in nats."""
+        from scipy.special import gammaln  # lazily: few trials need it
+
         d, nu = len(self.factor), self.freedom * len(self.factor)
         constant = gammaln((nu + d) / 2) - gammaln(nu / 2) - 0.5 * d * np.log(nu * np.pi)
         return constant - np.sum(np.log(np.diag(self.factor))) - 0.5 * self.losses(self.whiten(errors))

@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from conftest import rest_slow
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
@@ -70,22 +71,25 @@ def test_what_changes_no_result_changes_no_identity(override: str) -> None:
 
 @pytest.mark.parametrize(
     "override",
-    [
-        "seed=1",
-        "bias.d=2",
-        "bias=none",
-        "bias=sparse_gp",
-        "hardware.noise.torque_variance=0.1",
-        "hardware.inertia_error=0.2",
-        "task.robot.leg_length=0.4",
-        "task.start.deviation=0.01",
-        "optimizer.max_evaluations=999",
-        "optimizer=nlopt_crs",
-        "samples.limits.speed=7",
-        "samples.window.measured=1",
-        "method.keep_data=true",
-        "preset=robust",
-    ],
+    rest_slow(
+        5,
+        [
+            "seed=1",
+            "bias.d=2",
+            "bias=none",
+            "hardware.noise.torque_variance=0.1",
+            "task.robot.leg_length=0.4",
+            "bias=sparse_gp",
+            "hardware.inertia_error=0.2",
+            "task.start.deviation=0.01",
+            "optimizer.max_evaluations=999",
+            "optimizer=nlopt_crs",
+            "samples.limits.speed=7",
+            "samples.window.measured=1",
+            "method.keep_data=true",
+            "preset=robust",
+        ],
+    ),
 )
 def test_what_may_change_a_result_changes_the_identity(override: str) -> None:
     assert compose([override]).hash != compose([]).hash
@@ -109,12 +113,15 @@ def test_a_bad_value_is_one_line() -> None:
 
 @pytest.mark.parametrize(
     ("override", "key"),
-    [
-        ("hardware.noise={torque_variance: 0.1}", "hardware.noise"),
-        ("hardware.noise.torque_variance=0.1", "hardware.noise.torque_variance"),
-        ("~hardware.noise", "hardware.noise"),
-        ("hardware.inertia_error=0.1", "hardware.inertia_error"),
-    ],
+    rest_slow(
+        2,
+        [
+            ("hardware.noise={torque_variance: 0.1}", "hardware.noise"),
+            ("hardware.noise.torque_variance=0.1", "hardware.noise.torque_variance"),
+            ("~hardware.noise", "hardware.noise"),
+            ("hardware.inertia_error=0.1", "hardware.inertia_error"),
+        ],
+    ),
 )
 def test_an_override_of_an_axis_or_what_is_around_it_is_refused(override: str, key: str) -> None:
     with pytest.raises(ConfigError, match=rf"^{key}: is an axis of the sweep"):

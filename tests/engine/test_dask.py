@@ -20,6 +20,8 @@ from simbias.config.services import engine
 from simbias.engine import dask as module
 from simbias.engine.dask import Dask
 
+pytestmark = pytest.mark.slow
+
 distributed = pytest.importorskip("distributed")
 
 
@@ -44,7 +46,6 @@ def cluster() -> Iterator[Any]:
         yield cluster
 
 
-@pytest.mark.slow
 def test_an_address(cluster: Any) -> None:
     subject = engine(compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]))
     assert isinstance(subject, Dask)
@@ -52,7 +53,6 @@ def test_an_address(cluster: Any) -> None:
     assert os.getpid() not in dict(subject.run(where, [0])).values()
 
 
-@pytest.mark.slow
 def test_closing_drops_what_waits_at_an_address(cluster: Any, tmp_path: Path) -> None:
     tasks = [(0.5, str(tmp_path / str(number))) for number in range(4)]
     results = Dask(address=cluster.scheduler_address).run(wait_and_write, tasks)
@@ -90,7 +90,6 @@ def own_listeners() -> list[Any]:
     return [connection.laddr for connection in connections if connection.status == psutil.CONN_LISTEN]
 
 
-@pytest.mark.slow
 def test_strangers_are_kept_out_of_the_local_cluster() -> None:
     """Of all ports none talks Dask without the certificate or has a page, and none is for other machines."""
     before = set(own_listeners())
@@ -118,7 +117,6 @@ def test_strangers_are_kept_out_of_the_local_cluster() -> None:
     assert len(list(results)) == 2
 
 
-@pytest.mark.slow
 def test_certificates(tmp_path: Path) -> None:
     security = distributed.Security.temporary()
     (tmp_path / "ca.pem").write_text(security.tls_ca_file)
@@ -169,7 +167,6 @@ def test_one_warning_of_an_open_address(caplog: pytest.LogCaptureFixture) -> Non
     assert len(caplog.records) == 2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 @pytest.mark.parametrize("words", [b"", b"SSH-2.0-OpenSSH_9.2p1 Debian\r\n"])
 def test_something_else_at_the_port(scheme: str, words: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,7 +195,6 @@ def test_what_is_no_address_is_refused(address: str) -> None:
         engine(compose(["engine=dask", f"engine.address='{address}'"]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x:1", "localhost:9"])
 def test_no_scheduler_at_the_address(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
@@ -206,7 +202,6 @@ def test_no_scheduler_at_the_address(address: str, monkeypatch: pytest.MonkeyPat
         list(Dask(address=address).run(double, [1]))
 
 
-@pytest.mark.slow
 def test_a_scheduler_that_ends_ends_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:

@@ -22,7 +22,6 @@ from bongoboard_twin import (
 )
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
-from scipy.stats import chi2
 
 import simbias
 from simbias.hardware.bongoboard_bodies import contact, inertias, places
@@ -286,6 +285,8 @@ def test_without_noise_the_measured_states_are_the_true_ones() -> None:
 
 def test_noise_has_its_variances() -> None:
     """In 99.9 % of all seeds: sum x^2 / variance is chi-square."""
+    from scipy.stats import chi2  # lazily: it takes a second
+
     noise = {"angle_variance": 1e-6, "velocity_variance": 1e-3}
     rollout = experiment(PymunkBongoboard(build_task(UNLIMITED, horizon=300), noise=noise), 0.0)
     assert rollout.measured is not None

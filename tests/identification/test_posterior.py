@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from pendulum import experiment, pendulum, truth, with_a_fall
-from scipy.stats import kstest
 
 import simbias
 from simbias.evidence import WAYS, learn, likeliest, log_likelihoods
@@ -90,6 +89,8 @@ def test_an_outlier_counts_little(study: Study) -> None:
 @pytest.mark.slow
 def test_the_posterior_covers_the_truth(study: Study) -> None:
     """Ranks of true parameters in their posteriors are uniform, as far as 24 robots tell."""
+    from scipy.stats import kstest  # lazily: it takes a second
+
     ranks = []
     for seed in range(24):
         fitted, values, _ = identified(study, 100 + seed, 500)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 import simbias
 from simbias.interfaces import Nominal
@@ -119,6 +118,8 @@ def test_weights_are_those_of_the_least_squares_line(window: int) -> None:
 @pytest.mark.parametrize("window", [1, 35, 71])
 def test_noise_in_the_residuals_falls_as_the_line_has_it(study: Study, window: int) -> None:
     """12 s^2 / (w (w+1) (w+2)), in 99.9 % of all seeds: the samples are independent."""
+    from scipy.stats import chi2  # lazily: it takes a second
+
     deviation, count = 1e-3, 200
     states = deviation * np.random.default_rng(0).standard_normal((count * (window + 1) + 1, 6))
     samples = Thresholds(study.task, stride=window + 1, window=Windows(measured=window))

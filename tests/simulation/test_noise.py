@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest
 
 import simbias
 from simbias.config.composition import ConfigError
@@ -35,6 +34,8 @@ def test_default_is_no_noise(study: Study) -> None:
 
 def test_every_kind_has_its_own_variance(study: Study) -> None:
     """In 99.9 % of all seeds: sum x^2 / variance is chi-square."""
+    from scipy.stats import chi2, kstest  # lazily: it takes a second
+
     drawn = draw(study, VARIANCES)
     samples = (
         (drawn.inputs, VARIANCES["torque_variance"]),

@@ -5,7 +5,7 @@ import random
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, rest_slow
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sweeping import write_sweep
@@ -68,11 +68,15 @@ def test_trials_are_what_composing_their_overrides_gives(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     "chosen",
-    [
-        {"bias": "none", "optimizer": "cma", "seed": 7},
-        {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
-        {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
-    ],
+    rest_slow(
+        1,
+        [
+            {"bias": "none", "cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "seed": 7},
+            {"bias": "none", "optimizer": "cma", "seed": 7},
+            {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
+            {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
+        ],
+    ),
 )
 def test_merged_settings_equal_composed_overrides(chosen: dict[str, object]) -> None:
     """Interpolations follow too: cost.failure_weight is that of cost.max_cost."""

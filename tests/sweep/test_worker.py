@@ -31,7 +31,9 @@ trial = compose(["task.horizon=100", "optimizer.max_evaluations=20", "method.max
 record = run_plan(Plan(trial.config, trial.choices, sys.argv[1], tuple(sys.argv[2:])))
 names = [f"{name}.png" for name in sys.argv[2:]]
 assert not record.reason and record.iterations and list(record.pictures) == names, record
-print(*{"pandas", "pyarrow", "mlflow", "rich", "scipy.signal", "scipy.stats", "sklearn"} & set(sys.modules))
+heavy = {"pandas", "pyarrow", "mlflow", "rich", "sklearn"}
+heavy |= {"scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"}
+print(*heavy & set(sys.modules))
 """
 
 
