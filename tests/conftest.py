@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from filelock import FileLock
 from threadpoolctl import threadpool_limits
 
 import simbias
+from simbias.cache import cache_folder
 from simbias.config import Variations
 from simbias.study import Study
 
@@ -23,10 +25,10 @@ _writes_no_bytecode = sys.dont_write_bytecode
 
 def rest_slow(fast: int, cases: list[Any]) -> list[Any]:
     """Cases of one property: the first few are fast tests, all of them slow ones."""
-    return [*cases[:fast], *(_slow(case) for case in cases[fast:])]
+    return [*cases[:fast], *(slow_case(case) for case in cases[fast:])]
 
 
-def _slow(case: Any) -> Any:
+def slow_case(case: Any) -> Any:
     """A case that is left out of the fast tests."""
     values = case if isinstance(case, tuple) else (case,)
     return pytest.param(*values, marks=pytest.mark.slow)
@@ -66,13 +68,13 @@ def _one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _composed_once() -> Iterator[None]:
-    """Have Hydra, which takes a tenth of a second, compose the same shipped files once for all tests."""
+    """Have Hydra, which takes a tenth of a second, compose each of the same files once for all."""
     compose, known = Variations._compose, {}
 
     def compose_once(self: Variations, options: tuple[str, ...]) -> Any:
-        if self._folders:  # files that tests write
+        if self._folders not in ([], [OWN_CONF]):  # files that tests write
             return compose(self, options)
-        key = (tuple(self._overrides), options)
+        key = (tuple(self._overrides), str(self._config_dir), options)
         if key not in known:
             known[key] = compose(self, options)
         return known[key]
@@ -84,11 +86,25 @@ def _composed_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _compiled(request: pytest.FixtureRequest) -> None:
-    """Compile for slow tests, so that processes that they start take it from the cache and say nothing."""
+    """Compile for slow tests, so that processes that they start take it from the cache and say nothing.
+
+    One process compiles, others wait for it.
+    """
     if not any(item.get_closest_marker("slow") for item in request.session.items):
         return
     for bias in ("gp", "none"):
-        simbias.load(["tracking=none", f"bias={bias}"]).warm_up()
+        with FileLock(cache_folder("closed_loops") / f"tests_{bias}.lock"):
+            simbias.load(["tracking=none", f"bias={bias}"]).warm_up()
+
+
+@pytest.fixture(scope="session")
+def new_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with nothing in it, to be copied: creating one takes a second."""
+    from simbias.tracking.store import connect  # lazily: MLflow takes seconds
+
+    file = tmp_path_factory.mktemp("new store") / "mlflow.db"
+    connect(f"sqlite:///{file}", "another")
+    return file
 
 
 @pytest.fixture(scope="session")

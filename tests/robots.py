@@ -40,9 +40,14 @@ def overrides(group: str, option: str) -> list[str]:
     return [f"preset={preset}", *NEEDED.get(f"preset={preset}", [])] if preset else [choice]
 
 
+def file_of(group: str, option: str) -> Any:
+    """What a shipped option's file says."""
+    return yaml.safe_load((resource_folder("conf") / group / f"{option}.yaml").read_text())
+
+
 def shipped(group: str, option: str) -> Any:
     """What names the class of an option: its file, or what that is composed with."""
-    own = yaml.safe_load((resource_folder("conf") / group / f"{option}.yaml").read_text())
+    own = file_of(group, option)
     return own if TARGET in own else compose(overrides(group, option)).config[group]
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 FOUR_CELLS = """
-task: {horizon: 1000}
+task: {horizon: 600}
 optimizer: {max_evaluations: 30}
 method: {max_iterations: 2}
 tracking: {pictures: false}

@@ -15,7 +15,6 @@ from mlflow.entities import Run
 from sweeping import QUICK, artifacts, run, runs, write_sweep
 
 from simbias.__main__ import main
-from simbias.tracking.store import connect
 
 pytestmark = pytest.mark.slow
 
@@ -35,7 +34,7 @@ sweep:
 
 
 @pytest.fixture(scope="session")
-def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def conf(new_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a store in which nothing ran, and with the faulty hardware."""
     folder = tmp_path_factory.mktemp("faulty")
     (folder / "conf" / "hardware").mkdir(parents=True)
@@ -43,7 +42,7 @@ def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "_target_: faulty_hardware.Faulty\nfault: none\n"
     )
     (folder / "conf" / "components.yaml").write_text("allow: [faulty_hardware]\n")
-    connect(f"sqlite:///{folder}/mlflow.db", "another")
+    shutil.copy(new_store, folder)
     return folder
 
 
@@ -164,7 +163,7 @@ def test_a_sweep_goes_on_whatever_its_hardware_does(folder: Path) -> None:
     assert states == {fault: "FINISHED" if fault in fine else "FAILED" for fault in faults}
     assert len(list((folder / "journals").glob("*/*/refused_0000.npz"))) == len(returned)
     (folder / MENDED).touch()
-    status, out, err = run(*command, folder=folder)
+    status, out, err = run(*command, "engine=sequential", folder=folder)
     assert (status, err) == (0, ""), out + err
     (parent,), trials = runs(folder)
     assert {run.info.status for run in (parent, *trials)} == {"FINISHED"}

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-import cma
+import sys
+import warnings
+from functools import cache
+from typing import Any
+
 import numpy as np
 
 from simbias.config.numbers import Deviation, EvaluationCount, Population, Seconds, Share, Steps
@@ -11,6 +15,7 @@ from simbias.records import Array
 from simbias.search import Evaluations
 
 RESOLUTION = "the resolution"
+UNUSED = ("matplotlib.pyplot", "scipy.stats")  # by the parts of pycma that are used here
 
 
 class Cma(Optimizer):
@@ -82,7 +87,7 @@ def evolve(
         options["maxstd"] = np.inf  # pycma's limit on it raises in one dimension (its issue 302)
     if population is not None:
         options["popsize"] = population
-    strategy = cma.CMAEvolutionStrategy((start - evaluations.lower) / width, deviation, options)
+    strategy = _pycma().CMAEvolutionStrategy((start - evaluations.lower) / width, deviation, options)
     while not (stop := strategy.stop()):
         points = strategy.ask()
         costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
@@ -90,3 +95,18 @@ def evolve(
         if max(strategy.stds) < resolution and min(costs) >= evaluations.satisfactory:
             return RESOLUTION
     return f"pycma's {' and '.join(stop)}"
+
+
+@cache
+def _pycma() -> Any:
+    """Pycma, without what it imports to draw and to rank, and does without: a second of a process' start."""
+    hidden = [name for name in UNUSED if name not in sys.modules]
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: as if it were not installed
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it cannot draw
+            import cma
+    finally:
+        for name in hidden:
+            del sys.modules[name]
+    return cma

@@ -198,6 +198,7 @@ def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[
 def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Variations) -> Iterator[Cell]:
     """Every combination of the axes' points."""
     known: dict[str, tuple[str, ...]] = {}
+    identities: dict[str, str] = {}  # by the settings that seeds are made of
     for point in itertools.product(*(range(len(axis.values)) for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}
@@ -209,8 +210,9 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
         twin = known.setdefault(composition.cell, labels)
         if twin != labels:
             raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")
-        identity = variations.composition(seeding).trial.cell if common_seeds else composition.cell
-        yield Cell(labels, composition, identity)
+        if (key := repr(seeding)) not in identities:
+            identities[key] = variations.composition(seeding).trial.cell if common_seeds else composition.cell
+        yield Cell(labels, composition, identities[key])
 
 
 def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequence[Axis]) -> Composition:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pickle
 
 import pytest
-from conftest import OWN_CONF, POINT_MASS, rest_slow
-from robots import overrides, shipped
+from conftest import OWN_CONF, POINT_MASS, rest_slow, slow_case
+from robots import file_of, overrides, shipped
 
 import simbias
 from simbias.config import ConfigError, compose, options
-from simbias.config.components import component_class, constructor_parameters
+from simbias.config.components import TARGET, component_class, constructor_parameters
 from simbias.config.conditions import split
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
@@ -107,7 +107,10 @@ def test_the_papers_method_is_had_on_any_robot() -> None:
     assert other.choices["hardware"] == "acrobot"
 
 
-@pytest.mark.parametrize(("group", "option"), COMPONENTS)
+@pytest.mark.parametrize(
+    ("group", "option"),
+    [case if TARGET in file_of(*case) else slow_case(case) for case in COMPONENTS],  # composing takes longer
+)
 def test_yaml_keys_are_the_constructors_arguments(group: str, option: str) -> None:
     """Every value a person may change stands in the YAML, to be seen."""
     config, _ = split(shipped(group, option))

@@ -12,21 +12,18 @@ import psutil
 import pytest
 from sweeping import FOUR_CELLS, run, trial_by_trial, write_sweep
 
-from simbias.tracking.store import connect
-
 pytestmark = pytest.mark.slow
 
 pytest.importorskip("distributed")
 
 
-def test_dask_sweep_with_a_killed_worker(tmp_path: Path) -> None:
+def test_dask_sweep_with_a_killed_worker(tmp_path: Path, new_store: Path) -> None:
     """Two worker processes of a real local cluster, one killed in the middle: as without engine and kill."""
     folders = [tmp_path / name for name in ("dask", "sequential")]
     write_sweep(tmp_path, "mine", FOUR_CELLS)
-    connect(f"sqlite:///{tmp_path}/mlflow.db", "another")
     for folder in folders:
         folder.mkdir()
-        shutil.copy(tmp_path / "mlflow.db", folder)
+        shutil.copy(new_store, folder)
     command = ["--config-dir", str(tmp_path / "conf"), "+sweep=mine", "sweep.trials=3"]
     killed: list[int] = []
     killer = threading.Thread(target=kill_a_dask_worker, args=(os.getpid(), killed), daemon=True)

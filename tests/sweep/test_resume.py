@@ -25,21 +25,20 @@ from sweeping import (
     write_sweep,
 )
 
-from simbias.tracking.store import connect
-
 pytestmark = pytest.mark.slow
 
 COMMAND = ["--config-dir", "conf", "+sweep=mine"]
+ONE_PROCESS = "engine=sequential"  # where it is the parent that something happens to
 TRIALS = 20  # so many that some are left after every killing
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
 
 
 @pytest.fixture(scope="session")
-def empty(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a store and a sweep, in which nothing ran: creating a store takes a second."""
+def empty(new_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a store and a sweep, in which nothing ran."""
     folder = tmp_path_factory.mktemp("empty")
     write_sweep(folder, "mine", FOUR_CELLS)
-    connect(f"sqlite:///{folder}/mlflow.db", "another")
+    shutil.copy(new_store, folder)
     return folder
 
 
@@ -47,7 +46,7 @@ def empty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def undisturbed(empty: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("undisturbed") / "here"
     shutil.copytree(empty, folder)
-    status, out, err = run(*COMMAND, folder=folder)
+    status, out, err = run(*COMMAND, ONE_PROCESS, folder=folder)
     assert (status, err) == (0, "")
     assert f"[{TRIALS}/{TRIALS}]" in out
     assert len(trial_by_trial(folder)) == TRIALS
@@ -124,12 +123,12 @@ def test_disk_is_full(folder: Path, undisturbed: Path) -> None:
     assert status == 1
     assert "-m simbias --config-dir conf +sweep=mine" in err.partition("Go on with:  ")[2]
     assert "Traceback" not in err
-    assert run(*COMMAND, folder=folder)[0] == 0
+    assert run(*COMMAND, ONE_PROCESS, folder=folder)[0] == 0
     check(folder, undisturbed)
 
 
 def test_one_sweep_at_a_time(folder: Path) -> None:
-    process = start(*COMMAND, folder=folder)
+    process = start(*COMMAND, ONE_PROCESS, folder=folder)
     until_trials(process, 1)
     process.send_signal(signal.SIGSTOP)
     status, out, err = run(*COMMAND, folder=folder)

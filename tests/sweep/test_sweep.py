@@ -35,7 +35,6 @@ from simbias.terminal.sweep import SweepConsole
 from simbias.tracking import fields, results
 from simbias.tracking.mlflow_sweep import MlflowSweep
 from simbias.tracking.mlflow_trial import MlflowTrial
-from simbias.tracking.store import connect
 from simbias.trial import Outcome, TrialRecord
 
 pytestmark = pytest.mark.slow
@@ -47,14 +46,6 @@ class Backwards(Engine):
     def run(self, function: Any, tasks: Any) -> Any:
         for index in reversed(range(len(tasks))):
             yield index, function(tasks[index])
-
-
-@pytest.fixture(scope="session")
-def new_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store with nothing in it: creating one takes a second."""
-    folder = tmp_path_factory.mktemp("new store")
-    connect(f"sqlite:///{folder}/mlflow.db", "another")
-    return folder / "mlflow.db"
 
 
 @pytest.fixture
@@ -131,7 +122,7 @@ def single_is_the_same(folder: Path, swept: dict[str, Any]) -> None:
 
 def test_the_parent_tells_everything(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     noise = "sweep.axes.noise.values=[[0.0,0.0,0.0],[0.1,0.0,0.0]]"
-    again = ["+sweep=table2", "sweep.trials=1", *QUICK, noise, store(folder)]
+    again = ["+sweep=table2", "sweep.trials=1", *QUICK, noise, "engine=sequential", store(folder)]
     assert main(again) == 0
     out = capsys.readouterr().out
     (parent,), trials = runs(folder)
@@ -169,7 +160,7 @@ def test_last_policies_are_tried_and_told(folder: Path) -> None:
     """By the workers, after the trials; table, metrics and files tell of it, also when read again."""
     tries = ["held_out.starts=3", "held_out.lasting=1", "held_out.seconds=0.4"]
     told = "+sweep.report.measures=[experiments,hardware_seconds,held,reliable,lasted]"
-    again = ["+sweep=smoke", *QUICK, *tries, told, store(folder)]
+    again = ["+sweep=smoke", *QUICK, *tries, told, "tracking.pictures=false", store(folder)]
     trials = simbias.run_sweep(again)
     assert set(trials["held_out"]) == {"111"}  # nobody falls within 0.2 s
     frames = [len(each) for each in _experiments(folder)]
@@ -294,7 +285,7 @@ def test_a_trial_that_raises(folder: Path) -> None:
         assert "the motor is | hot" in trial.data.tags["error"]
         assert 'raise RuntimeError("the motor is | hot")' in (artifacts(trial) / "error.txt").read_text()
     module.write_text(RAISING.replace("THRESHOLD", "9.0"))
-    status, out, err = run(*command, folder=folder)
+    status, out, err = run(*command, "engine=sequential", folder=folder)
     assert status == 0
     assert re.fullmatch(
         r"simbias: \d of \d finished trials ran on code that has changed .*\(hot\); .*\n", err
@@ -361,8 +352,9 @@ print("more MiB:", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 def test_parents_memory_is_flat(folder: Path) -> None:
     """40 trials more, whose rollouts alone are 5 MiB when unpacked."""
+    small = ["task.horizon=500", "tracking.pictures=false"]
     done = subprocess.run(
-        [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *QUICK, "task.horizon=500"],
+        [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *QUICK, *small],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -380,7 +372,7 @@ def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest
         def ended(self, trial: Trial, record: TrialRecord) -> None:
             names.append(trial.name)
 
-    words = ["+sweep=smoke", *QUICK, "engine=sequential", store(folder)]
+    words = ["+sweep=smoke", *QUICK, "engine=sequential", "tracking.pictures=false", store(folder)]
     trials = simbias.run_sweep(words, observer=Listener())
     assert list(trials["outcome"]) == ["succeeded"] * 4
     assert names == [trial.name for trial in expand(words).trials]
@@ -395,7 +387,7 @@ def test_own_components_are_swept(folder: Path) -> None:
     shutil.copytree(OWN_CONF, conf)
     (conf / "components.yaml").write_text("allow: [point_mass]\n")
     write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
-    quick = ["optimizer.max_evaluations=150", "tracking.pictures=false"]
+    quick = ["optimizer.max_evaluations=40", "tracking.pictures=false"]
     status, _, err = run("--config-dir", "conf", "+sweep=wind", *POINT_MASS, *quick, folder=folder)
     assert status == 0, err
     (slow,) = err.splitlines()  # once, although every trial is

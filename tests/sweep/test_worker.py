@@ -27,11 +27,12 @@ import sys
 from simbias.config import compose
 from simbias.sweep.worker import Plan, run_plan
 
-trial = compose(["task.horizon=100", "optimizer.max_evaluations=20", "method.max_iterations=1"]).trial
+quick = ["task.horizon=100", "optimizer=cma", "optimizer.max_evaluations=20", "method.max_iterations=1"]
+trial = compose(quick).trial
 record = run_plan(Plan(trial.config, trial.choices, sys.argv[1], tuple(sys.argv[2:])))
 names = [f"{name}.png" for name in sys.argv[2:]]
 assert not record.reason and record.iterations and list(record.pictures) == names, record
-heavy = {"pandas", "pyarrow", "mlflow", "rich", "sklearn"}
+heavy = {"pandas", "pyarrow", "mlflow", "rich", "sklearn", "matplotlib.pyplot"}
 heavy |= {"scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"}
 print(*heavy & set(sys.modules))
 """

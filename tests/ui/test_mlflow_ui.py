@@ -24,7 +24,7 @@ if FOLDER:
     AXES = ("hardware.noise.torque_variance", "hardware.inertia_error", "bias")
     CHARTED = re.compile("gp #0$")
 else:
-    SWEEP = ["+sweep=smoke", "task.horizon=2000"]
+    SWEEP = ["+sweep=smoke", "task.horizon=2000", "engine=sequential"]
     NAME, TRIALS = "sweep smoke", 4
     AXES = ("hardware.inertia_error",)
     CHARTED = re.compile("#0$")
