@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
-from scipy.optimize import least_squares
 
 from simbias.interfaces import Model
 from simbias.records import Array
@@ -66,6 +65,8 @@ def regulated(model: Model) -> list[Array]:
 
 def rest(model: Model) -> tuple[Array, Array]:
     """States (n,) and inputs (m,) that the model keeps, the nearest to zero as far as there is one."""
+    from scipy.optimize import least_squares  # lazily: few searches begin with regulators
+
     task = model.task
     n, rates = len(task.states), 1 / task.time_step
 
