@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -99,6 +100,20 @@ def test_prior_rules_without_data_and_yields_to_it() -> None:
     assert unsure < 0.2 < sure
 
 
+def test_what_is_learned_is_the_mode_of_likelihood_and_prior() -> None:
+    """The prior's pull on each logarithm is the likelihood's slope."""
+    data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
+    y = data.residuals / np.sqrt(np.mean(data.residuals**2, axis=0))
+    for deviation in (1.0, 0.5):
+        hyper = learn(medians(2), data, Learning(deviation, deviation, deviation))
+        ratio = hyper.noise_variance / hyper.signal_variance
+        theta = np.log([*hyper.length_scale, hyper.signal_variance, ratio])
+        _, slope = log_marginal_likelihood(theta, data.inputs, y)
+        pull = (theta - [0.0, 0.0, 0.0, -4.0]) / deviation**2
+        assert np.abs(pull).max() > 1
+        np.testing.assert_allclose(slope, pull, atol=0.02)
+
+
 def test_what_has_no_deviation_is_kept() -> None:
     data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
     before, every = medians(2), learn(medians(2), data, Learning())
@@ -106,9 +121,10 @@ def test_what_has_no_deviation_is_kept() -> None:
     lengths_kept = learn(before, data, Learning(length_scale=0))
     np.testing.assert_allclose(lengths_kept.length_scale, 1.0, rtol=1e-12)
     assert lengths_kept.noise_variance > 2 * before.noise_variance
-    all_kept = learn(before, data, Learning(0, 0, 0))
-    assert all_kept.signal_variance == pytest.approx(before.signal_variance, rel=1e-12)
-    assert all_kept.noise_variance == pytest.approx(before.noise_variance, rel=1e-12)
+    for known in (before, replace(before, signal_variance=2.5)):
+        all_kept = learn(known, data, Learning(0, 0, 0))
+        assert all_kept.signal_variance == pytest.approx(known.signal_variance, rel=1e-12)
+        assert all_kept.noise_variance == pytest.approx(known.noise_variance, rel=1e-12)
 
 
 @pytest.mark.parametrize("N", [0, 1, 2, 15])

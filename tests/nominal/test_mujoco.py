@@ -66,6 +66,14 @@ def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
     assert len(np.unique(together, axis=0)) == 30
 
 
+def test_parameters_of_the_equations_are_what_was_declared() -> None:
+    spreads = {"pole_mass": 0.2, "cart_damping": 1.0}
+    model = CartPole(cart_pole(), 2.0, 0.5, 0.8, 0.0, 0.3, uncertainty=spreads)
+    mass, damping = model.parameters
+    assert mass[:5] == ("pole_mass", "kg", 0.5, 0.2, "log_normal")
+    assert damping[:5] == ("cart_damping", "N s/m", 0.0, 1.0, "half_normal")
+
+
 def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
     """Their values are the file's; a positive one's prior is log-normal, of zero half a normal one."""
     model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"pole.mass": 0.3, "hinge.damping": 2.0})
