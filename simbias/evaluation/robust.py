@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from simbias.config.numbers import Count, Seconds, Share
+from simbias.config.numbers import Count, RolloutSeconds, Share
 from simbias.interfaces import Cost, Evaluation, Model, Objective, Simulator, Task
 from simbias.records import Array, Indices
 from simbias.simulation.closed_loop import join, simulator
@@ -103,7 +103,7 @@ class Robust(Evaluation):
         sample_nominal: bool = False,
         sample_bias: bool = False,
         screening: Count = 2,
-        seconds: Seconds | None = None,
+        seconds: RolloutSeconds | None = None,
     ) -> None:
         if seconds is not None:
             task = task.with_horizon(task.frames(seconds))

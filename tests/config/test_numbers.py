@@ -112,6 +112,11 @@ def test_an_experiment_in_which_nothing_can_fail_is_refused(
         assert "s, in which nothing can fail; at least 0.01 s are needed" in capsys.readouterr().err
 
 
+def test_a_simulated_rollout_in_which_nothing_can_fail_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^evaluation\.seconds: must be greater than or equal to 0\.01"):
+        simbias.load(["evaluation=lasting", "evaluation.seconds=1e-10", "tracking=none"])
+
+
 @pytest.mark.slow
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = ["evaluation=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=10000"]
