@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from simbias.hardware.pymunk_gaps import NO_GAPS, Gaps
+from simbias.hardware.bongoboard_gaps import NO_GAPS, Gaps
 from simbias.records import Array
 from simbias.task.bongoboard import Bongoboard, Robot
 

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from simbias.hardware.bongoboard_bodies import Place, contact
+from simbias.hardware.bongoboard_gaps import NO_GAPS, Gaps
 from simbias.hardware.loop import Record, Robot, experiment
-from simbias.hardware.pymunk_gaps import NO_GAPS, Gaps
 from simbias.interfaces import Hardware, HardwareError, Policy
 from simbias.records import Array, Rollout
 from simbias.simulation.actuator import Actuators, Drive

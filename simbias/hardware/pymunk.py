@@ -7,8 +7,8 @@ from typing import final
 from simbias.config.numbers import Count
 from simbias.hardware.bongoboard_bodies import Feet
 from simbias.hardware.bongoboard_engine import Depth, EngineBongoboard, InertiaError
+from simbias.hardware.bongoboard_gaps import NO_GAPS, Gaps
 from simbias.hardware.loop import Record
-from simbias.hardware.pymunk_gaps import NO_GAPS, Gaps
 from simbias.hardware.pymunk_world import World
 from simbias.records import Array
 from simbias.simulation.noise import QUIET, Variances

@@ -36,7 +36,7 @@ from simbias.hardware.bongoboard_bodies import (
     inertias,
     motion,
 )
-from simbias.hardware.pymunk_gaps import NO_GAPS, Gaps
+from simbias.hardware.bongoboard_gaps import NO_GAPS, Gaps
 from simbias.records import Array
 from simbias.task.bongoboard import Bongoboard, Robot
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from bongoboard_twin import MOVING, START, Constant, build_task, build_twin, energy, experiment
 
+from simbias.hardware.bongoboard_gaps import Gaps
 from simbias.hardware.pymunk import PymunkBongoboard
-from simbias.hardware.pymunk_gaps import Gaps
 from simbias.nominal.bongoboard import LagrangianBongoboard
 from simbias.nominal.bongoboard_uncertainty import Uncertainty
 from simbias.records import Array

@@ -25,9 +25,9 @@ from pydantic import TypeAdapter
 
 import simbias
 from simbias.hardware.bongoboard_bodies import contact, inertias, places
+from simbias.hardware.bongoboard_gaps import Gaps
 from simbias.hardware.loop import BLOW_UP
 from simbias.hardware.pymunk import PymunkBongoboard
-from simbias.hardware.pymunk_gaps import Gaps
 from simbias.interfaces import HardwareError
 from simbias.nominal.bongoboard import LagrangianBongoboard
 from simbias.policy.output_feedback import OutputFeedback
