@@ -22,7 +22,8 @@ from simbias.config import ConfigError
 from simbias.config.numbers import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
-from simbias.messages import quote
+from simbias.extras import library
+from simbias.messages import quote, words
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -87,10 +88,7 @@ class Dask(Engine):
     @contextmanager
     def _client(self) -> Iterator[Client]:
         """A client of the cluster. When it is closed, Dask drops its tasks; a local cluster ends with it."""
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise ConfigError("engine", "dask is not installed; pip install 'simbias[dask]'") from error
+        Client = _library("distributed", "Dask").Client
         if self._address is not None:
             client = _connection(self._address, _security(self._tls))
             try:
@@ -170,6 +168,14 @@ class Dask(Engine):
         return max(1, len(threads))
 
 
+def _library(module: str, name: str) -> Any:
+    """A module of simbias[dask]; a ConfigError where it is missing."""
+    try:
+        return library(module, name, "dask")
+    except ValueError as error:
+        raise ConfigError("engine", words(error)) from error
+
+
 def _run_alone(function: Callable[[T], R], task: T) -> R:
     """Run a task, its worker's libraries on one thread each."""
     _limit_threads()
@@ -198,29 +204,27 @@ def _local_cluster(workers: int) -> Iterator[Any]:
     import dask
     from distributed import LocalCluster
 
+    _library("cryptography", "cryptography")  # which Dask's TLS needs
     tidy()
     no_pages: dict[str, list[str]] = {
         f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")
     }
-    try:
-        with dask.config.set(no_pages):
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                security=True,
-                protocol="tls",
-                local_directory=str(workplace()),
-                scheduler_kwargs={
-                    "allowed_failures": 0,  # we count them
-                    "dashboard": False,
-                    "dashboard_address": "127.0.0.1:0",  # any free port, where nothing is shown
-                },
-                silence_logs=logging.CRITICAL,  # of workers that died, which is dealt with
-                env={f"{name}_NUM_THREADS": "1" for name in LIBRARIES},
-                preload=[__name__],  # calls dask_setup
-            )
-    except ImportError as error:
-        raise ConfigError("engine", "cryptography is not installed; pip install 'simbias[dask]'") from error
+    with dask.config.set(no_pages):
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            security=True,
+            protocol="tls",
+            local_directory=str(workplace()),
+            scheduler_kwargs={
+                "allowed_failures": 0,  # we count them
+                "dashboard": False,
+                "dashboard_address": "127.0.0.1:0",  # any free port, where nothing is shown
+            },
+            silence_logs=logging.CRITICAL,  # of workers that died, which is dealt with
+            env={f"{name}_NUM_THREADS": "1" for name in LIBRARIES},
+            preload=[__name__],  # calls dask_setup
+        )
     with cluster:
         yield cluster
 

@@ -213,8 +213,9 @@ def test_a_scheduler_that_ends_ends_the_sweep(monkeypatch: pytest.MonkeyPatch) -
         list(results)
 
 
-@pytest.mark.parametrize(("missing", "words"), [("distributed", "dask"), ("cryptography", "cryptography")])
+@pytest.mark.parametrize(("missing", "words"), [("distributed", "Dask"), ("cryptography", "cryptography")])
 def test_what_is_not_installed(missing: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, missing, None)
-    with pytest.raises(ConfigError, match=rf"{words} is not installed; pip install 'simbias\[dask\]'"):
+    message = rf"^engine: {words} is not installed \(.*\): pip install 'simbias\[dask\]'$"
+    with pytest.raises(ConfigError, match=message):
         list(Dask(n_jobs=1).run(double, [1]))
