@@ -81,8 +81,8 @@ class Evaluations:
         self._last_step = np.inf if max_steps is None else self._steps + max_steps
         self._deadline = np.inf if max_seconds is None else time.monotonic() + max_seconds
         self._until_satisfied = False
-        self._replayed: list[float] = []
-        self._replay_end: Evaluations | None = None
+        self._replayed: list[float] = []  # costs of an earlier rehearsal, the last one first
+        self._replay_end: Evaluations  # as it stood after them; only of a rehearsal
         self._best_point: Array | None = None
         self.best_cost = np.inf
         self._worst_cost = -np.inf
@@ -211,7 +211,7 @@ class Evaluations:
     def _replay(self) -> float:
         """The next cost of an earlier rehearsal; after the last one, these stand where it stood."""
         cost = self._replayed.pop()
-        if not self._replayed and self._replay_end is not None:
+        if not self._replayed:
             self.adopt(self._replay_end)
         return cost
 

@@ -26,7 +26,8 @@ def module(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-MODULES = {module(file): file for file in sorted(PACKAGE.rglob("*.py"))}
+FILES = sorted(file for file in PACKAGE.rglob("*.py") if "__pycache__" not in file.parts)
+MODULES = {module(file): file for file in FILES}
 
 
 def imports(file: Path) -> Iterator[str]:

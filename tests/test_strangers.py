@@ -11,7 +11,7 @@ from conftest import ROOT
 
 from simbias.tracking.files import load_rollout, load_transitions
 
-FILES = sorted((ROOT / "simbias").rglob("*.py"))
+FILES = sorted(file for file in (ROOT / "simbias").rglob("*.py") if "__pycache__" not in file.parts)
 RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jsonpickle"}
 OF_YAML = {"safe_load", "dump", "SafeDumper"}  # which make plain values only,
 OF_YAML |= {"compose", "SafeLoader", "Node", "CollectionNode", "YAMLError"}  # or none at all

@@ -129,7 +129,7 @@ class Variations:
                 config = composed.config.copy()
                 for key, value in settings.items():
                     if key not in groups:
-                        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key[:1] == "+")
+                        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
                 plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         except ConfigError:
             raise
