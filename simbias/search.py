@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from copy import copy
 
 import numpy as np
@@ -184,7 +185,8 @@ class Evaluations:
         """Evaluate as many of the points (p,) as are allowed; no improvement among them is convergence."""
         branch = copy(self)
         branch._relative_tolerance = 0.0
-        branch.evaluate_all(points[: self.remaining])
+        with suppress(SearchEnded):  # steps or seconds are spent, which a search is told when it begins
+            branch.evaluate_all(points[: self.remaining])
         self.adopt(branch)
 
     def run(self, search: Search) -> str:

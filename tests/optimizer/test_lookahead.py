@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -42,10 +44,13 @@ class Counting:
         return self.cost(x)
 
 
-def minimize(name: str, objective, limit: int, seed: int, **options: float) -> Optimum:
+def minimize(
+    name: str, objective, limit: int, seed: int, candidates: Sequence[Array] = (), **options: float
+) -> Optimum:
     config = compose(["tracking=none", f"optimizer={name}"]).config["optimizer"]
     optimizer = construct({**config, "max_evaluations": limit, **options}, Optimizer, "optimizer")
-    return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), rng, candidates=candidates)
 
 
 @pytest.mark.slow
@@ -109,3 +114,20 @@ def test_a_search_ends_in_time(name: str) -> None:
     optimum = minimize(name, objective, 100_000, 0, max_seconds=1e-9, relative_tolerance=1e-300)
     assert optimum.stopped_by == TIME_LIMIT
     assert len(objective.calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"), [({"max_steps": 250}, STEP_LIMIT), ({"max_seconds": 1e-9}, TIME_LIMIT)]
+)
+def test_a_search_ends_among_its_candidates(limits: dict[str, float], reason: str) -> None:
+    """They are evaluated in turn here, and the best of those that were is the optimum."""
+
+    class InTurn(Counting):
+        together = None  # type: ignore[assignment]
+
+    objective = InTurn()
+    candidates = [np.full(3, each) for each in (1.0, 0.5, 0.1, 0.0, 0.2)]
+    optimum = minimize("cma", objective, 100_000, 0, candidates, **limits)
+    assert optimum.stopped_by == reason
+    assert optimum.evaluations == len(objective.calls) == (3 if "max_steps" in limits else 1)
+    np.testing.assert_array_equal(optimum.parameters, candidates[len(objective.calls) - 1])
