@@ -7,8 +7,10 @@ or a lag's. A policy that knows less imitates them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -38,6 +40,27 @@ class Linear(NamedTuple):
     rest: Array  # s_0 (l,)
     inputs: Array  # u_0 (m,)
     states: int  # n
+
+
+class Candidates(Sequence[Array]):
+    """Policies (p,) to try first: those given, then designs of so many models.
+
+    Designs are made when they are first looked at, which a search that is recalled does not do.
+    """
+
+    def __init__(self, given: Sequence[Array], model: Model, count: int) -> None:
+        self._given, self._model, self._count = tuple(given), model, count
+
+    @cached_property
+    def _policies(self) -> list[Array]:
+        """All of them."""
+        return [*self._given, *designs(self._model, self._count)]
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._policies[index]
+
+    def __len__(self) -> int:
+        return len(self._policies)
 
 
 def designs(model: Model, count: int) -> list[Array]:

@@ -127,6 +127,7 @@ class Optimizer(ABC):
             If the box is empty or not finite, a cost is not finite, or the algorithm cannot take so many
             parameters.
         """
+        first = list(candidates)  # before the time limit counts: they may take a while to make
         evaluations = Evaluations(
             objective,
             lower,
@@ -137,6 +138,6 @@ class Optimizer(ABC):
             self.max_steps,
             self.max_seconds,
         )
-        evaluations.try_first(candidates)
+        evaluations.try_first(first)
         stopped_by = evaluations.run(lambda running: self.search(running, rng))
         return evaluations.optimum(stopped_by)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from simbias.config.numbers import Count, CountOrZero, Positive
-from simbias.design import designs
+from simbias.design import Candidates
 from simbias.evidence import learn, likeliest, log_likelihoods
 from simbias.learning import Stopwatch, experiment, search
 from simbias.records import Array, Iteration, Learning, Rollout
@@ -88,7 +88,7 @@ class Algorithm1(Method):
         for i in range(self.max_iterations):  # 2, 3, 15
             clock = Stopwatch()
             with clock("search"):
-                first = earlier + designs(model, self._design)
+                first = Candidates(earlier, model, self._design)
                 proposal = search(
                     study, model, search_rng, observer, first, self._retry_search, self._satisfactory_cost
                 )  # 4, 5

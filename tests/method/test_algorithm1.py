@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from point_mass import Distance, PointMass
 
+from simbias import design
 from simbias.bias.none import NoBias
 from simbias.design import regulated
 from simbias.evaluation.nominal_start import NominalStart
-from simbias.interfaces import Evaluation, FittedBias, Hardware, HardwareError
+from simbias.interfaces import Evaluation, FittedBias, Hardware, HardwareError, Model
 from simbias.method.algorithm1 import Algorithm1
 from simbias.optimizer.nlopt import Nlopt
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.records import Array, Iteration, Rollout
 from simbias.study import Observer, Study
+from simbias.tracking.journal import Journal
+from simbias.trial import run_trial
 
 FRAMES = 25  # of a scripted experiment: five become training data
 
@@ -263,6 +267,17 @@ def test_a_search_may_begin_with_regulators(point_mass: Study) -> None:
     expected = regulated(study.model())
     assert len(expected) > 1
     np.testing.assert_array_equal(evaluated[: len(expected)], expected)
+
+
+def test_a_search_that_is_recalled_makes_no_regulators(
+    point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models: list[Model] = []
+    monkeypatch.setattr(design, "regulated", lambda model: models.append(model) or regulated(model))
+    study = replace(point_mass, policy=OutputFeedback(point_mass.task), method=Algorithm1(1, design=2))
+    policies = [run_trial(study, Journal(tmp_path)).iterations[0].parameters for _ in range(2)]
+    assert len(models) == 2
+    np.testing.assert_array_equal(*policies)
 
 
 def test_z_max_itself_is_no_reset_and_no_success(point_mass: Study) -> None:
