@@ -46,6 +46,8 @@ class EngineBongoboard(Hardware):
     ----------
     task
         Geometry, masses, time step and failure.
+    inertia_error
+        Every mass and moment of inertia is multiplied by 1 + inertia_error.
     noise
         Variances on the torque and on what the policy sees, by name (`Noise`).
     record
@@ -58,9 +60,16 @@ class EngineBongoboard(Hardware):
     """
 
     def __init__(
-        self, task: Bongoboard, noise: Variances, record: Record, detachment: float, gaps: Gaps = NO_GAPS
+        self,
+        task: Bongoboard,
+        inertia_error: float,
+        noise: Variances,
+        record: Record,
+        detachment: float,
+        gaps: Gaps = NO_GAPS,
     ) -> None:
         self._task = task
+        self._scale = 1.0 + inertia_error
         self._noise = Noise(task, noise)
         self._record = record
         self._detachment = detachment

@@ -45,18 +45,10 @@ class Box2dBongoboard(EngineBongoboard):
 
     Parameters
     ----------
-    task
-        Geometry, masses, time step (a frame is one step of the engine) and failure.
-    inertia_error
-        Every mass and moment of inertia is multiplied by 1 + inertia_error.
-    noise
-        Variances on the torque and on what the policy sees, by name (`Noise`).
-    record
-        What cost and learning get to see: the true states, or the measured ones.
+    task, inertia_error, noise, record, detachment
+        As of every `EngineBongoboard`; a frame is one step of the engine.
     iterations
         Of the engine's solver in each frame.
-    detachment
-        Gap, in m, above which the board has left the wheel.
 
     Raises
     ------
@@ -74,8 +66,7 @@ class Box2dBongoboard(EngineBongoboard):
         detachment: Depth = 1e-3,
     ) -> None:
         box2d()
-        super().__init__(task, noise, record, detachment)
-        self._scale = 1.0 + inertia_error
+        super().__init__(task, inertia_error, noise, record, detachment)
         self._iterations = iterations
 
     def build(self, start: Array) -> World:

@@ -12,12 +12,13 @@ from simbias.hardware.bongoboard_engine import Depth, EngineBongoboard, InertiaE
 from simbias.hardware.loop import Record
 from simbias.records import Array
 from simbias.simulation.noise import QUIET, Variances
-from simbias.task.bongoboard import Bongoboard
+from simbias.task.bongoboard import Bongoboard, Robot
 from simbias.task.mjcf_parameters import mujoco
 
 WIDTH = 0.3  # m, of wheel, board and foot plate: out of the plane in which everything moves
 STIFFNESS = 4  # steps of the engine in which contacts and joints recover from an error
 LEGS = [9, 11]  # among the positions
+SLIDES = {"x": "1 0 0", "z": "0 0 1"}
 OVERLAP = 2e-6  # m at the start, so that bodies touch from the first frame on
 
 
@@ -30,18 +31,10 @@ class MujocoBongoboard(EngineBongoboard):
 
     Parameters
     ----------
-    task
-        Geometry, masses, time step and failure.
-    inertia_error
-        Every mass and moment of inertia is multiplied by 1 + inertia_error.
-    noise
-        Variances on the torque and on what the policy sees, by name (`Noise`).
-    record
-        What cost and learning get to see: the true states, or the measured ones.
+    task, inertia_error, noise, record, detachment
+        As of every `EngineBongoboard`.
     steps
         Of the engine in each frame.
-    detachment
-        Gap, in m, above which the board has left the wheel.
 
     Raises
     ------
@@ -58,9 +51,9 @@ class MujocoBongoboard(EngineBongoboard):
         steps: Count = 2,
         detachment: Depth = 1e-3,
     ) -> None:
-        super().__init__(task, noise, record, detachment)
+        super().__init__(task, inertia_error, noise, record, detachment)
         self._steps = steps
-        self._text = mjcf(task, 1.0 + inertia_error, steps)
+        self._text = mjcf(task, self._scale, steps)
         self.model = mujoco().MjModel.from_xml_string(self._text)
 
     def build(self, start: Array) -> World:
@@ -103,65 +96,16 @@ class World:
 
 def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
     """The robot as MJCF; angles are counter-clockwise, seen with x to the right and z up."""
-    robot = task.robot
-    masses = inertias(robot, "plate", scale)
-    seconds = task.time_step / steps
-
-    def inertial(name: str, height: float = 0.0) -> str:
-        mass, inertia = masses[name]
-        other = 0.6 * inertia  # about the axes in the plane, around which nothing turns
-        return f'<inertial mass="{mass}" pos="0 0 {height}" diaginertia="{other} {inertia} {other}"/>'
-
-    def moving(name: str) -> str:
-        return "".join(
-            f'<joint name="{name} {axis}" type="{kind}" axis="{direction}"/>'
-            for axis, kind, direction in (
-                ("x", "slide", "1 0 0"),
-                ("z", "slide", "0 0 1"),
-                ("angle", "hinge", "0 -1 0"),
-            )
-        )
-
-    def box(name: str, length: float, height: float) -> str:
-        return f'<geom name="{name}" type="box" size="{length / 2} {WIDTH / 2} {height / 2}"/>'
-
-    def leg(name: str, side: float, above: str = "") -> str:
-        return (
-            f'<body name="{name}" pos="{side * robot.ankle_spacing / 2} 0 {robot.ankle_height / 2}">'
-            f'<joint name="{name}" type="hinge" axis="0 -1 0"/>'
-            f"{inertial(name, robot.leg_length / 2)}{above}</body>"
-        )
-
-    pelvis = (
-        f'<body name="pelvis" pos="0 0 {robot.leg_length}"><joint name="hip" type="hinge" axis="0 -1 0"/>'
-        f'<inertial mass="{masses["pelvis"][0]}" pos="{robot.ankle_spacing / 2} 0 0" '
-        f'diaginertia="{masses["pelvis"][1]} {masses["pelvis"][1]} {masses["pelvis"][1]}"/></body>'
-    )
+    robot, seconds = task.robot, task.time_step / steps
     soft = f'solref="{STIFFNESS * seconds} 1" solimp="0.99 0.999 0.0001"'
-    grip = robot.friction
-    pairs = "".join(
-        f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{grip} {grip} 0 0 0" {soft}/>'
-        for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))
-    )
     return f"""
     <mujoco model="bongoboard">
       <compiler angle="radian"/>
       <option timestep="{seconds}" gravity="0 0 {-robot.gravity}" integrator="implicitfast" cone="elliptic"
         impratio="100" iterations="100" tolerance="1e-10"/>
       <default><geom contype="0" conaffinity="0"/></default>
-      <worldbody>
-        <geom name="floor" type="plane" size="10 10 1"/>
-        <body name="wheel">{moving("wheel")}{inertial("wheel")}
-          <geom name="wheel" type="capsule" size="{robot.wheel_radius}"
-            fromto="0 {-WIDTH / 2} 0 0 {WIDTH / 2} 0"/>
-        </body>
-        <body name="board">{moving("board")}{inertial("board")}
-          {box("board", robot.board_length, robot.board_thickness)}</body>
-        <body name="foot">{moving("foot")}{inertial("foot")}
-          {box("foot", robot.foot_length, robot.ankle_height)}
-          {leg("left leg", -1.0, pelvis)}{leg("right leg", 1.0)}</body>
-      </worldbody>
-      <contact>{pairs}</contact>
+      <worldbody>{_bodies(robot, scale)}</worldbody>
+      <contact>{_pairs(robot.friction, soft)}</contact>
       <equality>
         <joint joint1="right leg" joint2="left leg" polycoef="0 1 0 0 0" {soft}/>
         <joint joint1="hip" joint2="left leg" polycoef="0 -1 0 0 0" {soft}/>
@@ -171,3 +115,62 @@ def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
         <motor name="right ankle" joint="right leg"/>
       </actuator>
     </mujoco>"""
+
+
+def _bodies(robot: Robot, scale: float) -> str:
+    """Floor, wheel, board and foot plate, which carries the legs, and the left one the pelvis."""
+    masses = inertias(robot, "plate", scale)
+    mass, inertia = masses["pelvis"]
+    pelvis = (
+        f'<body name="pelvis" pos="0 0 {robot.leg_length}">{_hinge("hip")}'
+        f'<inertial mass="{mass}" pos="{robot.ankle_spacing / 2} 0 0" '
+        f'diaginertia="{inertia} {inertia} {inertia}"/></body>'
+    )
+
+    def leg(name: str, side: float, above: str = "") -> str:
+        return (
+            f'<body name="{name}" pos="{side * robot.ankle_spacing / 2} 0 {robot.ankle_height / 2}">'
+            f"{_hinge(name)}{_inertial(*masses[name], robot.leg_length / 2)}{above}</body>"
+        )
+
+    return f"""
+        <geom name="floor" type="plane" size="10 10 1"/>
+        <body name="wheel">{_plane("wheel")}{_inertial(*masses["wheel"])}
+          <geom name="wheel" type="capsule" size="{robot.wheel_radius}"
+            fromto="0 {-WIDTH / 2} 0 0 {WIDTH / 2} 0"/>
+        </body>
+        <body name="board">{_plane("board")}{_inertial(*masses["board"])}
+          {_box("board", robot.board_length, robot.board_thickness)}</body>
+        <body name="foot">{_plane("foot")}{_inertial(*masses["foot"])}
+          {_box("foot", robot.foot_length, robot.ankle_height)}
+          {leg("left leg", -1.0, pelvis)}{leg("right leg", 1.0)}</body>"""
+
+
+def _inertial(mass: float, inertia: float, height: float = 0.0) -> str:
+    """Mass (kg), moment of inertia (kg m^2), and height (m) of the centre above the body's origin."""
+    other = 0.6 * inertia  # about the axes in the plane, around which nothing turns
+    return f'<inertial mass="{mass}" pos="0 0 {height}" diaginertia="{other} {inertia} {other}"/>'
+
+
+def _hinge(name: str) -> str:
+    """A joint in the plane."""
+    return f'<joint name="{name}" type="hinge" axis="0 -1 0"/>'
+
+
+def _plane(name: str) -> str:
+    """The joints of a body that moves freely in the plane."""
+    slides = (f'<joint name="{name} {axis}" type="slide" axis="{way}"/>' for axis, way in SLIDES.items())
+    return "".join(slides) + _hinge(f"{name} angle")
+
+
+def _box(name: str, length: float, height: float) -> str:
+    """The shape of board or foot plate."""
+    return f'<geom name="{name}" type="box" size="{length / 2} {WIDTH / 2} {height / 2}"/>'
+
+
+def _pairs(friction: float, soft: str) -> str:
+    """What touches what."""
+    return "".join(
+        f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{friction} {friction} 0 0 0" {soft}/>'
+        for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))
+    )

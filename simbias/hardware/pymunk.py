@@ -21,24 +21,15 @@ class PymunkBongoboard(EngineBongoboard):
 
     Parameters
     ----------
-    task
-        Geometry, masses, time step (a frame is one step of the engine) and failure.
-    inertia_error
-        Every mass and moment of inertia is multiplied by 1 + inertia_error.
+    task, inertia_error, noise, record, detachment
+        As of every `EngineBongoboard`; a frame is one step of the engine.
     feet
         "plate": one plate under both ankles; "separate": the plate cut in two, an ankle above the middle of
         each half; "fixed": the plate joined to the board, as in the Lagrangian model.
-    noise
-        Variances on the torque and on what the policy sees, by name (`Noise`).
-    record
-        What cost and learning get to see: the true states, or the measured ones, as of a real robot. Failure
-        is judged by the true states all the same: someone sees the robot fall.
     iterations
         Of the engine's solver in each frame.
     overlap
         How deep, in m, bodies in contact may overlap.
-    detachment
-        Gap, in m, above which the board has left the wheel; contacts flicker below it.
     gaps
         What it has and its model has not (`Gaps`). Noise on the torque passes the motor, too.
     """
@@ -55,8 +46,7 @@ class PymunkBongoboard(EngineBongoboard):
         detachment: Depth = 1e-3,
         gaps: Gaps = NO_GAPS,
     ) -> None:
-        super().__init__(task, noise, record, detachment, gaps)
-        self._scale = 1.0 + inertia_error
+        super().__init__(task, inertia_error, noise, record, detachment, gaps)
         self._feet = feet
         self._iterations = iterations
         self._overlap = overlap
