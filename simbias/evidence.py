@@ -61,9 +61,10 @@ def learn(
 def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, float]:
     """Of each way to learn, the mean log-likelihood (nats) of a window that it did not learn from.
 
-    The experiments or, of few, their parts are left out in turn. The errors of a window are distributed as
-    those in the others when they are left out (`simbias.simulation.errors`): errors where was learned are too
-    small, the more the more was learned. Nothing if all are too short.
+    The experiments are left out in turn or, if there are few, their parts. The errors of a window are assumed
+    to be distributed as those of the others when these are left out (`simbias.simulation.errors`). Errors on
+    what was learned from are too small to tell: the more was learned, the smaller. Nothing if all experiments
+    are too short.
     """
     frames = max(1, round(WINDOW / study.task.time_step))
     chunk = max(1, round(frames / CHUNKS))
