@@ -127,12 +127,13 @@ class MlflowSweep(TrackedSweep):
             run = self._client.create_run(
                 self._experiment_id, start_time=started, tags=tags, run_name=trial.name
             )
-        MlflowTrial(self._client, run, study, self.where, self.journal(trial)).keep(record)
+        kept = MlflowTrial(self._client, run, study, self.where, self.journal(trial))
+        kept.keep(record)
         if record.outcome.final:
             remove(self.journal(trial))
             self._note_machine(record)
         if record.outcome in results.TOLD:
-            numbers = fields.trial_metrics(record)
+            numbers = fields.trial_metrics(kept.whole(record))
             self._rows[trial.hash] = results.row(
                 trial,
                 self._sweep,

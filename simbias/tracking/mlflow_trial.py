@@ -123,6 +123,10 @@ class MlflowTrial(TrackedTrial):
         else:
             self._journal.ended(record)
 
+    def whole(self, record: TrialRecord) -> TrialRecord:
+        """The record, its seconds with those that earlier processes took."""
+        return replace(record, seconds=self._seconds + record.seconds)
+
     def _end(self, record: TrialRecord) -> None:
         """Write how the trial ended."""
         writes = self._writes
@@ -136,8 +140,7 @@ class MlflowTrial(TrackedTrial):
             ]
         writes.files += self._experiment_files(len(record.iterations), record.unfinished)
         self._time = record.started + record.seconds
-        whole = replace(record, seconds=self._seconds + record.seconds)
-        numbers = fields.trial_metrics(whole).items()
+        numbers = fields.trial_metrics(self.whole(record)).items()
         new = [(name, value) for name, value in numbers if self._before.get(name) != value]
         writes.metrics.append([(name, value, 0, self._time) for name, value in new])
         self._note(notes.verdict(self._rows, record))

@@ -212,6 +212,12 @@ def test_what_is_read_is_what_was_kept(folder: Path, monkeypatch: pytest.MonkeyP
     assert runs(folder)[0][0].info.status == "FAILED"
     tracked = store_of_trials.open_sweep(sweep, "again")
     assert tracked.finished == {first.hash}
+    tracked.keep(second, build(second.composition), raised)
+    kept = tracked.results()
+    tracked.close()
+    tracked = store_of_trials.open_sweep(sweep, "again")
+    pd.testing.assert_frame_equal(tracked.results(), kept)
+    assert list(kept["seconds"])[1] == 4.0  # of both attempts
     monkeypatch.setattr(MlflowTrial, "_flush", full_disk)
     with pytest.raises(OSError, match="full"):
         tracked.keep(second, build(second.composition), record)
