@@ -9,7 +9,7 @@ from rich.console import Console
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.config.composition import overridden
-from simbias.messages import with_trace
+from simbias.messages import counted, with_trace
 from simbias.terminal.trial import temporary_traceback
 from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts
 
@@ -34,11 +34,8 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
         if verdict.problem:
             console.print(f"       {verdict.problem}{_trace(verdict)}", soft_wrap=True, markup=False)
     chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
-    console.print(
-        f"{chosen}: {f'{problems} checks fail' if problems else 'all checks hold'}.",
-        soft_wrap=True,
-        markup=False,
-    )
+    end = f"{counted(problems, 'check')} failed" if problems else "all checks hold"
+    console.print(f"{chosen}: {end}.", soft_wrap=True, markup=False)
     return not problems
 
 

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from simbias import remarks
 from simbias.engine.contract import Engine
-from simbias.messages import brief
+from simbias.messages import brief, counted
 from simbias.study import Study
 from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
@@ -92,7 +92,7 @@ class SweepConsole(SweepObserver):
         self._progress.update(self._bar, completed=len(self._outcomes), state=self._state())
         if not record.outcome.final or not self._console.is_terminal:
             done = f"[{len(self._outcomes)}/{self._total}]"
-            outcome = record.reason or f"{record.outcome} after {record.experiments} experiments"
+            outcome = record.reason or f"{record.outcome} after {counted(record.experiments, 'experiment')}"
             if file := self._traceback_file(record):
                 outcome += f" (traceback in {file})"
             line = f"{done} {trial.name}: {outcome}, {record.seconds:.1f} s; {self._state()}"
@@ -152,11 +152,14 @@ class SweepConsole(SweepObserver):
             line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
             self._console.print(line, style="red", soft_wrap=True, markup=False)
         for words, trials_with in self._remarks.most_common():
-            self._console.print(f"In {trials_with} of {self._ran} trials: {words}.", soft_wrap=True)
+            ran = counted(self._ran, "trial")
+            self._console.print(f"In {trials_with} of {ran}: {words}.", soft_wrap=True)
         if raised:
-            self._console.print(f"{len(raised)} trials raised an error; the same command goes on with them.")
+            told = counted(len(raised), "trial")
+            self._console.print(f"{told} raised an error; the same command goes on.")
         if self.waiting:
-            self._console.print(f"{self.waiting} trials wait for hardware; the same command goes on.")
+            told = counted(self.waiting, "trial")
+            self._console.print(f"Hardware is awaited in {told}; the same command goes on.")
         for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))
@@ -197,5 +200,5 @@ def dry_run(sweep: Sweep, study: Study, finished: DataFrame, engine: Engine) -> 
     seconds, basis = estimate(sweep, finished, study, n_jobs)
     print(
         f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; "
-        f"the others may take {duration(seconds)} on {n_jobs} job{'' if n_jobs == 1 else 's'} ({basis})."
+        f"the others may take {duration(seconds)} on {counted(n_jobs, 'job')} ({basis})."
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from simbias import markdown, remarks
+from simbias.messages import counted
 from simbias.records import Iteration
 from simbias.trial import Outcome, TrialRecord
 
@@ -57,9 +58,8 @@ def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) ->
     events = ["**succeeded**"] if iteration.succeeded else []
     if failures:
         causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
-        events.append(
-            f"{len(failures)} of {len(iteration.experiments)} experiments failed: {markdown.text(causes)}"
-        )
+        made = counted(len(iteration.experiments), "experiment")
+        events.append(f"{len(failures)} of {made} failed: {markdown.text(causes)}")
     if iteration.learning and iteration.learning.reset:
         events.append("model cleared")
     return [*events, *map(markdown.text, remarks.of_iteration(iteration, earlier))]
@@ -113,10 +113,5 @@ def verdict(rows: Sequence[Row], record: TrialRecord) -> str:
 def _count(rows: Sequence[Row], unfinished: int) -> str:
     """How far the trial came."""
     experiments = (rows[-1].total_experiments if rows else 0) + unfinished
-    text = f"{_plural(len(rows), 'iteration')} and {_plural(experiments, 'hardware experiment')}"
+    text = f"{counted(len(rows), 'iteration')} and {counted(experiments, 'hardware experiment')}"
     return f"{text}, {unfinished} of them in an iteration that did not end" if unfinished else text
-
-
-def _plural(count: int, thing: str) -> str:
-    """A count of things."""
-    return f"{count} {thing}{'' if count == 1 else 's'}"

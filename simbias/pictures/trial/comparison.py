@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from simbias.interfaces import FittedBias, Nominal
+from simbias.messages import counted
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.style import seconds
 from simbias.records import Iteration, Rollout
@@ -86,7 +87,7 @@ def policy_words(iteration: Iteration) -> str:
         return f"Policy of iteration {iteration.index}"
     if before == 0:
         return "Policy from simulation alone"
-    return f"Policy after {before} hardware experiment{'' if before == 1 else 's'}"
+    return f"Policy after {counted(before, 'hardware experiment')}"
 
 
 def simulation_words(study: Study, samples: int) -> str:

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from threadpoolctl import threadpool_limits
 
 from simbias.interfaces import FittedBias, Nominal, Task
+from simbias.messages import counted
 from simbias.pictures.drawing import NoPictureError
 from simbias.pictures.panels import headline, legend, panels
 from simbias.pictures.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
@@ -62,7 +63,7 @@ def prediction_errors(
         row[0].set_ylabel(f"error of {symbols} ({unit})", labelpad=1)
         _share_scale(row)
     for axes, k in zip(grid[0], horizons, strict=True):
-        headline(axes, f"{k} frame{'' if k == 1 else 's'} ahead ({1000 * seconds(study.task, k):g} ms)")
+        headline(axes, f"{counted(k, 'frame')} ahead ({1000 * seconds(study.task, k):g} ms)")
     legend(figure, _entries(list(names)))
     return figure
 
