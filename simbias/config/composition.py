@@ -234,10 +234,9 @@ def _in_one_line(error: Exception) -> ConfigError:
         return ConfigError(f"{group}={option}", f"no such option; {group} has {', '.join(error.options)}")
     cause = error.__cause__
     if isinstance(error, ConfigAttributeError | ConfigKeyError):
-        return ConfigError(error.full_key or "", "no such key; --cfg job shows them all, --help the groups")
+        return _no_such_key(error.full_key or "")
     if isinstance(cause, ConfigAttributeError | ConfigKeyError):
-        name = str(error).split("'")[1]
-        return ConfigError(name, "no such key; --cfg job shows them all, --help the groups")
+        return _no_such_key(str(error).split("'")[1])
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
     if isinstance(error, OverrideParseException):
         said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it is the override again
@@ -245,3 +244,10 @@ def _in_one_line(error: Exception) -> ConfigError:
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
     return ConfigError("", ": ".join(lines[:2]))
+
+
+def _no_such_key(key: str) -> ConfigError:
+    """What to say of a key that the config has not."""
+    if key.startswith("sweep."):
+        return ConfigError(key, f"no such key; +{key}=... if the sweep's file only leaves it out")
+    return ConfigError(key, "no such key; --cfg job shows them all, --help the groups")

@@ -62,7 +62,7 @@ def read_axis(name: str, spec: Any) -> Axis:
         raise ConfigError(where, "has no keys")
     one = isinstance(checked["keys"], str)
     written = (checked["keys"],) if one else tuple(checked["keys"])
-    keys = tuple(key.removeprefix("+") for key in written)
+    keys = tuple(key.lstrip("+") for key in written)
     values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])
     labels = tuple(map(label, checked.get("labels", map(join, values))))
     if not values:

@@ -143,7 +143,7 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
     [
         (["+sweep=unknown"], "sweep=unknown: no such option; sweep has ablation, "),
         (["+sweep=smoke", "sweep.trials=0"], "sweep.trials: must be greater than 0, got 0"),
-        (["+sweep=smoke", "sweep.trialss=1"], "sweep.trialss: no such key"),
+        (["+sweep=smoke", "sweep.trialss=1"], "sweep.trialss: no such key; +sweep.trialss=... if the sweep"),
         (["+sweep=smoke", "+sweep.trialss=1"], "sweep.trialss: no such key"),
         (["+sweep=smoke", "sweep.axes=3"], "sweep.axes: must be a valid dictionary, got 3"),
         (["+sweep=smoke", "+sweep.axes.nosuch=[1]"], "sweep.axes.nosuch.keys: nosuch: no such key"),
@@ -193,6 +193,7 @@ def test_an_axis_may_add_a_key() -> None:
     alone = compose(["preset=cartpole", "bias=sparse_gp", "+hardware.noise.force_variance=0.1"])
     assert sweep.cells[1].composition.cell == alone.trial.cell
     assert sweep.axes[0].keys == ("hardware.noise.force_variance",)
+    assert expand(["+sweep=fig6", "preset=cartpole", noise.replace("+", "++")]).trials == sweep.trials
     with pytest.raises(ConfigError, match="is an axis of the sweep"):
         expand(["+sweep=fig6", "preset=cartpole", noise, "+hardware.noise.force_variance=0.1"])
 
