@@ -1,8 +1,8 @@
 """Where a policy search may begin: policies that come near to linear-quadratic regulators of the model.
 
-Costs of policies that fall say little about which ones do not. Of the model, linearised where the robot can
-rest, theory gives inputs that stabilise it, of the whole state with all that it does not show, as a delay's
-or a lag's. A policy that knows less imitates them.
+Costs of policies that fall say little about which policies do not. For the model, linearised where the robot
+can rest, theory gives a regulator. It sees the whole state, with what a delay or a lag hides. A policy that
+sees less imitates it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,10 @@ from simbias.records import Array
 
 PRICES = (10.0, 100.0, 1000.0, 10000.0)  # of inputs at their limits, that of a state of one unit being 1
 FORGOTTEN = 1e-9  # price of what a memory holds
-NEAR = (
-    1e-3  # price of being away from zero, that of accelerations being 1: of all rests, the nearest is taken
-)
-STEP = (
-    0.1  # of states, and of inputs over their limits, for slopes by differences: friction is steeper at rest
-)
-RECORDS, SECONDS = 16, 1.0  # of the regulated model, that are imitated,
-SHAKEN = 0.01  # by random inputs of this share of the limits
+NEAR = 1e-3  # price of being away from zero, that of accelerations being 1: the nearest rest is taken
+STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
+RECORDS, SECONDS = 16, 1.0  # so many records of the regulated model are imitated, so long each,
+SHAKEN = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
 SETTLED = 1000  # frames, after which a memory is that of a steady input
 
@@ -64,7 +60,7 @@ class Candidates(Sequence[Array]):
 
 
 def designs(model: Model, count: int) -> list[Array]:
-    """Those of so many models: the most probable one, and draws of what is not known of it."""
+    """Policies (p,) for so many models: the most probable one, and draws of its uncertain parameters."""
     rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
     drawn = [replace(model, nominal=model.nominal.draw(rng)) for rng in rngs]
     return [theta for each in [model, *drawn][:count] for theta in regulated(each)]

@@ -99,7 +99,7 @@ def evolve(
 
 @cache
 def _pycma() -> Any:
-    """Pycma, without what it imports to draw and to rank, and does without: a second of a process' start."""
+    """Pycma without the libraries by which it draws and ranks: they take a second of a process's start."""
     hidden = [name for name in UNUSED if name not in sys.modules]
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: as if it were not installed
     try:

@@ -18,9 +18,9 @@ from simbias.search import Evaluations
 class Hybrid(Optimizer):
     """A global search explores the box until a cost is satisfactory, CMA-ES goes on from its best point.
 
-    Where not even that is satisfactory, both begin again, elsewhere if the exploration is random. Candidates
-    of which one is satisfactory take the place of the first exploration; with a deviation of their own,
-    others do too.
+    Where not even that is satisfactory, both begin again, elsewhere if the exploration is random. CMA-ES goes
+    on from the best candidate, without a first exploration, if this one is satisfactory or a
+    `candidate_deviation` is given.
 
     Parameters
     ----------

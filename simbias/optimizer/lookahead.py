@@ -2,8 +2,8 @@
 
 The points that DIRECT asks for next rarely depend on the last few costs. So a search is run on with guessed
 costs until it has asked for some points; they are evaluated together, and the search is run again from its
-start on what is known. The last run knows every cost: it is the sequential search, point by point. What a run
-was told before its first guess is what every later run is told, so that is not looked up again.
+start on what is known. The last run knows every cost: it is the sequential search, point by point. Costs that
+a run was told before its first guess are told to every later run, too, so they are not looked up again.
 """
 
 from __future__ import annotations

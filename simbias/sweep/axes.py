@@ -28,7 +28,7 @@ class Axis:
     values: tuple[tuple[Any, ...], ...]  # of each point, in the order of the keys
     labels: tuple[str, ...]  # of each point
     texts: tuple[tuple[str, ...], ...]  # of each point, a text for each column of a table
-    added: frozenset[str] = frozenset()  # those of the keys that the config has not, in the YAML with a +
+    added: frozenset[str] = frozenset()  # keys that the config lacks, with a + in the YAML
 
     @property
     def numeric(self) -> bool:
@@ -38,7 +38,7 @@ class Axis:
         return own and all(numbers)
 
     def settings(self, index: int) -> dict[str, Any]:
-        """What a point sets; keys that the config has not begin with +, as in an override."""
+        """What a point sets; keys that the config lacks begin with +, as in an override."""
         names = (f"+{key}" if key in self.added else key for key in self.keys)
         return dict(zip(names, self.values[index], strict=True))
 

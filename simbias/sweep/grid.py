@@ -216,7 +216,7 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
 
 
 def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequence[Axis]) -> Composition:
-    """The composition of a cell's trials; of a key that the config has not, its axis is told."""
+    """The composition of a cell's trials; where the config has no such key, the error names the axis."""
     try:
         return variations.composition(settings).trial
     except ConfigError as error:
