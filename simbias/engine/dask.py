@@ -9,6 +9,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -135,7 +136,7 @@ class Dask(Engine):
         from distributed import KilledWorker, as_completed
 
         futures: dict[Future, int] = {}
-        results = as_completed([], loop=client.loop, with_results=True, raise_errors=False)
+        ended = as_completed([], loop=client.loop)  # results it would wait for in vain, if lost
         last_count, workers = -RECOUNT_SECONDS, 1
         while indices or futures:
             if time.monotonic() - last_count >= RECOUNT_SECONDS:
@@ -144,14 +145,15 @@ class Dask(Engine):
                 index = indices.popleft()
                 future = client.submit(partial(_run_alone, function, tasks[index]), pure=False)
                 futures[future] = index
-                results.add(future)
-            future, result = next(results)
-            if future.status == "cancelled":
-                raise ConfigError("engine.address", f"{self._address or 'local'}: the scheduler is gone")
-            if future.status == "error":
-                result = future.exception()
-                if not isinstance(result, KilledWorker):  # the worker cannot run any task
-                    raise result
+                ended.add(future)
+            future = next(ended)
+            try:
+                result = future.result()  # of a task, which raises nothing
+            except KilledWorker as error:
+                result = error
+            except CancelledError as error:
+                problem = f"{self._address or 'local'}: the scheduler is gone"
+                raise ConfigError("engine.address", problem) from error
             yield futures.pop(future), result
 
     def _count_workers(self, client: Client) -> int:

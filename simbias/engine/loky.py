@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from simbias.config.numbers import Workers
@@ -53,7 +54,7 @@ class Loky(Engine):
         self, function: Callable, calls: Iterable[tuple[int, Any]], alone: bool
     ) -> Iterator[tuple[int, Any]]:
         """Results of the calls, until a worker dies; joblib kills the workers when this is closed."""
-        from joblib import Parallel, delayed, parallel_config
+        from joblib import Parallel, delayed, load, parallel_config
 
         for message in NOISE:
             warnings.filterwarnings("ignore", message=message)
@@ -68,9 +69,12 @@ class Loky(Engine):
             parallel = Parallel(
                 return_as="generator_unordered", batch_size=1, pre_dispatch="1" if alone else "2*n_jobs"
             )
-            results = parallel(delayed(_call)(function, index, task) for index, task in calls)
+            results = parallel(delayed(_call)(function, index, task, workplace()) for index, task in calls)
         try:
-            yield from results
+            for index, file in results:
+                result = load(file)
+                file.unlink()
+                yield index, result
         except BrokenProcessPool as error:
             raise RoundBrokenError(_reason(error)) from error
 
@@ -114,9 +118,17 @@ def _reason(error: BaseException) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-def _call(function: Callable[[T], R], index: int, task: T) -> tuple[int, R]:
-    """A task's result, with its index: what a worker does."""
-    return index, function(task)
+def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tuple[int, Path]:
+    """A task's index, and the file of its result: what a worker does.
+
+    The result does not go through the workers' pipe: of one who is killed while writing, joblib would wait
+    for the other half for ever.
+    """
+    from joblib import dump
+
+    file = folder / f"{os.getpid()}-{index}.result"
+    dump(function(task), file)
+    return index, file
 
 
 def _follow(parent: int) -> None:

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -61,6 +62,15 @@ class Trap:
 
 def set_trap(fate: str) -> Trap:
     return Trap(fate)
+
+
+def hand_over(task: tuple[float, str]) -> np.ndarray:
+    """A result of 160 MB, whose worker is killed so many seconds after it is computed, once."""
+    seconds, fate = task
+    if not Path(fate).exists():
+        Path(fate).touch()
+        threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
+    return np.zeros(20_000_000)
 
 
 def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
@@ -144,6 +154,14 @@ def test_a_worker_that_dies_once_loses_nothing(subject: Engine, tmp_path: Path) 
 def test_a_result_that_died_with_its_worker_is_made_again(subject: Engine, tmp_path: Path) -> None:
     ((index, result),) = subject.run(set_trap, [str(tmp_path / "died")])
     assert (index, type(result)) == (0, Trap)
+
+
+@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
+def test_a_worker_may_die_while_it_hands_over_its_result(subject: Engine, tmp_path: Path) -> None:
+    """Half a result is none: nobody waits for the other half."""
+    tasks = [(seconds, str(tmp_path / str(seconds))) for seconds in (0.15, 0.35)]
+    results = dict(subject.run(hand_over, tasks))
+    assert [results[index].size for index in range(2)] == [20_000_000] * 2
 
 
 @pytest.mark.parametrize("subject", WORKERS, ids=name_of)
