@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import shlex
 import sys
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from simbias.study import Study
     from simbias.tracking.contract import TrackedTrial
 
+GARBAGE = 100_000  # objects until garbage is looked for: at Python's 700, that is a fifth of a start
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
 CHECK = "check"  # in place of a first override: put components through the conformance suite
@@ -57,6 +59,7 @@ of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an er
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
+    gc.set_threshold(GARBAGE)
     parsed = _parser(_config_dir(arguments)).parse_intermixed_args(arguments)
     try:
         status = _run_or_show(parsed)
@@ -195,9 +198,9 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
 
     trials_engine, store = engine(composition), tracking(composition)
     with preparing(), slowness_in_one_line():
-        sweep, study = prepare(parsed.overrides, parsed.config_dir, parsed.allow)
+        sweep, study, finished = prepare(store, parsed.overrides, parsed.config_dir, parsed.allow)
     if sweep.dry_run:
-        dry_run(sweep, study, store.finished(sweep), trials_engine)
+        dry_run(sweep, study, finished, trials_engine)
         return SUCCEEDED
     again = _command(parsed)
     tracked = store.open_sweep(sweep, again)

@@ -17,7 +17,7 @@ from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.worker import Plan, lost, run_plan
 from simbias.testing.rehearsal import rehearse
-from simbias.tracking.contract import TrackedSweep
+from simbias.tracking.contract import TrackedSweep, Tracking
 from simbias.trial import TrialRecord
 
 
@@ -51,15 +51,17 @@ def run(
     if "sweep" not in composition.config:
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
     trials_engine, store = engine(composition), tracking(composition)
-    sweep, _ = prepare(overrides, config_dir, allow)
+    sweep, _, _ = prepare(store, overrides, config_dir, allow)
     again = f"simbias.run_sweep({list(overrides)!r})"
     return run_sweep(sweep, trials_engine, store.open_sweep(sweep, again), observer)
 
 
 def prepare(
-    overrides: Sequence[str], config_dir: Path | str | None = None, allow: Sequence[str] = ()
-) -> tuple[Sweep, Study]:
-    """The sweep and the study of its first cell, once the components of every cell could be built.
+    store: Tracking, overrides: Sequence[str], config_dir: Path | str | None = None, allow: Sequence[str] = ()
+) -> tuple[Sweep, Study, DataFrame]:
+    """The sweep, the study of its first cell, and the finished trials that the store keeps.
+
+    The components of every cell could be built. Where trials are missing, the simulation is compiled.
 
     Raises
     ------
@@ -75,9 +77,11 @@ def prepare(
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
-    for study in studies.values():  # compiled here once, workers find it in the cache
-        rehearse(study)
-    return sweep, next(iter(studies.values()))
+    finished = store.finished(sweep)
+    if len(finished) < len(sweep.trials):
+        for study in studies.values():  # compiled here once, workers find it in the cache
+            rehearse(study)
+    return sweep, next(iter(studies.values())), finished
 
 
 def run_sweep(

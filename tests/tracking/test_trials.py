@@ -134,8 +134,9 @@ def test_a_trial_that_went_on_is_read_back_as_one_that_was_not_disturbed(uri: st
 def test_trials_of_a_sweep_are_read_back(tmp_path: Path) -> None:
     uri = f"sqlite:///{tmp_path}/mlflow.db"
     words = ["+sweep=smoke", *QUICK, "sweep.trials=1"]
-    sweep, _ = prepare(words)
-    run_sweep(sweep, Sequential(), Mlflow(uri, pictures=False).open_sweep(sweep, "the command"))
+    store = Mlflow(uri, pictures=False)
+    sweep, _, _ = prepare(store, words)
+    run_sweep(sweep, Sequential(), store.open_sweep(sweep, "the command"))
     (parent,), trials = runs(tmp_path)
     planned = {trial.hash: trial for trial in sweep.trials}
     assert len(trials) == len(planned) == 2
