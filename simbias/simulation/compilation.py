@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import llvmlite
 import numba
@@ -24,6 +24,9 @@ from numba import njit
 from numba.core.dispatcher import Dispatcher
 
 from simbias.cache import cache_folder
+
+if TYPE_CHECKING:
+    from hashlib import _Hash as _Digest
 
 # A product and a sum may become one instruction. Nothing may assume that numbers are finite: a rollout that
 # blows up ends because its state is not a number.
@@ -59,13 +62,16 @@ def function_of(text: str, name: str, **names: Any) -> Callable:
     return _FUNCTIONS[key]
 
 
+_DISPATCHERS: dict[str, Any] = {}  # by the hash of all that they do, so that each is compiled once
+
+
 class Compilation:
     """Functions to be compiled together; their hash."""
 
     def __init__(self) -> None:
         self._digest = hashlib.sha256()
-        self._known: dict[int, Any] = {}
-        self._note(*VERSIONS, *OPTIONS, *OPTIONS.values())
+        self._known: dict[int, tuple[str, Any, Callable]] = {}
+        _note(self._digest, *VERSIONS, *OPTIONS, *OPTIONS.values())
 
     def compiled(self, function: Callable, inline: bool = True) -> Any:
         """A function that compiled code can call, into which it is copied if it is `inline`.
@@ -73,14 +79,9 @@ class Compilation:
         If it is not, LLVM decides by the kind of processor; so that this changes no number, its products then
         stay products, where no intrinsic says otherwise.
         """
-        function = getattr(function, "substitute", function)
-        function = function.py_func if isinstance(function, Dispatcher) else function
-        key = id(function)
-        if key not in self._known:
-            self._known[key] = None
-            options = OPTIONS if inline else OPTIONS | {"fastmath": {"nsz"}}
-            self._known[key] = njit(**options, forceinline=inline)(self._linked(function, inline))
-        return self._known[key]
+        digest, dispatcher, _ = self._hashed(function, inline)
+        _note(self._digest, digest)
+        return dispatcher
 
     @property
     def digest(self) -> str:
@@ -89,7 +90,7 @@ class Compilation:
 
     def module(self, text: str, **names: Any) -> ModuleType:
         """A module of this text, in which these names have a meaning; in a file of the cache."""
-        self._note(text, sorted(names))
+        _note(self._digest, text, sorted(names))
         name = f"simbias_{self.digest}"
         if name not in sys.modules:
             file = _folder() / f"{name}.py"
@@ -101,36 +102,53 @@ class Compilation:
             sys.modules[name] = module  # where Numba looks for the globals of what it finds in its cache
         return sys.modules[name]
 
-    def _linked(self, function: Any, inline: bool) -> Any:
-        """A copy of a Python function that calls compiled functions."""
-        code = function.__code__
-        used = set(_names(code)) & set(function.__globals__)
-        linked = {name: self._value(function.__globals__[name], inline) for name in sorted(used)}
-        cells = function.__closure__ or ()
-        closure = tuple(CellType(self._value(cell.cell_contents, inline)) for cell in cells)
-        self._note(function.__name__, *_description(code), function.__defaults__)
-        linked |= {"__builtins__": __builtins__, "__name__": function.__module__}
-        return FunctionType(code, linked, function.__name__, function.__defaults__, closure)
+    def _hashed(self, function: Callable, inline: bool) -> tuple[str, Any, Callable]:
+        """The hash of a function and of all that it calls, it compiled, and the function itself."""
+        function = getattr(function, "substitute", function)
+        function = function.py_func if isinstance(function, Dispatcher) else function
+        key = id(function)
+        if key not in self._known:
+            self._known[key] = "itself", None, function
+            linked, digest = self._linked(function, inline)
+            if digest not in _DISPATCHERS:
+                options = OPTIONS if inline else OPTIONS | {"fastmath": {"nsz"}}
+                _DISPATCHERS[digest] = njit(**options, forceinline=inline)(linked)
+            self._known[key] = digest, _DISPATCHERS[digest], function
+        return self._known[key]
 
-    def _value(self, value: Any, inline: bool) -> Any:
+    def _linked(self, function: Any, inline: bool) -> tuple[Callable, str]:
+        """A copy of a Python function that calls compiled functions, and its hash."""
+        code, digest = function.__code__, hashlib.sha256()
+        used = set(_names(code)) & set(function.__globals__)
+        linked = {name: self._value(function.__globals__[name], inline, digest) for name in sorted(used)}
+        cells = function.__closure__ or ()
+        closure = tuple(CellType(self._value(cell.cell_contents, inline, digest)) for cell in cells)
+        _note(digest, inline, function.__name__, *_description(code), function.__defaults__)
+        linked |= {"__builtins__": __builtins__, "__name__": function.__module__}
+        copy = FunctionType(code, linked, function.__name__, function.__defaults__, closure)
+        return copy, digest.hexdigest()
+
+    def _value(self, value: Any, inline: bool, digest: _Digest) -> Any:
         """What a name stands for in compiled code."""
         if isinstance(value, FunctionType | Dispatcher):
-            return self.compiled(value, inline)
-        if isinstance(value, np.ndarray):
-            self._note(value.dtype, value.shape, value.tobytes())
+            hashed, value, _ = self._hashed(value, inline)
+            _note(digest, hashed)
+        elif isinstance(value, np.ndarray):
+            _note(digest, value.dtype, value.shape, value.tobytes())
         elif hasattr(value, "_defn"):  # an intrinsic of Numba's: whatever its file holds
-            self._note(Path(value._defn.__code__.co_filename).read_bytes())
+            _note(digest, Path(value._defn.__code__.co_filename).read_bytes())
         elif isinstance(value, ModuleType):
-            self._note(value.__name__, getattr(value, "__version__", None))
+            _note(digest, value.__name__, getattr(value, "__version__", None))
         else:
-            self._note(value)
+            _note(digest, value)
         return value
 
-    def _note(self, *values: Any) -> None:
-        """Add values to the hash."""
-        for value in values:
-            ordered = sorted(map(repr, value)) if isinstance(value, set | frozenset) else value
-            self._digest.update(repr(ordered).encode())
+
+def _note(digest: _Digest, *values: Any) -> None:
+    """Add values to a hash."""
+    for value in values:
+        ordered = sorted(map(repr, value)) if isinstance(value, set | frozenset) else value
+        digest.update(repr(ordered).encode())
 
 
 def _names(code: CodeType) -> Iterator[str]:
