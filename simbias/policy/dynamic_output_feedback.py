@@ -185,11 +185,8 @@ def _law(m: int, q: int, d: int) -> Callable:
     def integrate(j, y_and_free, p, memory):
         return memory[q + j] + p[gathering + j] * y_and_free[j] * y_and_free[q]
 
-    def shift(index, u, p, memory):
-        return u[index // d] if index % d == 0 else memory[2 * q + index - 1]
-
     smooth_all, ask_all, limit_all = _each(smooth, q), _each(ask, m), _each(limit, m)
-    exceed_all, integrate_all, shift_all = _each(exceed, m), _each(integrate, q), _each(shift, m * d)
+    exceed_all, integrate_all, shift = _each(exceed, m), _each(integrate, q), _shift(m, d, 2 * q)
 
     def control(z, p, t, memory):
         """u and the next memory."""
@@ -200,7 +197,7 @@ def _law(m: int, q: int, d: int) -> Callable:
         for difference in exceed_all(wanted + u, p, memory):
             excess += abs(difference)
         free = 1.0 if excess == 0.0 else 0.0
-        return u, y + integrate_all(y + (free,), p, memory) + shift_all(u, p, memory)  # noqa: RUF005 (for Numba)
+        return u, y + integrate_all(y + (free,), p, memory) + shift(u, memory)  # noqa: RUF005 (for Numba)
 
     return control
 
@@ -216,3 +213,16 @@ def _each(element: Callable[..., Any], size: int, first: int = 0) -> Callable:
         return (element(first, a, b, c),) + others(a, b, c)  # noqa: RUF005 (for Numba)
 
     return each
+
+
+def _shift(m: int, d: int, begin: int, first: int = 0) -> Callable:
+    """A kernel that gives the last d of each input, this frame's first; memory has them from an index on."""
+    if first == m:
+        return lambda u, memory: ()
+    others, end = _shift(m, d, begin + d, first + 1), begin + d - 1
+
+    def shift(u, memory):
+        """From the first input on."""
+        return ((u[first],) + memory[begin:end])[:d] + others(u, memory)  # noqa: RUF005 (for Numba)
+
+    return shift
