@@ -55,6 +55,11 @@ class Unbounded(robot.Spring):
         return 1e3 * x[..., :1], memory
 
 
+class ImitatesByOne(robot.Spring):
+    def imitating(self, states: Array, inputs: Array) -> Array:
+        return np.zeros(1)
+
+
 class Always(Cost):
     max_cost = 1.0
 
@@ -86,6 +91,7 @@ def shown(study: Study) -> str:
         ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
         ("nominal", OneColumn, "OneColumn.step: expected a state, got (1,)"),
         ("policy", Unbounded, "Unbounded.act: expected inputs within [5.], got "),
+        ("policy", ImitatesByOne, "ImitatesByOne.imitating: expected parameters (3,), got (1,)"),
     ],
 )
 def test_what_an_own_component_breaks_is_one_line_before_the_trial(

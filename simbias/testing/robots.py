@@ -146,6 +146,15 @@ def _policy_acts(study: Study) -> None:
     expect_any_leading_axes(policy.outputs, "policy.outputs", x)
 
 
+@check("policy", "what imitates inputs is a policy")
+def _policy_imitates(study: Study) -> None:
+    records = (each.reshape(3, POINTS // 3, -1) for each in (states(study), inputs(study)))
+    theta, p = study.policy.imitating(*records), study.policy.n_parameters
+    if theta is not None:
+        equal(np.shape(theta), (p,), "policy.imitating", f"parameters ({p},)")
+        expect(np.isfinite(theta).all(), "policy.imitating", "finite numbers", theta)
+
+
 @check("hardware", "an experiment that is as its contract says (one is made)")
 def _hardware_runs(study: Study) -> None:
     start = study.task.start_mean
