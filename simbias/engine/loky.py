@@ -124,10 +124,10 @@ def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tupl
     The result does not go through the workers' pipe: of one who is killed while writing, joblib would wait
     for the other half for ever.
     """
-    from joblib import dump
+    from joblib import dump, wrap_non_picklable_objects
 
     file = folder / f"{os.getpid()}-{index}.result"
-    dump(function(task), file)
+    dump(wrap_non_picklable_objects(function(task), keep_wrapper=False), file)
     return index, file
 
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,11 @@ class Trap:
 
 def set_trap(fate: str) -> Trap:
     return Trap(fate)
+
+
+def hand_over_a_view(task: dict[str, int]) -> Any:
+    """A result that a plain pickle refuses, as parts of trials are."""
+    return MappingProxyType(task)
 
 
 def hand_over(task: tuple[float, str]) -> np.ndarray:
@@ -154,6 +160,11 @@ def test_a_worker_that_dies_once_loses_nothing(subject: Engine, tmp_path: Path) 
 def test_a_result_that_died_with_its_worker_is_made_again(subject: Engine, tmp_path: Path) -> None:
     ((index, result),) = subject.run(set_trap, [str(tmp_path / "died")])
     assert (index, type(result)) == (0, Trap)
+
+
+@pytest.mark.parametrize("subject", ENGINES, ids=name_of)
+def test_results_are_what_they_were(subject: Engine) -> None:
+    assert dict(subject.run(hand_over_a_view, [{"a": 1}])) == {0: MappingProxyType({"a": 1})}
 
 
 @pytest.mark.parametrize("subject", WORKERS, ids=name_of)
