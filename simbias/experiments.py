@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from contextvars import copy_context
@@ -122,10 +123,10 @@ class Conducted(Hardware):
         """
         theta, start = theta.copy(), start.copy()
         if self._bounds is None:
-            return self._returned(lambda: self._hardware.run(policy, theta, start, rng))
+            return self._returned(lambda: _in_one_process(self._hardware.run, policy, theta, start, rng))
         guarded = Guarded(policy, self._task, self._bounds)
         try:
-            return self._returned(lambda: self._hardware.run(guarded, theta, start, rng))
+            return self._returned(lambda: _in_one_process(self._hardware.run, guarded, theta, start, rng))
         except Exception:
             if guarded.last is None or not guarded.last.failure:
                 raise
@@ -177,6 +178,19 @@ class Conducted(Hardware):
     def _name(self) -> str:
         """The component."""
         return type(self._hardware).__name__
+
+
+def _in_one_process(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function returns or raises; a process that it forks and that comes back from it ends here.
+
+    It would go on with the trial, too, and write what its parent writes.
+    """
+    process = os.getpid()
+    try:
+        return function(*arguments)
+    finally:
+        if os.getpid() != process:
+            os._exit(1)
 
 
 class _Call:

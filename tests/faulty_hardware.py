@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import multiprocessing
 import os
 import resource
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -104,16 +106,40 @@ CONVERTED: dict[str, Callable[[Rollout], Any]] = {  # without loss
     "its own cost": lambda rollout: replace(rollout, cost={}, parameters=None),  # type: ignore[arg-type]
 }
 
-DEADLY: dict[str, Callable[[Rollout], Any]] = {  # for the process
-    "_exit": lambda rollout: os._exit(7),
-    "SIGSEGV": lambda rollout: ctypes.string_at(0),
-    "SIGKILL": lambda rollout: os.kill(os.getpid(), signal.SIGKILL),
-}
-
 
 def _hang(rollout: Rollout) -> Rollout:
     time.sleep(3600.0)
     return rollout
+
+
+def _fork(rollout: Rollout, child: Callable[[Rollout], Any]) -> Any:
+    return rollout if os.fork() else child(rollout)
+
+
+def _leave(rollout: Rollout, kind: Callable) -> Rollout:
+    kind(target=_hang, args=(rollout,)).start()
+    return rollout
+
+
+LEFT: dict[str, Callable[[Rollout], Any]] = {  # what goes on beside the trial, or tries to
+    "fork": lambda rollout: _fork(rollout, lambda rollout: rollout),
+    "fork that raises": lambda rollout: _fork(rollout, lambda rollout: 1 / 0),
+    "fork that hangs": lambda rollout: _fork(rollout, _hang),
+    "process": lambda rollout: _leave(rollout, multiprocessing.get_context("fork").Process),
+    "thread": lambda rollout: _leave(rollout, threading.Thread),
+}
+
+
+def _kill(rollout: Rollout) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+DEADLY: dict[str, Callable[[Rollout], Any]] = {  # for the process
+    "_exit": lambda rollout: os._exit(7),
+    "SIGSEGV": lambda rollout: ctypes.string_at(0),
+    "SIGKILL": _kill,
+    "SIGKILL beside a child": lambda rollout: _kill(_fork(rollout, _hang)),
+}
 
 
 def _hoard(rollout: Rollout) -> NoReturn:
@@ -132,6 +158,7 @@ FAULTS = (
     RAISED
     | RETURNED
     | CONVERTED
+    | LEFT
     | DEADLY
     | {"hangs": _hang, "30 GB": _hoard, "none": lambda rollout: rollout}
 )

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from faulty_hardware import CONVERTED, RAISED, RETURNED
+from faulty_hardware import CONVERTED, LEFT, RAISED, RETURNED
 from records import assert_equal
 
 from simbias import experiments
@@ -152,6 +154,23 @@ def test_a_hardware_that_writes_into_what_it_gets_changes_no_record(point_mass: 
     made = writing.experiment(theta, np.random.default_rng(1))
     np.testing.assert_array_equal(theta, THETA)
     assert_equal(made, experiment(point_mass, lambda rollout: rollout))
+
+
+@pytest.mark.parametrize("timeout", [None, 60.0], ids=["without limit", "with a limit"])
+@pytest.mark.parametrize("fault", ["fork", "fork that raises"])
+def test_a_process_that_the_hardware_forks_does_not_go_on_here(
+    point_mass: Study, fault: str, timeout: float | None, tmp_path: Path
+) -> None:
+    """It would run the rest of the trial, too, and write into the same files."""
+    forker = os.getpid()
+    try:
+        experiment(point_mass, LEFT[fault], timeout)
+    finally:
+        if os.getpid() != forker:
+            (tmp_path / "goes on").touch()
+            os._exit(0)
+    os.waitpid(-1, 0)
+    assert not (tmp_path / "goes on").exists()
 
 
 def test_a_limit_changes_no_experiment(point_mass: Study) -> None:

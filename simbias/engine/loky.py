@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -11,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
 
 WATCH_SECONDS = 1.0
+LEAVE_SECONDS = 5.0  # that threads and children of a worker's components have at its end
 NOISE = (  # what joblib says of workers that are replaced or stopped, which is dealt with
     "A worker stopped while some jobs",
     r"\d+ tasks (which were still being processed|have been successfully executed)",
@@ -132,12 +135,35 @@ def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tupl
 
 
 def _follow(parent: int) -> None:
-    """In a worker: end it when its parent has ended, however that ended, and leave Ctrl-C to the parent."""
+    """In a worker: leave Ctrl-C to the parent, and end with it, whatever components started here."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with(parent)
+    if sys.platform != "win32":  # which knows no forks
+        forks = [os.getpid()]
+        os.register_at_fork(
+            before=lambda: forks.__setitem__(0, os.getpid()),
+            after_in_child=lambda: _end_with(forks[0]),  # else it holds the pipes that tell of our death
+        )
+    Finalize(None, lambda: _in_background(_end_after, LEAVE_SECONDS), exitpriority=0)  # Python waits for them
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent has ended, however that ended."""
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH_SECONDS)
         os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+    _in_background(watch)
+
+
+def _end_after(seconds: float) -> None:
+    """End this process after a while."""
+    time.sleep(seconds)
+    os._exit(0)
+
+
+def _in_background(function: Callable, *arguments: Any) -> None:
+    """Call a function in a thread that nobody waits for."""
+    threading.Thread(target=function, args=arguments, daemon=True).start()
