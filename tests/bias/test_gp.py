@@ -190,11 +190,12 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
     assert len(learning.data) > 0
 
 
-def test_repeated_points_need_jitter_and_get_it() -> None:
-    """A singular covariance is factorised all the same."""
-    K = np.ones((50, 50))
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_repeated_points_need_jitter_and_get_it(size: float) -> None:
+    """A singular covariance is factorised all the same, whatever its unit."""
+    K = np.full((50, 50), size)
     L = stable_cholesky(K)
-    np.testing.assert_allclose(L @ L.T, K, atol=1e-6)
+    np.testing.assert_allclose(L @ L.T, K, atol=1e-6 * size)
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         stable_cholesky(-np.eye(3))
 

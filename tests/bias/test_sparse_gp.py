@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from in_lanes import corrections
 
 import simbias
+from simbias.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.bias.gp import GaussianProcess
-from simbias.bias.inducing import Inducing
+from simbias.bias.inducing import Inducing, choose
 from simbias.config import ConfigError
 from simbias.records import Array, Transitions
 from simbias.study import Study
@@ -49,11 +50,13 @@ def test_with_every_point_inducing_it_is_the_exact_posterior(study: Study, n: in
 def test_error_shrinks_with_inducing_points(study: Study) -> None:
     """The reported errors are those that are measured here, and get small long before m = N."""
     data = along_trajectories(600)
-    exact_mean, _ = GaussianProcess(study.task).fit(data).predict(data.inputs[::3])
-    errors = []
+    exact_mean, exact_variance = GaussianProcess(study.task).fit(data).predict(data.inputs[::3])
+    mean_squares, errors = np.mean(data.residuals**2, axis=0), []
     for m in (5, 20, 80):
         fitted = sparse_gp(study, m).fit(data)
-        mean, _ = fitted.predict(data.inputs[::3])
+        mean, variance = fitted.predict(data.inputs[::3])
+        weights = (np.exp(-np.sum(each / mean_squares, axis=1)) for each in (variance, exact_variance))
+        assert fitted.diagnostics["weight_error"] == pytest.approx(np.abs(np.subtract(*weights)).max())
         errors.append(np.abs(mean - exact_mean).max() / np.sqrt(np.mean(data.residuals**2)))
         assert fitted.diagnostics["mean_error"] == pytest.approx(errors[-1])
     assert errors[0] > errors[1] > errors[2]
@@ -78,6 +81,20 @@ def test_variance_needs_fewer_points(study: Study) -> None:
         (mean, variance), (same_mean, other) = fewer.predict(inputs), as_many.predict(inputs)
         np.testing.assert_allclose(mean, same_mean, rtol=1e-9)
         assert (np.abs(variance - other) < most * np.mean(data.residuals**2, axis=0)).all()
+
+
+@pytest.mark.parametrize("alpha_squared", [0.4, 1.0, 2.5])
+def test_points_are_chosen_to_a_part_of_the_signals_variance(alpha_squared: float) -> None:
+    """Those of the variance are what its own tolerance would choose alone."""
+    inputs = along_trajectories(200).inputs / SCALE
+    hyper = Hyperparameters(np.ones(7), np.ones(7), alpha_squared, 0.1, 1.0)
+    chosen, for_variance = choose(hyper, inputs, Inducing(200, 1e-4, 1e-2))
+    assert choose(hyper, inputs, Inducing(200, 1e-2, 1e-2)) == (chosen[:for_variance], for_variance)
+    L = stable_cholesky(hyper.covariance(inputs[chosen], inputs[chosen]))
+    known = np.sum(np.linalg.solve(L, hyper.covariance(inputs[chosen], inputs)) ** 2, axis=0)
+    assert (alpha_squared - known).max() == pytest.approx(1e-4 * alpha_squared, rel=0.6)
+    with_one_less = Inducing(len(chosen) - 1, 1e-4, 1e-2)
+    assert choose(hyper, inputs, with_one_less) == (chosen[:-1], for_variance)
 
 
 def test_points_of_the_variance_are_among_those_of_the_mean() -> None:
