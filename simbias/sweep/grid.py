@@ -173,7 +173,8 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
                 raise ConfigError(f"sweep.axes.{axis.name}", f"{root} changes no trial's result")
             if key in owners:
                 raise ConfigError(
-                    f"sweep.axes.{axis.name}", f"{key} is set elsewhere: {owners[key] or 'trials'}"
+                    f"sweep.axes.{axis.name}",
+                    f"{key} is set elsewhere: {owners[key] or 'each trial has its own'}",
                 )
             owners[key] = axis.name
     for override in overridden(overrides):
@@ -243,7 +244,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     for labels, value in paper.items():
         if len(labels) != len(axes) or not isinstance(value, int | float):
             raise ConfigError(
-                "sweep.report.paper", f"must lead over {', '.join(names)} to a number: {labels}"
+                "sweep.report.paper", f"must have a number for labels of {', '.join(names)}: {labels}"
             )
     measures = checked.get("measures", ["experiments", "succeeded", *(["paper"] if paper else [])])
     return Report(columns, tuple(measures), paper)

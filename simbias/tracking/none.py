@@ -36,7 +36,9 @@ class NoTracking(Tracking):
         """
         for name, figure in sweep.figures.items():
             if figure.reads_trials:
-                raise ConfigError("tracking", f"none keeps nothing of which to draw sweep.figures.{name}")
+                raise ConfigError(
+                    "tracking", f"none keeps no trials, and sweep.figures.{name} is drawn from them"
+                )
         return UntrackedSweep(sweep)
 
     def finished(self, sweep: Sweep) -> DataFrame:

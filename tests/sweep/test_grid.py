@@ -165,7 +165,7 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
             ["+sweep=smoke", "+sweep.axes.x={keys: tracking.uri, values: [a]}"],
             "sweep.axes.x: tracking changes no trial's result",
         ),
-        (["+sweep=smoke", "+sweep.axes.seed=[1, 2]"], "sweep.axes.seed: seed is set elsewhere"),
+        (["+sweep=smoke", "+sweep.axes.seed=[1, 2]"], "seed is set elsewhere: each trial has its own"),
         (["+sweep=smoke", "+sweep.axes.x={keys: hardware.inertia_error, values: [0.1]}"], "set elsewhere"),
         (["+sweep=smoke", "+sweep.axes.x={keys: [seed, bias], values: [0.1]}"], "each of its values must"),
         (["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"], "sweep.axes: 0 none and 0  none are the same"),

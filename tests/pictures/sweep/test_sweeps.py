@@ -187,7 +187,7 @@ def test_hardware_that_breaks_among_a_figures_experiments(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["+sweep=fig4", "tracking=none"], "none keeps nothing of which to draw sweep.figures.fig4"),
+        (["+sweep=fig4", "tracking=none"], "none keeps no trials, and sweep.figures.fig4 is"),
         (["+sweep=fig4", "sweep.figures.fig4.columns=0"], "sweep.figures.fig4.columns: must be greater than"),
         (["+sweep=fig4", "+sweep.figures.fig4.colour=red"], "sweep.figures.fig4.colour: no such key"),
         (["+sweep=fig5", "sweep.figures.fig5.states=[alpha_w,alpha_b,x]"], "fig5: the task has no state x"),
