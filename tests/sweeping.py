@@ -16,6 +16,7 @@ from urllib.parse import unquote, urlparse
 import numpy as np
 import psutil
 from conftest import ROOT
+from forked import Forked
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -51,11 +52,13 @@ def start(
     program: Sequence[str] = SIMBIAS,
     temporary: Path | None = None,
     **options: Any,
-) -> subprocess.Popen[str]:
+) -> subprocess.Popen[str] | Forked:
     """A process of its own session, so that signals to it reach no one else."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "COLUMNS": "120"}
     if temporary is not None:
         environment["TMPDIR"] = str(temporary)
+    if "PYTEST_CURRENT_TEST" in os.environ and program is SIMBIAS and not options:  # but studies
+        return Forked(arguments, folder, environment)
     return subprocess.Popen(
         [sys.executable, "-u", *program, *arguments],
         cwd=folder,
@@ -74,7 +77,7 @@ def run(*arguments: str, folder: Path, timeout: float = 120, **options: Any) -> 
     return finish(process, timeout)
 
 
-def finish(process: subprocess.Popen[str], timeout: float = 120) -> tuple[int, str, str]:
+def finish(process: subprocess.Popen[str] | Forked, timeout: float = 120) -> tuple[int, str, str]:
     """Wait for a process, but not for ever."""
     killer = threading.Timer(timeout, lambda: os.killpg(process.pid, signal.SIGKILL))
     killer.start()
@@ -85,7 +88,7 @@ def finish(process: subprocess.Popen[str], timeout: float = 120) -> tuple[int, s
     return process.returncode, out, err
 
 
-def until_trials(process: subprocess.Popen[str], count: int) -> None:
+def until_trials(process: subprocess.Popen[str] | Forked, count: int) -> None:
     """Read the process' lines until it has told of so many more trials."""
     assert process.stdout is not None
     for line in process.stdout:
@@ -95,7 +98,7 @@ def until_trials(process: subprocess.Popen[str], count: int) -> None:
     raise AssertionError(f"ended early: {process.communicate()}")
 
 
-def workers(process: subprocess.Popen[str]) -> list[int]:
+def workers(process: subprocess.Popen[str] | Forked) -> list[int]:
     """Processes of loky's that are children of the process."""
     children = psutil.Process(process.pid).children()
     return [child.pid for child in children if any("popen_loky" in word for word in child.cmdline())]
