@@ -62,6 +62,13 @@ def store(folder: Path) -> str:
 
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])  # tests/figures
 def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sweep = expand([f"+sweep={name}"])
+    swept = {key for axis in sweep.axes for key in axis.keys}
+    wanted = {"evaluation.seconds": 0.2, "method.design": 1}
+    known = {f"{group}.{key}" for group in ("evaluation", "method") for key in sweep.base.config[group]}
+    shorter = [
+        f"{key}={value}" for key, value in wanted.items() if key in known and key.split(".")[0] not in swept
+    ]
     assert (
         main(
             [
@@ -70,6 +77,7 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
                 *QUICK,
                 *("method.max_iterations=1", "optimizer.max_evaluations=5"),
                 *("held_out.lasting=0", "held_out.starts=1"),
+                *shorter,
                 "tracking=none",
                 "engine=sequential",
             ]
@@ -77,7 +85,6 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
         == 0
     )
     out = capsys.readouterr().out
-    sweep = expand([f"+sweep={name}"])
     cells = len(sweep.cells)
     assert f"{cells} cells x 1 trials = {cells}" in out
     assert f"[{cells}/{cells}]" in out
