@@ -17,8 +17,14 @@ def corrections(fitted: FittedBias, inputs: Array, n: int = 6) -> Array:
     values = []
     for first in range(0, len(inputs), LANES):
         some = inputs[first : first + LANES]
-        rows = np.ascontiguousarray(np.pad(some, ((0, LANES - len(some)), (0, 0))).T)
+        rows = np.pad(some, ((0, LANES - len(some)), (0, 0))).T
+        x, u = (_before_nothing(part) for part in np.split(rows, [n]))
         correction = np.empty((n, LANES))
-        correct(rows[:n], rows[n:], fitted.kernel.parameters, correction)
+        correct(x, u, fitted.kernel.parameters, correction)
         values.append(correction.T[: len(some)])
     return np.concatenate(values)
+
+
+def _before_nothing(rows: Array) -> Array:
+    """The same, with no numbers behind: what reads beyond the last row gets them."""
+    return np.ascontiguousarray(np.concatenate([rows, np.full((1, LANES), np.nan)]))[: len(rows)]

@@ -20,6 +20,7 @@ from simbias.records import Array, Indices, Rollout, Transitions
 from simbias.simulation.errors import Errors, correlation_time
 from simbias.simulation.open_loop import Windows, World, predict
 
+LEAST = 1e-12  # signal, in a state's unit: of a state that the model predicts exactly it would be none
 ITSELF = 1e-6  # jitter of the inducing points' covariance, of the signal's variance
 
 
@@ -83,6 +84,7 @@ class HeldOut(Bias):
         left = windows.means - predict([World(nominal)], windows)[0]
         errors = Errors.of(left, windows)
         signal = np.sqrt(np.mean(np.clip(left[:, -1], *_outliers(left[:, -1])) ** 2, axis=0)) / self._window
+        signal = np.maximum(signal, LEAST)
         best: _Candidate | None = None
         for length in sorted({length for length, _ in self._candidates}):
             hyper, Z = self._inducing(windows, length)

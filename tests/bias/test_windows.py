@@ -208,6 +208,36 @@ def test_an_input_that_never_changes_has_a_scale_all_the_same() -> None:
     assert np.isfinite(fitted.predict(np.zeros((2, 3)))[0]).all()
 
 
+class Decay(Nominal):
+    """Two states that know nothing of each other."""
+
+    def __init__(self, missing: float = 0.0) -> None:
+        self._missing = missing
+
+    def step(self, x: Array, u: Array) -> Array:
+        return np.stack([0.99 * x[..., 0], 0.99 * x[..., 1] + 0.02 * (u[..., 0] + self._missing)], axis=-1)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("missing", [0.0, 2.0])
+def test_a_state_that_is_predicted_exactly_has_no_bias(missing: float) -> None:
+    """Nor does it disturb what is learned of another."""
+    rng, robot = np.random.default_rng(0), Decay(missing)
+    rollouts = []
+    for _ in range(2):
+        u, states = 3.0 * np.sin(rng.uniform(1, 4) * 0.02 * np.arange(150))[:, None], [np.ones(2)]
+        for each in u:
+            states.append(robot.step(states[-1], each))
+        rollouts.append(Rollout(np.array(states), u))
+    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
+    mean, variance = fitted.predict(np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1))
+    np.testing.assert_allclose(mean[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.median(mean[:, 1]), 0.02 * missing, rtol=0.3)
+    draw = fitted.draw(rng).predict(np.zeros((1, 3)))[0]
+    assert np.isfinite(variance).all()
+    assert np.abs(draw[0, 0]) < 1e-9
+
+
 def test_features_have_the_covariance_of_the_points() -> None:
     """Their weights are independent: Phi Phi^T is the covariance, at the points themselves."""
     Z = points(5)
