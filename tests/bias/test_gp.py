@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from in_lanes import corrections
 
 import simbias
-from simbias.bias.covariance import stable_cholesky
+from simbias.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.bias.gp import GaussianProcess
 from simbias.bias.inducing import Inducing
 from simbias.bias.none import ZeroBias
+from simbias.bias.posterior import exact
 from simbias.config.build import build
 from simbias.interfaces import SlowWarning
 from simbias.records import Array, Transitions
@@ -108,6 +109,16 @@ def test_kernel_agrees_with_plain_correction(study: Study, n: int) -> None:
     inputs = queries(LANES)
     plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
     np.testing.assert_allclose(corrections(fitted, inputs), plain, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_kernel_takes_more_states_than_its_panels_have_rows() -> None:
+    rng = np.random.default_rng(0)
+    transitions = Transitions(rng.standard_normal((40, 9)), rng.standard_normal((40, 8)))
+    fitted = exact(Hyperparameters(np.ones(9), np.full(9, 2.0), 1.6, 0.1, 0.1), transitions)
+    inputs = transitions.inputs[:LANES]
+    plain = fitted.correction(inputs[:, :8], inputs[:, 8:])
+    np.testing.assert_allclose(corrections(fitted, inputs, 8), plain, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("option", ["gp", "sparse_gp", "gp_learned", "sparse_gp_learned"])
