@@ -42,7 +42,7 @@ class Sensitivity:
 
     def whiten(self, errors: Errors) -> Array:
         """Derivatives (w, J n, n R) of whitened errors."""
-        inverse = np.linalg.inv(errors.factor)
+        inverse = errors.inverse
         each = [part.reshape(len(part), len(inverse), -1) for part in self.parts]
         return np.concatenate([inverse @ part for part in each])
 

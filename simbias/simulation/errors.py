@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -56,9 +57,14 @@ class Errors:
         weighted = np.sqrt(made.weights(white))[:, None] * white
         return replace(made, share=1.0 / correlation_time(weighted, windows.experiments))
 
+    @cached_property
+    def inverse(self) -> Array:
+        """L^-1 (d, d), which a fit asks for a hundred times."""
+        return np.linalg.inv(self.factor)
+
     def whiten(self, errors: Array) -> Array:
         """Whitened errors (..., d) of errors (..., J, n)."""
-        white = errors.reshape(*errors.shape[:-2], -1) @ np.linalg.inv(self.factor).T
+        white = errors.reshape(*errors.shape[:-2], -1) @ self.inverse.T
         return np.clip(np.nan_to_num(white, nan=HUGE), -HUGE, HUGE)
 
     def weights(self, white: Array) -> Array:
