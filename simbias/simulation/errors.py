@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,8 @@ class Errors:
     @cached_property
     def inverse(self) -> Array:
         """L^-1 (d, d), which a fit asks for a hundred times."""
-        return np.linalg.inv(self.factor)
+        inverse: Any = np.linalg.inv(self.factor)
+        return inverse
 
     def whiten(self, errors: Array) -> Array:
         """Whitened errors (..., d) of errors (..., J, n)."""
