@@ -132,11 +132,26 @@ def validate(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dic
 def _converted(values: Mapping[str, Any], adapter: TypeAdapter, key: str) -> dict[str, Any]:
     """The values as the adapter converts them."""
     try:
-        return dict(adapter.validate_python(values))
+        converted = dict(adapter.validate_python(values))
     except ValidationError as error:
         raise _in_one_line(error, key) from error
     except Exception as error:  # of the system, where a path cannot even be asked for
         raise ConfigError(key, reason(error)) from error
+    _check_numbers(values, converted, key)
+    return converted
+
+
+def _check_numbers(given: Any, converted: Any, key: str) -> None:
+    """Refuse true and false where a number is asked for: pydantic takes them for 1 and 0."""
+    if isinstance(given, bool) and isinstance(converted, float | int) and not isinstance(converted, bool):
+        raise ConfigError(key, f"must be a number, got {str(given).lower()}")
+    if isinstance(given, Mapping):
+        parts = converted if isinstance(converted, Mapping) else getattr(converted, "__dict__", {})
+        for name in given.keys() & parts.keys():
+            _check_numbers(given[name], parts[name], f"{key}.{name}".lstrip("."))
+    elif isinstance(given, list) and isinstance(converted, list):
+        for index, pair in enumerate(zip(given, converted, strict=False)):
+            _check_numbers(*pair, f"{key}.{index}")
 
 
 def _in_one_line(error: ValidationError, key: str) -> ConfigError:

@@ -23,6 +23,9 @@ OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("
         14,
         [
             ("bias.d=abc", "bias.d: must be a valid number"),
+            ("bias.d=true", "bias.d: must be a number, got true"),
+            ("seed=false", "seed: must be a number, got false"),
+            ("++nominal.uncertainty.masses=true", "nominal.uncertainty.masses: must be a number, got true"),
             ("bias.d=-1", "bias.d: must be greater than 0, got -1"),
             ("bias.dd=1", "bias.dd: no such key"),
             ("+bias.dd=1", "bias.dd: no such key"),
