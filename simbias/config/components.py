@@ -147,9 +147,9 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
         raise ConfigError(key, f"must be a number, got {str(given).lower()}")
     if isinstance(given, Mapping):
         parts = converted if isinstance(converted, Mapping) else getattr(converted, "__dict__", {})
-        for name in given.keys() & parts.keys():
+        for name in (name for name in given if name in parts):
             _check_numbers(given[name], parts[name], f"{key}.{name}".lstrip("."))
-    elif isinstance(given, list) and isinstance(converted, list):
+    elif isinstance(given, list) and isinstance(converted, list | tuple):
         for index, pair in enumerate(zip(given, converted, strict=False)):
             _check_numbers(*pair, f"{key}.{index}")
 
