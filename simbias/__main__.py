@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from simbias.study import Study
     from simbias.tracking.contract import TrackedTrial
 
-GARBAGE = 100_000  # objects until garbage is looked for: at Python's 700, that is a fifth of a start
+GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
 CHECK = "check"  # in place of a first override: put components through the conformance suite

@@ -136,7 +136,8 @@ class Dask(Engine):
         from distributed import KilledWorker, as_completed
 
         futures: dict[Future, int] = {}
-        ended = as_completed([], loop=client.loop)  # results it would wait for in vain, if lost
+        # With with_results=True it would wait for ever for a result that is lost with its worker.
+        ended = as_completed([], loop=client.loop)
         last_count, workers = -RECOUNT_SECONDS, 1
         while indices or futures:
             if time.monotonic() - last_count >= RECOUNT_SECONDS:
