@@ -18,7 +18,7 @@ from simbias.records import Array, Rollout
 from simbias.simulation.actuator import Actuators, Drive
 from simbias.simulation.noise import Noise, Variances
 from simbias.simulation.sensor import Sensor
-from simbias.task.bongoboard import Bongoboard
+from simbias.task.bongoboard import Bongoboard, deviations
 
 InertiaError = Annotated[float, Field(ge=-0.99, le=100)]
 Depth = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
@@ -106,6 +106,7 @@ class _Running(Robot):
         self._drive = drive
         self._sensor = sensor
         self._states = [np.asarray(start, dtype=np.float64)]
+        self._limits = [criterion.limit for criterion in task.criteria]
         self._world: World | None = None
 
     def state(self) -> Array:
@@ -128,11 +129,13 @@ class _Running(Robot):
 
     def failure(self) -> str | None:
         """The criterion of Section IV-C that it violates; the contacts (1, 2) are the engine's."""
-        measures = self._task.measure(self._states[-1]).tolist()
-        if self._world is not None:
+        x = self._states[-1]
+        if self._world is None:
+            measures = self._task.measure(x).tolist()
+        else:
             depth, gap = contact(self._task.robot, *self._world.wheel_and_board())
-            measures[:2] = depth, gap - self._detachment
-        for measure, criterion in zip(measures, self._task.criteria, strict=True):  # quicker than in NumPy
-            if not measure <= criterion.limit:
-                return criterion.name
+            measures = (depth, gap - self._detachment, *deviations(x.tolist()))
+        for i, limit in enumerate(self._limits):  # quicker than in NumPy
+            if not measures[i] <= limit:
+                return self._task.criteria[i].name
         return None

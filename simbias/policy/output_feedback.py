@@ -85,8 +85,8 @@ class _Loop(Controller):
     def __init__(self, policy: OutputFeedback, theta: Array, limit: Array) -> None:
         self._outputs = policy.outputs
         self._gains = policy.gains(theta)
-        self._limit = limit
+        self._least, self._most = -limit, limit
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the state x (n,)."""
-        return np.minimum(np.maximum(self._gains @ self._outputs(x), -self._limit), self._limit)
+        return np.minimum(np.maximum(self._gains @ self._outputs(x), self._least), self._most)

@@ -17,11 +17,11 @@ import numpy as np
 
 from simbias.interfaces import Kernel
 from simbias.records import Array
-from simbias.simulation.compilation import compiled_as
+from simbias.simulation.compilation import compiled_as, function_of
 from simbias.simulation.kernels import elementwise
+from simbias.simulation.text import sum_of
 
 MOST_TAPS = 100  # frames of delay that a model may remember
-_SHORT = 5  # turns of a loop
 
 
 class Actuator(NamedTuple):
@@ -64,6 +64,7 @@ class Actuators:
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
         self._parameters = np.column_stack([columns, keep, weights])  # (m, 5 + taps)
         self.memory_size = len(actuators) * (1 + taps)
+        self.ideal = all(actuator == Actuator() for actuator in actuators)
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
 
     def before(self, mechanics: Kernel) -> Kernel:
@@ -104,12 +105,15 @@ class Drive:
     """Actuators in a control loop: acting (m,) = drive(u), called once a frame; it keeps the memory."""
 
     def __init__(self, actuators: Actuators) -> None:
+        self._ideal = actuators.ideal
         self._act, parameters = actuators.kernel
         self._parameters = tuple(parameters.tolist())
         self._memory: tuple[float, ...] = (0.0,) * actuators.memory_size
 
     def __call__(self, u: Sequence[float]) -> tuple[float, ...]:
         """What acts in this frame."""
+        if self._ideal:
+            return tuple(u)
         acting, self._memory = self._act(tuple(u), self._parameters, self._memory)
         return acting
 
@@ -132,26 +136,6 @@ def _earlier(values: Array, frames: int) -> Array:
     return np.concatenate([np.zeros(frames), values])[: len(values)]
 
 
-def _sum(weights: int, values: int, count: int) -> Callable:
-    """The sum of so many products, of weights and values from these indices on.
-
-    A loop that is not short would not be written out, and keep all out of the lanes.
-    """
-    if count > _SHORT:
-        half = count // 2
-        some, others = _sum(weights, values, half), _sum(weights + half, values + half, count - half)
-        return lambda p, m: some(p, m) + others(p, m)
-
-    def products(p, m):
-        """Those of a short loop."""
-        total = 0.0
-        for j in range(count):
-            total = total + p[weights + j] * m[values + j]
-        return total
-
-    return products
-
-
 @lru_cache(maxsize=64)
 def _act(inputs: int, taps: int, first: int = 0) -> Callable:
     """The kernel for so many inputs, from the first of them on.
@@ -164,7 +148,8 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
     others = _act(inputs, taps, first + 1)
     p, s = first * (5 + taps), first * (1 + taps)
     earlier, oldest = s + 1, s + taps
-    weighted = _sum(p + 5, earlier, taps)
+    terms = [f"parameters[{p + 5 + j}] * memory[{earlier + j}]" for j in range(taps)]
+    weighted = function_of(f"def weighted(parameters, memory): return {sum_of(terms)}", "weighted")
 
     def act(u, parameters, memory):
         """What acts, and the memory for the next frame."""

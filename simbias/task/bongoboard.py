@@ -85,22 +85,31 @@ class Pose(NamedTuple):
     leg_angle: float
 
 
-def _measure(x, lengths):
-    """Measures of the criteria 1-6 of Section IV-C; the contacts' are geometric."""
+def _contacts(x, lengths):
+    """Measures of the criteria 1 and 2 of Section IV-C, by geometry."""
     wheel_radius, board_length, board_thickness = lengths
-    alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
-    phi = alpha_w + alpha_b
+    alpha_b, phi = x[1], x[0] + x[1]
     s, c = sincos(phi)
     centre_height = wheel_radius + (wheel_radius + board_thickness / 2) * c + wheel_radius * alpha_b * s
     lowest_corner = centre_height - board_length / 2 * abs(s) - board_thickness / 2 * abs(c)
+    return -lowest_corner, abs(wheel_radius * alpha_b) - board_length / 2
+
+
+def deviations(x):
+    """Measures of the criteria 3-6: how far and how fast the robot is from the static equilibrium."""
+    alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
+    phi = alpha_w + alpha_b
     return (
-        -lowest_corner,
-        abs(wheel_radius * alpha_b) - board_length / 2,
         np.sqrt(alpha_w * alpha_w + alpha_b * alpha_b + theta * theta),
         abs(phi + theta),
         abs(phi),
         np.sqrt(d_alpha_w * d_alpha_w + d_alpha_b * d_alpha_b + d_theta * d_theta),
     )
+
+
+def _measure(x, lengths):
+    """Measures of the criteria 1-6."""
+    return _contacts(x, lengths) + deviations(x)
 
 
 def _output(x, lengths):
