@@ -8,9 +8,11 @@ from typing import Annotated, Any, final
 import numpy as np
 from pydantic import Field
 
-from simbias.interfaces import Kernel, Policy, Task
+from simbias.interfaces import Controller, Kernel, Policy, Task
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
 from simbias.records import Array
+from simbias.simulation.compilation import function_of
+from simbias.simulation.text import sum_of
 
 RATE = "/s"  # what the units of rates end with
 
@@ -20,6 +22,8 @@ IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
 DelaySeconds = Annotated[float, Field(ge=0, le=1)]
 DelayRate = Annotated[float, Field(gt=0, le=1e6)]  # 1/s
 Constant = Annotated[float, Field(ge=0, le=100)]
+
+_Parameters = tuple[Array, Array, Array, Array, Array]
 
 
 @final
@@ -97,14 +101,22 @@ class DynamicOutputFeedback(Policy):
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the memory: y (q), rho w (q), last inputs (m d)."""
+        return self._ask(self._parameters(theta), x, memory)
+
+    def controller(self, theta: Array, time_step: float) -> Controller:
+        """The law with its parameters computed once."""
+        return _Loop(self, theta, time_step)
+
+    def _ask(self, parameters: _Parameters, x: Array, memory: Array) -> tuple[Array, Array]:
+        """The law, its parameters as `_parameters` has them."""
         q, m, d = self._q, self._m, self._delay
-        H, smoothing, gathering, g, u_0 = self._parameters(theta)
+        H, smoothing, gathering, g, u_0 = parameters
         z, limit = self.outputs(x), self._task.input_limit
         before, w, past = memory[..., :q], memory[..., q : 2 * q], memory[..., 2 * q :]
         y = before + smoothing * (z - before)
         past = past.reshape(*past.shape[:-1], m, d)
         asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1) + u_0
-        u = np.clip(asked, -limit, limit)
+        u = np.minimum(np.maximum(asked, -limit), limit)  # quicker than np.clip
         free = (u == asked).all(axis=-1, keepdims=True)
         sent = np.concatenate([u[..., None], past], axis=-1)[..., :d]
         kept = [y, w + gathering * y * free, sent.reshape(*sent.shape[:-2], m * d)]
@@ -133,7 +145,7 @@ class DynamicOutputFeedback(Policy):
         parts += [np.array(g)] * (self._delay > 0) + [np.array(u_0)] * self._constant
         return np.clip(np.concatenate(parts), *self.bounds)
 
-    def _parameters(self, theta: Array) -> tuple[Array, Array, Array, Array, Array]:
+    def _parameters(self, theta: Array) -> _Parameters:
         """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""
         h, rest = np.split(np.asarray(theta, dtype=np.float64), [self._m * self._q], axis=-1)
         leading, dt = h.shape[:-1], self._task.time_step
@@ -160,6 +172,19 @@ class DynamicOutputFeedback(Policy):
         return Kernel(self._control, np.concatenate([limits, gains, *rest], axis=1))
 
 
+class _Loop(Controller):
+    """The law, frame by frame."""
+
+    def __init__(self, policy: DynamicOutputFeedback, theta: Array, time_step: float) -> None:
+        super().__init__(policy, theta, time_step)
+        self._ask, self._parameters = policy._ask, policy._parameters(theta)
+
+    def __call__(self, x: Array) -> Array:
+        """Input u (m,) at the state x (n,)."""
+        u, self._memory = self._ask(self._parameters, x, self._memory)
+        return u
+
+
 def _law(m: int, q: int, d: int) -> Callable:
     """The kernel of m inputs, q outputs and d frames; see `DynamicOutputFeedback.act`."""
     smoothing, gathering, g = m + m * q, m + m * q + q, m + m * q + 2 * q  # where they begin
@@ -167,14 +192,6 @@ def _law(m: int, q: int, d: int) -> Callable:
 
     def smooth(j, z, p, memory):
         return memory[j] + p[smoothing + j] * (z[j] - memory[j])
-
-    def ask(i, y, p, memory):
-        u, past = p[constant + i], 0.0
-        for j in range(q):
-            u += p[m + i * q + j] * (y[j] + memory[q + j])
-        for k in range(d):
-            past += memory[2 * q + i * d + k]
-        return u + p[g + i] * past
 
     def limit(i, u, p, memory):
         return min(max(u[i], -p[i]), p[i])
@@ -185,7 +202,13 @@ def _law(m: int, q: int, d: int) -> Callable:
     def integrate(j, y_and_free, p, memory):
         return memory[q + j] + p[gathering + j] * y_and_free[j] * y_and_free[q]
 
-    smooth_all, ask_all, limit_all = _each(smooth, q), _each(ask, m), _each(limit, m)
+    asked = []
+    for i in range(m):
+        gained = [f"p[{m + i * q + j}] * (y[{j}] + memory[{q + j}])" for j in range(q)]
+        past = sum_of([f"memory[{2 * q + i * d + k}]" for k in range(d)])
+        asked.append(sum_of([f"p[{constant + i}]", *gained, f"p[{g + i}] * {past}"]))
+    ask_all = function_of(f"def ask(y, p, memory): return {', '.join(asked)},", "ask")
+    smooth_all, limit_all = _each(smooth, q), _each(limit, m)
     exceed_all, integrate_all, shift = _each(exceed, m), _each(integrate, q), _shift(m, d, 2 * q)
 
     def control(z, p, t, memory):

@@ -5,7 +5,8 @@ of vector registers holds everything, so that LLVM keeps in registers what it co
 run in step; one that ends makes room for the next, and a lane without one computes what nobody reads. So
 there is one path through the code, and the numbers of a rollout depend on nothing beside it.
 
-All lanes are in one array: of two arrays, LLVM would have to ask whether they overlap.
+All lanes are in one array, integers too: of two arrays, LLVM would have to ask whether they overlap, and with
+more than some hundred rows it does not ask, but leaves the lanes.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from simbias.simulation.compilation import OPTIONS, Compilation
 from simbias.simulation.kernels import LANES
 from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, RECORD, TEMPLATE
 from simbias.simulation.text import assign, indent, tuple_of
+
+INTEGERS = 6  # of each lane: where its rollout stands
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ def source(c: Composition) -> str:
         totals=c.totals,
         memory=c.memory,
         rows=indent(_rows(c), 4),
+        integers=", ".join(f"integers[{i}]" for i in range(INTEGERS)),
         limits=tuple_of("limits[{}]", c.criteria),
         measure_data=tuple_of("measure_parameters[{}]", c.measure_parameters),
         output_data=tuple_of("output_parameters[{}]", c.output_parameters),
@@ -118,13 +122,14 @@ def _rows(c: Composition) -> list[str]:
         "totals": c.totals,
         "before": c.totals,
         "memory": c.memory,
+        "integers": INTEGERS,
     }
     sizes |= {"hidden": c.hidden} if c.hidden else {}
     ends = np.cumsum(list(sizes.values())).tolist()
     slices = [
         f"{name} = lanes[{end - size}:{end}]" for (name, size), end in zip(sizes.items(), ends, strict=True)
     ]
-    return [f"lanes = zeros(({ends[-1]}, {LANES}))", *slices]
+    return [f"lanes = zeros(({ends[-1]}, {LANES}))", *slices, "integers = integers.view(int64)"]
 
 
 def _controlled(c: Composition) -> list[str]:

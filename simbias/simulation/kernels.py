@@ -13,7 +13,8 @@ A kernel is an ordinary Python function of a few numbers, and the parameters tha
 Vectors come and go as tuples, parameters too. There is nothing to decorate: functions that it calls are
 compiled with it, and again when any of them changes (`simbias.simulation.compilation`). The loop runs it for
 LANES rollouts at once, in the lanes of vector registers. That takes code without branches: arithmetic, `abs`,
-`min`, `max`, `np.sqrt`, `np.floor`, and `sincos` of `simbias.simulation.trigonometry`. What else Numba
+`min`, `max`, `np.sqrt`, `np.floor`, and `sincos` of `simbias.simulation.trigonometry`. Loops over the
+components of a tuple are fine up to about ten; longer ones are to be written out (`sum_of`). What else Numba
 understands works too, for one rollout after the other, several times slower. A division by zero gives inf or
 nan, and a rollout whose state is not a number has failed. Such a function also takes arrays in place of
 numbers, as long as it has neither `min`, `max` nor branches: so the plain method can be

@@ -13,8 +13,7 @@ def closed_loop(
     states, inputs, final_totals, frames, violated,
 ):
     {rows}
-    stopping, criterion, running = zeros({LANES}, int64), zeros({LANES}, int64), zeros({LANES}, int64)
-    frame, rollout, first_row = zeros({LANES}, int64), zeros({LANES}, int64), zeros({LANES}, int64)
+    stopping, criterion, running, frame, rollout, first_row = {integers}
     limit = {limits}
     measure_data = {measure_data}
     output_data = {output_data}
