@@ -282,7 +282,7 @@ def test_a_policy_with_memory_and_time(study: Study, stable: Array) -> None:
 
 @pytest.mark.slow
 def test_memories_of_twenty_frames_stay_in_the_lanes() -> None:
-    """A model with all gaps and a policy, which both remember: 2.5 times as long as neither; else, 12 times."""
+    """A model with all gaps and a policy that both remember take 2.5 times as long as neither; else, 12."""
     seconds = []
     for options in ([], ["+sweep=gaps"]):
         study = simbias.load([*options, "tracking=none"])
