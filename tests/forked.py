@@ -101,6 +101,7 @@ def serve(address: str) -> None:
     for module in [f"simbias.{name}" for name in IMPORTED] + LIBRARIES:
         importlib.import_module(module)
     gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
     parent = os.getppid()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # those that wait are not waited for
     with socket.socket(socket.AF_UNIX) as server:
