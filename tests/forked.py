@@ -12,6 +12,7 @@ import atexit
 import gc
 import importlib
 import os
+import resource
 import runpy
 import signal
 import socket
@@ -32,12 +33,18 @@ LIBRARIES += ["mlflow", "mlflow.store.artifact.local_artifact_repo", "mlflow.sto
 class Forked:
     """A running `python -u -m simbias`, as a `subprocess.Popen` of it would be; its output is text."""
 
-    def __init__(self, arguments: tuple[str, ...], folder: Path, environment: dict[str, str]) -> None:
+    def __init__(
+        self,
+        arguments: tuple[str, ...],
+        folder: Path,
+        environment: dict[str, str],
+        largest_file: int | None = None,  # bytes
+    ) -> None:
         (out, out_end), (err, err_end) = os.pipe(), os.pipe()
         self._zygote = socket.socket(socket.AF_UNIX)
         self._zygote.connect(_address())
         socket.send_fds(self._zygote, [b"!"], [out_end, err_end])
-        self._zygote.sendall(repr((arguments, str(folder), environment)).encode())
+        self._zygote.sendall(repr((arguments, str(folder), environment, largest_file)).encode())
         self._zygote.shutdown(socket.SHUT_WR)
         os.close(out_end)
         os.close(err_end)
@@ -122,9 +129,11 @@ def serve(address: str) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     _, ends, _, _ = socket.recv_fds(connection, 1, 2)
     with connection.makefile("rb") as request:
-        arguments, folder, environment = ast.literal_eval(request.read().decode())
+        arguments, folder, environment, largest_file = ast.literal_eval(request.read().decode())
     if (pid := os.fork()) == 0:
         connection.close()
+        if largest_file is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
         _become(arguments, folder, environment, ends)
     for end in ends:
         os.close(end)

@@ -51,14 +51,14 @@ def start(
     folder: Path,
     program: Sequence[str] = SIMBIAS,
     temporary: Path | None = None,
-    **options: Any,
+    largest_file: int | None = None,  # bytes; of a fork
 ) -> subprocess.Popen[str] | Forked:
     """A process of its own session, so that signals to it reach no one else."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "COLUMNS": "120"}
     if temporary is not None:
         environment["TMPDIR"] = str(temporary)
-    if "PYTEST_CURRENT_TEST" in os.environ and program is SIMBIAS and not options:  # but studies
-        return Forked(arguments, folder, environment)
+    if "PYTEST_CURRENT_TEST" in os.environ and program is SIMBIAS:  # but studies
+        return Forked(arguments, folder, environment, largest_file)
     return subprocess.Popen(
         [sys.executable, "-u", *program, *arguments],
         cwd=folder,
@@ -67,7 +67,6 @@ def start(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        **options,
     )
 
 

@@ -1,4 +1,4 @@
-"""The command line as a person uses it: a real process, a real store."""
+"""The command line as a person uses it: a real process, a real store. Some start from nothing."""
 
 from __future__ import annotations
 
@@ -12,13 +12,20 @@ from pathlib import Path
 import pytest
 from conftest import OWN_CONF, POINT_MASS, ROOT
 from omegaconf import OmegaConf
+from sweeping import run
 
 pytestmark = pytest.mark.slow
 
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20"]  # 0.2 s are balanced without any torque
 
 
-def simbias(*arguments: str, folder: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+def simbias(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """What a fork with all imported has done."""
+    return subprocess.CompletedProcess(arguments, *run(*arguments, folder=folder))
+
+
+def from_nothing(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """What a process with nothing imported has done."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "COLUMNS": "120"}
     return subprocess.run(
         [sys.executable, "-m", "simbias", *arguments],
@@ -26,13 +33,13 @@ def simbias(*arguments: str, folder: Path, timeout: float = 120) -> subprocess.C
         env=environment,
         capture_output=True,
         text=True,
-        timeout=timeout,
+        timeout=120,
         check=False,
     )
 
 
 def test_success_exits_0_and_says_how_many_experiments(tmp_path: Path) -> None:
-    done = simbias(*QUICK, folder=tmp_path)
+    done = from_nothing(*QUICK, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Succeeded after 2 hardware experiments (1 iteration, " in done.stdout
     assert "mlflow ui --workers 1 --backend-store-uri sqlite:///mlflow.db" in done.stdout
@@ -53,7 +60,7 @@ def test_failure_exits_1_and_says_why(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("override", ["bias.d=abc", "optimizer=unknown", "nosuch=1"])
 def test_bad_input_exits_2_with_one_line(tmp_path: Path, override: str) -> None:
-    done = simbias(override, folder=tmp_path)
+    done = from_nothing(override, folder=tmp_path)
     assert done.returncode == 2
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
@@ -84,7 +91,7 @@ def test_own_components_run(tmp_path: Path) -> None:
 
 def test_help_is_quick_and_complete(tmp_path: Path) -> None:
     start = time.perf_counter()
-    done = simbias("--help", folder=tmp_path)
+    done = from_nothing("--help", folder=tmp_path)
     assert time.perf_counter() - start < 1.5
     assert done.returncode == 0
     for folder in (path for path in (ROOT / "conf").iterdir() if path.is_dir()):
@@ -109,7 +116,7 @@ def test_values_that_help_names_exist(tmp_path: Path) -> None:
 
 
 def test_cfg_job_prints_the_config(tmp_path: Path) -> None:
-    done = simbias("--cfg", "job", "bias.d=2", folder=tmp_path)
+    done = from_nothing("--cfg", "job", "bias.d=2", folder=tmp_path)
     assert done.returncode == 0
     assert OmegaConf.create(done.stdout).bias.d == 2
 

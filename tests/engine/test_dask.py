@@ -170,7 +170,7 @@ def test_one_warning_of_an_open_address(caplog: pytest.LogCaptureFixture) -> Non
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 @pytest.mark.parametrize("words", [b"", b"SSH-2.0-OpenSSH_9.2p1 Debian\r\n"])
 def test_something_else_at_the_port(scheme: str, words: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 0.3)
     start = time.monotonic()
     with socket.create_server(("127.0.0.1", 0)) as server:
         connections = []
@@ -197,7 +197,7 @@ def test_what_is_no_address_is_refused(address: str) -> None:
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x:1", "localhost:9"])
 def test_no_scheduler_at_the_address(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 0.3)
     with pytest.raises(ConfigError, match=rf"engine\.address: {address}: no scheduler answers"):
         list(Dask(address=address).run(double, [1]))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-import resource
 import shutil
 import signal
 import time
@@ -118,7 +117,7 @@ def test_disk_is_full(folder: Path, undisturbed: Path) -> None:
     status, _, err = run(
         *COMMAND,
         folder=folder,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        largest_file=limit,
     )
     assert status == 1
     assert "-m simbias --config-dir conf +sweep=mine" in err.partition("Go on with:  ")[2]

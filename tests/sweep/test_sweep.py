@@ -91,7 +91,9 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
     cells = math.prod(len(axis.values) for axis in axes)
     assert f"{cells} cells x 1 trials = {cells}" in out
     assert f"[{cells}/{cells}]" in out
-    assert ("the paper's" in out.partition("experiments: ")[2]) == ("paper" in base["sweep"].get("report", {}))
+    assert ("the paper's" in out.partition("experiments: ")[2]) == (
+        "paper" in base["sweep"].get("report", {})
+    )
     assert not (folder / "mlartifacts").exists()
 
 

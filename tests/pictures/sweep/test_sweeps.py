@@ -139,7 +139,7 @@ def test_killed_among_a_figures_experiments(folder: Path) -> None:
     first, *others = sorted(before)
     (parent,) = runs(folder)[0]
     (artifacts(parent) / "figures/experiments" / first).write_text(before[first][:-9])
-    status, out, err = run(*arguments, folder=folder)
+    status, out, err = run(*arguments, "engine=sequential", folder=folder)
     assert (status, err) == (0, "")
     assert f"[{len(others) + 1}/{total}]" in out
     assert f"[{len(others)}/{total}]" not in out
