@@ -11,14 +11,14 @@ import numpy as np
 from numba import get_num_threads
 
 from simbias.config.numbers import NonNegative
-from simbias.interfaces import Nominal, Task
+from simbias.interfaces import Kernel, Nominal, Task
+from simbias.nominal.mujoco_kernel import ABSURD, Places, kernel
 from simbias.parameters import Parameter
 from simbias.records import Array, Indices
 from simbias.task.mjcf import Mechanism
 from simbias.task.mjcf_parameters import QUANTITIES, Factors, Values, changes, mujoco, values_of
 
 FEW = 8  # states, for which threads take longer to begin than they save
-ABSURD = 1e4  # m, rad, m/s, rad/s: what gets there has blown up, and the engine would write files about it
 
 
 @final
@@ -46,6 +46,7 @@ class Mujoco(Nominal):
     """
 
     batched = True
+    kernel: Kernel
 
     def __init__(
         self,
@@ -62,6 +63,8 @@ class Mujoco(Nominal):
             raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._data: list[Any] = []  # what the engine works in, one for each thread
+        self._places = Places(robot.model)
+        self.kernel = kernel(self._robot, self._places)
         self.parameters = tuple(
             Parameter(
                 name,
@@ -118,6 +121,7 @@ class Mujoco(Nominal):
         names = [parameter.name for parameter in self.parameters]
         changed = copy(self)
         changed._robot = self._robot.with_values(dict(zip(names, np.asarray(values).tolist(), strict=True)))
+        changed.kernel = kernel(changed._robot, self._places)
         return changed
 
 

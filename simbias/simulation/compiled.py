@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simbias.interfaces import Cost, Kernel, Model, Task
+from simbias.interfaces import Cost, Kernel, Model, Nominal, Task
 from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.fused import Composition, compiled_loop
 from simbias.simulation.plain import costs_of, record
@@ -30,6 +30,7 @@ class CompiledSimulator:
     nominal: Kernel  # its parameters (w, .) in each world
     bias: Kernel
     noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
+    models: tuple[Nominal, ...]  # held on to: a kernel's parameters may be addresses of what is theirs
 
     @staticmethod
     def of(model: Model, disturbance: Disturbance | None) -> CompiledSimulator | None:
@@ -45,7 +46,9 @@ class CompiledSimulator:
             noise[0, :-1, : len(task.inputs)] = disturbance.inputs
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
-        return CompiledSimulator(task, measure, output, policy.kernel, *sizes, nominal, bias, noise)
+        return CompiledSimulator(
+            task, measure, output, policy.kernel, *sizes, nominal, bias, noise, (model.nominal,)
+        )
 
     @staticmethod
     def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
@@ -58,6 +61,7 @@ class CompiledSimulator:
             first,
             nominal=Kernel(first.nominal.function, parameters),
             noise=np.concatenate([simulator.noise for simulator in simulators]),
+            models=tuple(model for simulator in simulators for model in simulator.models),
         )
 
     def _runs_in_step_with(self, other: CompiledSimulator) -> bool:

@@ -179,7 +179,7 @@ def compiled_loop(c: Composition) -> Any:
     functions |= {"total": c.total} if c.total else {}
     names = {name: compilation.compiled(function) for name, function in functions.items()}
     names["correct"] = compilation.compiled(c.correct, inline=not c.corrects_all_lanes)
-    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64)
+    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64, nan=np.nan)
     if not hasattr(module, "compiled"):
         module.compiled = njit(**OPTIONS, cache=True)(module.closed_loop)
     return module.compiled

@@ -18,6 +18,7 @@ def closed_loop(
     measure_data = {measure_data}
     output_data = {output_data}
     {constants}
+    x[:] = nan  # in a lane without a rollout, so that no kernel works for nothing
     begun, count, ended = 0, 0, 1
     while True:
         if ended > 0:  # others take their places
@@ -67,6 +68,8 @@ def closed_loop(
                     frames[b], violated[b] = frame[lane], criterion[lane]
                     for i in range({totals}):
                         final_totals[b, i] = before[i, lane]
+                    for i in range({n}):
+                        x[i, lane] = nan
 """
 
 FORGET = """\

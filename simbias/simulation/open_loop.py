@@ -241,7 +241,7 @@ def compiled_open_loop(c: Composition) -> Any:
     names = {"step": compilation.compiled(c.step)}
     if c.correct:
         names["correct"] = compilation.compiled(c.correct, inline=not c.corrects_all_lanes)
-    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64)
+    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64, nan=np.nan)
     if not hasattr(module, "compiled"):
         module.compiled = njit(**OPTIONS, cache=True)(module.open_loop)
     return module.compiled

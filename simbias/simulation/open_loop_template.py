@@ -14,6 +14,7 @@ def open_loop(
     time, last, experiment = zeros({LANES}, int64), zeros({LANES}, int64), zeros({LANES}, int64)
     world, running = zeros({LANES}, int64), zeros({LANES}, int64)
     {constants}
+    x[:] = nan  # in a lane without an experiment, so that no kernel works for nothing
     count, ended = 0, 1
     while True:
         if ended > 0:  # others take their places
@@ -60,4 +61,6 @@ def open_loop(
                     running[lane] = 0
                     count -= 1
                     ended += 1
+                    for i in range({n}):
+                        x[i, lane] = nan
 """

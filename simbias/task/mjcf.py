@@ -69,12 +69,15 @@ class Mechanism:
         self.substeps = ceil(task.time_step / model.opt.timestep - 1e-6)
         model.opt.timestep = task.time_step / self.substeps
         model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_AUTORESET  # what blows up is no start
-        self._positions = np.array([model.joint(name).qposadr[0] for name in joints])
-        self._velocities = np.array([model.joint(name).dofadr[0] for name in joints])
-        self._actuators = np.array([model.actuator(name).id for name in actuators])
-        self._units = np.array([_unit(engine, model, i) for i in self._actuators])
+        if not (model.geom_contype.any() and model.geom_conaffinity.any()) and not model.npair:
+            model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_CONTACT  # not to look for what cannot touch
+        positions = [model.joint(name).qposadr[0] for name in joints]
+        velocities = [model.nq + model.joint(name).dofadr[0] for name in joints]
+        self.state_places = 1 + np.array([*positions, *velocities])  # (n,) in full states, after the time
+        self.control_places = np.array([model.actuator(name).id for name in actuators])  # (m,) in controls
+        self.units = np.array([_unit(engine, model, i) for i in self.control_places])  # (m,) of controls
         for name, index, unit, limit in zip(
-            actuators, self._actuators, self._units, task.input_limit, strict=True
+            actuators, self.control_places, self.units, task.input_limit, strict=True
         ):
             most = _reach(engine, model, index, unit)
             if limit > most * (1 + 1e-9):
@@ -94,22 +97,19 @@ class Mechanism:
 
     def physics(self, x: Array) -> Array:
         """MuJoCo's full states (k, .) at states x (k, n)."""
-        model, joints = self.model, len(self._positions)
-        size = mujoco().mj_stateSize(model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
+        size = mujoco().mj_stateSize(self.model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
         full = np.zeros((len(x), size))  # time, positions, velocities, what else there is
-        full[:, 1 + self._positions] = x[:, :joints]
-        full[:, 1 + model.nq + self._velocities] = x[:, joints:]
+        full[:, self.state_places] = x
         return full
 
     def states(self, full: Array) -> Array:
         """States x (k, n) of MuJoCo's full states (k, .)."""
-        positions, velocities = 1 + self._positions, 1 + self.model.nq + self._velocities
-        return np.concatenate([full[:, positions], full[:, velocities]], axis=1)
+        return full[:, self.state_places]
 
     def controls(self, u: Array) -> Array:
         """Controls (k, .) of inputs u (k, m)."""
         controls = np.zeros((len(u), self.model.nu))
-        controls[:, self._actuators] = u / self._units
+        controls[:, self.control_places] = u / self.units
         return controls
 
 

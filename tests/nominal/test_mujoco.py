@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from mechanisms import DOUBLE, MOTOR, URDF, cart_pole, mjcf
+from numba import get_num_threads, set_num_threads
 
+import simbias
+from simbias.interfaces import FittedBias, Model
 from simbias.nominal.cartpole import CartPole
 from simbias.nominal.mujoco import Mujoco
-from simbias.records import Array
+from simbias.nominal.mujoco_kernel import FREE, TAKEN, Places
+from simbias.records import Array, Indices
+from simbias.simulation.closed_loop import join, simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.plain import PlainSimulator
+from simbias.study import Study
 from simbias.task import mjcf_parameters as files
+from simbias.testing.expectations import transitions
 
 
 def points(k: int, scale: float = 0.5) -> tuple[Array, Array]:
@@ -64,6 +77,127 @@ def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
     each = np.array([models[world].step(x[row], u[row]) for row, world in enumerate(worlds)])
     np.testing.assert_array_equal(together, each)
     assert len(np.unique(together, axis=0)) == 30
+
+
+def search(nominal: str, *overrides: str) -> Study:
+    """Of the double cart-pole, or of the biped with its contacts, on models that differ."""
+    return simbias.load([f"preset={nominal}", "tracking=none", "evaluation=robust_models", *overrides])
+
+
+def worlds_of(study: Study, bias: FittedBias | None = None) -> list[Model]:
+    model, rng = study.model(bias), np.random.default_rng(0)
+    return [replace(model, nominal=study.nominal.draw(rng)) for _ in range(3)]
+
+
+def candidates(study: Study, k: int) -> tuple[Array, Array, Indices]:
+    """Policies (k, p), of which some are mild, starts (k, n) and worlds (k,)."""
+    rng = np.random.default_rng(1)
+    lower, upper = study.policy.bounds
+    thetas = rng.uniform(lower, upper, (k, len(lower))) * rng.uniform(0.01, 1.0, (k, 1))
+    starts = np.array([study.task.draw_start(rng) for _ in range(k)])
+    return thetas, starts, rng.integers(0, 3, k)
+
+
+@pytest.mark.parametrize("preset", ["double_cartpole", pytest.param("biped", marks=pytest.mark.slow)])
+def test_a_compiled_frame_is_the_engines_to_the_last_bit(preset: str) -> None:
+    """In a rollout without a policy, so that nothing but the engine acts."""
+    study = search(preset, "task.horizon=20")
+    loop, (_, starts, _) = simulator(study.model()), candidates(study, 40)
+    assert isinstance(loop, CompiledSimulator)
+    for rollout in loop.rollouts(np.zeros((40, study.policy.n_parameters)), starts):
+        assert rollout.frames > 3
+        stepped = study.nominal.step(rollout.states[:-1], rollout.inputs)
+        np.testing.assert_array_equal(rollout.states[1:], stepped)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("learns", [False, True])
+def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
+    """In several worlds, with and without a bias: they fail alike, at the same costs."""
+    study = search("double_cartpole", "identification=none", "bias=gp")
+    bias = study.bias.fit(transitions(study)) if learns else None
+    models = worlds_of(study, bias)
+    compiled = join([simulator(model) for model in models])
+    assert isinstance(compiled, CompiledSimulator)
+    asked = candidates(study, 60)
+    costs, frames = compiled.costs(study.cost, *asked)
+    plain, expected = PlainSimulator(models, [None] * 3).costs(study.cost, *asked)
+    np.testing.assert_array_equal(frames, expected)
+    np.testing.assert_allclose(costs, plain, rtol=1e-3 if learns else 1e-9)
+    assert len(np.unique(frames)) > 10
+
+
+def test_a_rollout_depends_neither_on_threads_nor_on_those_beside_it() -> None:
+    study = search("double_cartpole")
+    loop = join([simulator(model) for model in worlds_of(study)])
+    thetas, starts, worlds = candidates(study, 50)
+    costs, _ = loop.costs(study.cost, thetas, starts, worlds)
+    for row in (0, 17, 49):
+        alone, _ = loop.costs(study.cost, *(a[row : row + 1] for a in (thetas, starts, worlds)))
+        assert alone[0] == costs[row]
+    before = get_num_threads()
+    try:
+        set_num_threads(1)
+        np.testing.assert_array_equal(loop.costs(study.cost, thetas, starts, worlds)[0], costs)
+    finally:
+        set_num_threads(before)
+
+
+def test_a_lane_without_a_rollout_does_not_ask_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame takes as long as a thousand of other models; each rollout asks for one in vain, as it ends."""
+    made: list[Places] = []
+    monkeypatch.setattr(Places, "__init__", noted(Places.__init__, made))
+    study = search("double_cartpole")
+    thetas, starts, _ = candidates(study, 5)
+    _, frames = simulator(study.model()).costs(study.cost, thetas, starts)
+    (places,) = made
+    steps = sum(data.timer[mujoco.mjtTimer.mjTIMER_STEP].number for data in places.data)
+    substeps = round(study.task.time_step / 0.01)
+    assert steps == substeps * (frames.sum() + 5)
+
+
+def noted(init: Callable[..., None], made: list[Any]) -> Callable[..., None]:
+    """A constructor that notes what it makes."""
+
+    def construct(self: Any, *arguments: Any) -> None:
+        init(self, *arguments)
+        made.append(self)
+
+    return construct
+
+
+def test_what_a_search_simulates_stays_while_it_does() -> None:
+    """Its worlds' models are the simulator's alone, whose kernels know but their addresses."""
+    study = search("double_cartpole")
+    thetas, starts, worlds = candidates(study, 40)
+    loop = join([simulator(model) for model in worlds_of(study)])
+    costs, _ = loop.costs(study.cost, thetas, starts, worlds)
+    gc.collect()
+    others = [worlds_of(study) for _ in range(3)]  # where freed memory would be used again
+    np.testing.assert_array_equal(loop.costs(study.cost, thetas, starts, worlds)[0], costs)
+    assert len(others) == 3
+
+
+def test_what_blows_up_in_compiled_code_is_no_number() -> None:
+    study = search("double_cartpole")
+    start = study.task.start_mean.copy()
+    start[3] = 2e4
+    rollout = simulator(study.model()).rollout(np.zeros(study.policy.n_parameters), start)
+    assert rollout.failed_at == 1
+    assert np.isnan(rollout.states[1]).all()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_process_that_is_forked_does_not_wait_for_places_of_its_parents_threads() -> None:
+    """A thread of the parent's that works there does not exist in the child."""
+    study = search("double_cartpole", "task.horizon=3")
+    places = study.nominal._places  # type: ignore[attr-defined]
+    places.table[:, 0] = TAKEN
+    child = os.fork()
+    if not child:
+        os._exit(int(places.table[:, 0].any()))
+    places.table[:, 0] = FREE
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_parameters_of_the_equations_are_what_was_declared() -> None:
