@@ -105,7 +105,7 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(
 
 
 def test_a_component_of_ones_own_that_keeps_its_contract_is_rehearsed(point_mass: Study) -> None:
-    with pytest.warns(simbias.interfaces.SlowWarning, match="up to 300 times slower.*kernels.py tells how"):
+    with pytest.warns(simbias.interfaces.SlowWarning, match="up to 500 times slower.*kernels.py tells how"):
         rehearse(point_mass)
 
 

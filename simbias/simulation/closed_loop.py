@@ -12,12 +12,13 @@ import numpy as np
 from simbias.interfaces import Cost, Model, Simulator, SlowWarning
 from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.correction import corrections
 from simbias.simulation.plain import PlainSimulator
 
 
 def simulator(model: Model, disturbance: Disturbance | None = None) -> Simulator:
     """The compiled closed loop where every part of it has a kernel, the plain one otherwise."""
-    return CompiledSimulator.of(model, disturbance) or PlainSimulator([model], [disturbance])
+    return CompiledSimulator.of(model, disturbance) or PlainSimulator([model], [disturbance], corrections)
 
 
 class Worlds(Protocol):
@@ -43,7 +44,8 @@ def join(simulators: Sequence[Simulator]) -> Worlds:
         return CompiledSimulator.join(compiled) or Apart(simulators)
     if len(plain) == len(simulators):
         models = [model for simulator in plain for model in simulator.models]
-        return PlainSimulator(models, [d for simulator in plain for d in simulator.disturbances])
+        disturbances = [d for simulator in plain for d in simulator.disturbances]
+        return PlainSimulator(models, disturbances, plain[0].correct)
     return Apart(simulators)
 
 
@@ -58,7 +60,7 @@ def _say_what_is_slow(model: Model) -> None:
     }
     missing = ", ".join(name for name, kernel in kernels.items() if kernel is None)
     message = (
-        f"simulated in NumPy, up to 300 times slower than compiled, as these have no kernel: {missing}; "
+        f"simulated in NumPy, up to 500 times slower than compiled, as these have no kernel: {missing}; "
         "simbias/simulation/kernels.py tells how to write one"
     )
     warnings.warn(message, SlowWarning, stacklevel=3)

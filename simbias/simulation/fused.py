@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from simbias.simulation.compilation import OPTIONS, Compilation
+from simbias.simulation.correction import for_all_lanes
 from simbias.simulation.kernels import LANES
 from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, RECORD, TEMPLATE
 from simbias.simulation.text import assign, indent, tuple_of
@@ -55,7 +56,7 @@ class Composition:
     @property
     def corrects_all_lanes(self) -> bool:
         """Whether the bias is a kernel for all lanes."""
-        return len(inspect.signature(self.correct).parameters) == len(("x", "u", "data", "correction"))
+        return for_all_lanes(self.correct)
 
     @property
     def remembers(self) -> bool:

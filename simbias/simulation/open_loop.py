@@ -7,7 +7,6 @@ of successive frames: they hold what single noisy frames say, in fewer numbers.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,6 +18,7 @@ from numba import njit
 from simbias.interfaces import FittedBias, Kernel, Nominal
 from simbias.records import Array, Indices, Rollout
 from simbias.simulation.compilation import OPTIONS, Compilation
+from simbias.simulation.correction import for_all_lanes
 from simbias.simulation.kernels import LANES
 from simbias.simulation.open_loop_template import TEMPLATE
 from simbias.simulation.text import assign, indent, tuple_of
@@ -186,9 +186,7 @@ class Composition:
     @property
     def corrects_all_lanes(self) -> bool:
         """Whether the bias is a kernel for all lanes."""
-        return self.correct is not None and len(inspect.signature(self.correct).parameters) == len(
-            ("x", "u", "data", "correction")
-        )
+        return self.correct is not None and for_all_lanes(self.correct)
 
 
 def source(c: Composition) -> str:

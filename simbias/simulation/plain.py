@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from simbias.interfaces import Cost, Model, failure_name
+from simbias.interfaces import Cost, FittedBias, Model, Nominal, failure_name
 from simbias.records import Array, Disturbance, Indices, Rollout
 
 MOST = 256  # rollouts side by side: their records take memory
+
+
+def _in_numpy(bias: FittedBias, x: Array, u: Array) -> Array:
+    """What a bias adds (k, n) at x (k, n), u (k, m)."""
+    return bias.correction(x, u)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +28,7 @@ class PlainSimulator:
 
     models: Sequence[Model]
     disturbances: Sequence[Disturbance | None]
+    correct: Callable[[FittedBias, Array, Array], Array] = _in_numpy  # what a bias adds to each row
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
         """Run theta (p,) from start (n,) to failure or horizon, in the first world."""
@@ -65,7 +72,7 @@ class PlainSimulator:
             inputs[going, t], memory = policy.act(thetas[going], seen, t * task.time_step, memory)
             u = inputs[going, t] + unknown
             f, hidden = self._advance(x, u, hidden, own)
-            g = self._by_world([model.bias.correction for model in self.models], x, u, own)
+            g = self._by_world(self.correct, [model.bias for model in self.models], x, u, own)
             states[going, t + 1] = f + g
         return [self._record(*each) for each in zip(states, inputs, frames, violated, strict=True)]
 
@@ -84,7 +91,7 @@ class PlainSimulator:
         if models[0].batched and all(type(model) is type(models[0]) for model in models):
             return models[0].step_in_worlds(models, x, u, worlds), hidden
         if not hidden.shape[1]:
-            return self._by_world([model.step for model in models], x, u, worlds), hidden
+            return self._by_world(_step, models, x, u, worlds), hidden
         f, kept = np.empty_like(x), np.empty_like(hidden)
         for world in np.unique(worlds):
             rows = worlds == world
@@ -92,20 +99,30 @@ class PlainSimulator:
         return f, kept
 
     def _by_world(
-        self, functions: Sequence[Callable[[Array, Array], Array]], x: Array, u: Array, worlds: Indices
+        self,
+        function: Callable[[Any, Array, Array], Array],
+        parts: Sequence,
+        x: Array,
+        u: Array,
+        worlds: Indices,
     ) -> Array:
-        """What each world's function (k, n) gives for its rows of x (k, n) and u (k, m)."""
-        if all(function == functions[0] for function in functions):
-            return functions[0](x, u)
+        """What a function (k, n) of each world's part gives for its rows of x (k, n) and u (k, m)."""
+        if all(part is parts[0] for part in parts):
+            return function(parts[0], x, u)
         values = np.empty_like(x)
         for world in np.unique(worlds):
             rows = worlds == world
-            values[rows] = functions[world](x[rows], u[rows])
+            values[rows] = function(parts[world], x[rows], u[rows])
         return values
 
     def _record(self, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
         """The record of a rollout."""
         return record(self.models[0].task.criteria, states, inputs, int(frames), int(violated))
+
+
+def _step(model: Nominal, x: Array, u: Array) -> Array:
+    """x_next (k, n) of x (k, n) under u (k, m)."""
+    return model.step(x, u)
 
 
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:

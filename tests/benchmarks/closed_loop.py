@@ -1,8 +1,9 @@
 """What a step of a simulated rollout costs: `python tests/benchmarks/closed_loop.py` prints a table.
 
 Costs of policies that balance, from sampled starts on sampled models, as in a search by `evaluation=robust`:
-compiled, and with the same components in NumPy. All ways are timed in turn within one run, on one thread, in
-processor time, so that a busy machine changes their ratios little: the best of ROUNDS rounds.
+compiled, and with the same components in NumPy, beside which a learned bias is compiled. All ways are timed
+in turn within one run, on one thread, in processor time, so that a busy machine changes their ratios little:
+the best of ROUNDS rounds.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from simbias.bias.none import ZeroBias
 from simbias.interfaces import FittedBias, SlowWarning
 from simbias.records import Disturbance, Transitions
 from simbias.simulation.closed_loop import join, simulator
+from simbias.simulation.correction import corrections
 from simbias.simulation.plain import PlainSimulator
 
 ROUNDS, WORLDS = 7, 8
@@ -45,7 +47,8 @@ def way(bias: FittedBias, noisy: bool, plain: bool, policies: int, horizon: int)
         model = replace(study.model(bias), nominal=study.nominal.draw(rng))
         noise = Disturbance(0.1 * rng.normal(size=(horizon, 1)), 1e-4 * rng.normal(size=(horizon + 1, 6)))
         disturbance = noise if noisy else None
-        loops.append(PlainSimulator([model], [disturbance]) if plain else simulator(model, disturbance))
+        in_numpy = PlainSimulator([model], [disturbance], corrections)
+        loops.append(in_numpy if plain else simulator(model, disturbance))
     worlds = np.tile(np.arange(WORLDS), policies)
     starts = np.array([task.draw_start(rng) for _ in range(WORLDS)])[worlds]
     thetas = np.tile(BALANCING, (len(worlds), 1))

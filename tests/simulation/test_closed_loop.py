@@ -16,7 +16,7 @@ from numba import get_num_threads, set_num_threads
 
 import simbias
 from simbias.bias.none import ZeroBias
-from simbias.interfaces import FittedBias, Kernel, Policy, SlowWarning
+from simbias.interfaces import FittedBias, Kernel, Nominal, Policy, SlowWarning
 from simbias.records import Array, Disturbance, Transitions
 from simbias.simulation.closed_loop import Apart, join, simulator
 from simbias.simulation.compiled import CompiledSimulator
@@ -131,6 +131,35 @@ def test_plain_components_work_and_mix_with_compiled_ones(point_mass: Study) -> 
     assert rollout.frames == point_mass.task.horizon
     assert rollout.cost == point_mass.cost.of(rollout) < 0.1875
     assert isinstance(point_mass.simulator(), PlainSimulator)
+
+
+class InNumPy(Nominal):
+    """The bongoboard's model as somebody would write it who knows no kernels."""
+
+    def __init__(self, study: Study) -> None:
+        self._model = study.nominal
+
+    def step(self, x: Array, u: Array) -> Array:
+        return self._model.step(x, u)
+
+
+@pytest.mark.slow
+def test_a_plain_model_has_a_compiled_bias_beside_it(study: Study, stable: Array) -> None:
+    """In one world or in several, alone or among others: single precision is all that differs."""
+    rng, bias = np.random.default_rng(0), learned(study)
+    model = replace(study.model(bias), task=study.task.with_horizon(100), nominal=InNumPy(study))
+    models = [replace(model, bias=drawn) for drawn in (bias, bias.draw(rng), bias.draw(rng))]
+    thetas = stable + 0.1 * rng.normal(size=(40, 5))
+    starts, worlds = np.array([study.task.draw_start(rng) for _ in thetas]), rng.integers(0, 3, len(thetas))
+    with pytest.warns(SlowWarning):
+        loops = join([simulator(each) for each in models]), PlainSimulator(models, [None] * 3)
+    quick, plain = (loop.rollouts(thetas, starts, worlds) for loop in loops)
+    for one, other in zip(quick, plain, strict=True):
+        np.testing.assert_allclose(one.states, other.states, rtol=1e-4, atol=1e-6)
+    alone = simulator(models[worlds[7]]).rollout(thetas[7], starts[7])
+    np.testing.assert_array_equal(alone.states, quick[7].states)
+    unbiased = PlainSimulator([replace(model, bias=ZeroBias(6))], [None]).rollout(thetas[7], starts[7])
+    assert np.abs(unbiased.states - alone.states).max() > 1e-4
 
 
 @pytest.mark.slow

@@ -409,7 +409,7 @@ def test_own_components_are_swept(folder: Path) -> None:
     status, _, err = run("--config-dir", "conf", "+sweep=wind", *POINT_MASS, *quick, folder=folder)
     assert status == 0, err
     (slow,) = err.splitlines()  # once, although every trial is
-    assert slow.startswith("simbias: simulated in NumPy, up to 300 times slower")
+    assert slow.startswith("simbias: simulated in NumPy, up to 500 times slower")
     assert len(trial_by_trial(folder)) == 4
 
 
