@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from simbias.nominal.mujoco_kernel import FREE, TAKEN, Places
 from simbias.records import Array, Indices
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.open_loop import Windows, World, plain, predict
 from simbias.simulation.plain import PlainSimulator
 from simbias.study import Study
 from simbias.task import mjcf_parameters as files
@@ -121,10 +123,20 @@ def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
     assert isinstance(compiled, CompiledSimulator)
     asked = candidates(study, 60)
     costs, frames = compiled.costs(study.cost, *asked)
-    plain, expected = PlainSimulator(models, [None] * 3).costs(study.cost, *asked)
+    reference, expected = PlainSimulator(models, [None] * 3).costs(study.cost, *asked)
     np.testing.assert_array_equal(frames, expected)
-    np.testing.assert_allclose(costs, plain, rtol=1e-3 if learns else 1e-9)
+    np.testing.assert_allclose(costs, reference, rtol=1e-3 if learns else 1e-9)
     assert len(np.unique(frames)) > 10
+
+
+def test_predictions_of_a_record_are_the_plain_ones() -> None:
+    """As an identification asks for them: each world's model along the inputs of an experiment."""
+    study = search("double_cartpole")
+    thetas, starts, _ = candidates(study, 3)
+    windows = Windows.of(simulator(study.model()).rollouts(0.01 * thetas, starts), 4, 2)
+    worlds = [World(model.nominal) for model in worlds_of(study)]
+    assert len(windows) >= 3
+    np.testing.assert_allclose(predict(worlds, windows), plain(worlds, windows), rtol=1e-12, atol=1e-12)
 
 
 def test_a_rollout_depends_neither_on_threads_nor_on_those_beside_it() -> None:
@@ -168,14 +180,13 @@ def noted(init: Callable[..., None], made: list[Any]) -> Callable[..., None]:
 
 def test_what_a_search_simulates_stays_while_it_does() -> None:
     """Its worlds' models are the simulator's alone, whose kernels know but their addresses."""
-    study = search("double_cartpole")
-    thetas, starts, worlds = candidates(study, 40)
-    loop = join([simulator(model) for model in worlds_of(study)])
-    costs, _ = loop.costs(study.cost, thetas, starts, worlds)
+    models = worlds_of(search("double_cartpole"))
+    alive = [weakref.ref(model.nominal) for model in models]
+    loop = join([simulator(model) for model in models])
+    del models
     gc.collect()
-    others = [worlds_of(study) for _ in range(3)]  # where freed memory would be used again
-    np.testing.assert_array_equal(loop.costs(study.cost, thetas, starts, worlds)[0], costs)
-    assert len(others) == 3
+    assert isinstance(loop, CompiledSimulator)
+    assert all(nominal() is not None for nominal in alive)
 
 
 def test_what_blows_up_in_compiled_code_is_no_number() -> None:
