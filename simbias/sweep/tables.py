@@ -98,14 +98,14 @@ def _measures(trials: Sequence[Mapping[str, Any]], possible: Sequence[bool]) -> 
     )
     counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
     seconds, lasted = ([float(trial[name]) for trial in ended] for name in ("hardware_seconds", "lasted"))
-    held = [_held(trial["held_out"], possible) for trial in ended if trial["held_out"]]
+    held = [share_held(trial["held_out"], possible) for trial in ended if trial["held_out"]]
     reliable = [float(share >= RELIABLE) for share in held]
     worth = (_mean(seconds), _mean(held), _mean(reliable), _mean(lasted))
     return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *worth]
 
 
-def _held(starts: str, possible: Sequence[bool]) -> float:
-    """The share of the starts that a policy holds, of those that are possible."""
+def share_held(starts: str, possible: Sequence[bool]) -> float:
+    """The share of held-out starts that a policy holds, "101" of three, among those that are possible."""
     return _mean([float(start == "1") for start, counts in zip(starts, possible, strict=False) if counts])
 
 
