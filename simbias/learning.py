@@ -22,17 +22,21 @@ def search(
     candidates: Sequence[Array] = (),
     retries: int = 0,
     satisfactory: float | None = None,
+    narrowing: float = 1.0,
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
     A search that ends above a satisfactory cost, by default Z_max, is made again with other random numbers,
-    up to `retries` times. The best one is returned, with the evaluations of all.
+    up to `retries` times, each time on draws from a posterior whose deviations are `narrowing` times those
+    before. The best one is returned, with the evaluations of all.
     """
     enough = study.cost.max_cost if satisfactory is None else satisfactory
     searches: list[tuple[Optimum, float]] = []
     while not searches or (searches[-1][1] > enough and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
-        searches.append(_search(study, model, search_rng, observer, candidates, enough))
+        nominal = model.nominal.narrowed(narrowing ** len(searches))
+        drawn = replace(model, nominal=nominal)
+        searches.append(_search(study, drawn, search_rng, observer, candidates, enough))
     best = min(range(len(searches)), key=lambda index: searches[index][1])
     optimum, predicted_cost = searches[best]
     if len(searches) > 1:

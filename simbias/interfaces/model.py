@@ -72,6 +72,10 @@ class Nominal(ABC):
             return self
         return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
+    def narrowed(self, share: float) -> Nominal:
+        """The model, its draws nearer to it by this share of their deviations; itself if it knows of none."""
+        return self
+
 
 class Identification(ABC):
     """What is learned of the nominal model's parameters, before a bias is learned of what they leave."""

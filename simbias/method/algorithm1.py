@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from simbias.config.numbers import Count, CountOrZero, Positive
+from simbias.config.numbers import Count, CountOrZero, Positive, Share
 from simbias.design import Candidates
 from simbias.evidence import learn, likeliest, log_likelihoods
 from simbias.learning import Stopwatch, experiment, search
@@ -34,6 +34,9 @@ class Algorithm1(Method):
     retry_search
         How often a search that does not end satisfactorily is made again before hardware is spent on its
         policy.
+    retry_spread
+        In each further search, models are drawn from an identified posterior with this share of the
+        deviations before: no policy may hold on all that few data allow.
     passes
         Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
         those beyond are made only as long as all are passed.
@@ -61,6 +64,7 @@ class Algorithm1(Method):
         passes: Count | None = None,
         by_evidence: bool = False,
         design: CountOrZero = 0,
+        retry_spread: Share = 1.0,
     ) -> None:
         if passes is not None and passes < experiments:
             raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
@@ -75,6 +79,7 @@ class Algorithm1(Method):
         self._warm_start = warm_start
         self._by_evidence = by_evidence
         self._design = design
+        self._retry_spread = retry_spread
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration; comments give the listing's lines."""
@@ -90,7 +95,8 @@ class Algorithm1(Method):
             with clock("search"):
                 first = Candidates(earlier, model, self._design)
                 proposal = search(
-                    study, model, search_rng, observer, first, self._retry_search, self._satisfactory_cost
+                    *(study, model, search_rng, observer, first),
+                    *(self._retry_search, self._satisfactory_cost, self._retry_spread),
                 )  # 4, 5
             theta = proposal.optimum.parameters
             if self._warm_start:
