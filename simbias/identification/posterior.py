@@ -227,7 +227,7 @@ class Identified(Nominal):
 
     def narrowed(self, share: float) -> Identified:
         """The model at the same parameters, with this share of the posterior's deviations."""
-        return Identified(self._prior, self.mode, share * self._spread, self.diagnostics)
+        return Identified(self._prior, self.mode, share * self._spread, dict(self.diagnostics))
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model from the posterior."""

@@ -55,6 +55,16 @@ def test_draws_are_as_uncertain_as_the_estimates(study: Study) -> None:
     np.testing.assert_allclose(inside, 0.9, atol=0.06)
 
 
+def test_narrowed_draws_lie_nearer_to_the_mode(study: Study) -> None:
+    """The same draw, at half of the distance in the coordinates in which the posterior is normal."""
+    fitted, _, _ = identified(study, 4, 300)
+    narrow = fitted.narrowed(0.5)
+    np.testing.assert_array_equal(narrow.mode, fitted.mode)
+    np.testing.assert_allclose(narrow.covariance, fitted.covariance / 4, rtol=1e-12)
+    for far, near in zip(fitted.estimates, narrow.estimates, strict=True):
+        assert far.low < near.low <= near.value == far.value <= near.high < far.high
+
+
 def test_without_a_whole_window_or_parameters_it_is_the_model_itself(study: Study) -> None:
     robot, _ = truth(study.nominal, np.random.default_rng(0))
     short = experiment(robot, np.random.default_rng(0), 30)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from point_mass import Distance, PointMass
+from point_mass import Distance, PointMass, WithoutWind
 
 from simbias import design
 from simbias.bias.none import NoBias
@@ -211,6 +212,37 @@ def test_after_its_last_retry_a_failed_search_is_one(point_mass: Study) -> None:
     assert first.learning.reset
     assert len(first.experiments) == 2
     assert last.succeeded
+
+
+class Spread(Evaluation):
+    """Predicts the deviation of the models that a search draws, as its cost."""
+
+    def objective(self, model, cost, rng):
+        return lambda theta: model.nominal.deviation
+
+
+class Uncertain(WithoutWind):
+    """A model whose draws deviate from it."""
+
+    deviation = 1.0
+
+    def narrowed(self, share):
+        nearer = copy(self)
+        nearer.deviation = share * self.deviation
+        return nearer
+
+
+def test_a_search_made_again_draws_nearer_models(point_mass: Study) -> None:
+    """With half of the deviations each time, until a policy holds on them; the next iteration begins anew."""
+    task = PointMass(horizon=FRAMES)
+    study = replace(point_mass, task=task, evaluation=Spread(), nominal=Uncertain(task))
+    method = Algorithm1(2, retry_search=3, retry_spread=0.5, satisfactory_cost=0.3)
+    for iteration in replace(study, method=method, hardware=ScriptedHardware([0.9] * 4)).run():
+        assert iteration.search.predicted_cost == 0.25
+        assert iteration.search.optimum.stopped_by.endswith(", in search 3 of 3")
+    method = Algorithm1(1, retry_search=3, satisfactory_cost=0.3)
+    (same,) = replace(study, method=method, hardware=ScriptedHardware([0.9] * 2)).run()
+    assert same.search.predicted_cost == 1.0
 
 
 def test_a_search_made_again_draws_other_numbers(point_mass: Study) -> None:
