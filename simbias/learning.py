@@ -32,10 +32,11 @@ def search(
     """
     enough = study.cost.max_cost if satisfactory is None else satisfactory
     searches: list[tuple[Optimum, float]] = []
+    drawn = model
     while not searches or (searches[-1][1] > enough and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
-        nominal = model.nominal.narrowed(narrowing ** len(searches))
-        drawn = replace(model, nominal=nominal)
+        if searches:
+            drawn = replace(drawn, nominal=drawn.nominal.narrowed(narrowing))
         searches.append(_search(study, drawn, search_rng, observer, candidates, enough))
     best = min(range(len(searches)), key=lambda index: searches[index][1])
     optimum, predicted_cost = searches[best]

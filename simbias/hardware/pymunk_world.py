@@ -129,8 +129,7 @@ class World:
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""
         wheel, board = self._wheel, self._board
-        (x, y), (x_b, y_b) = wheel.position, board.position
-        return (x, y, wheel.angle), (x_b, y_b, board.angle)
+        return (*wheel.position, wheel.angle), (*board.position, board.angle)
 
 
 def _put(bodies: dict[str, Body], begin: dict[str, tuple[Array, Array]]) -> None:

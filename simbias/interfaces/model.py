@@ -73,7 +73,7 @@ class Nominal(ABC):
         return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
     def narrowed(self, share: float) -> Nominal:
-        """The model, its draws nearer to it by this share of their deviations; itself if it knows of none."""
+        """The same model, whose draws deviate this share as much; itself if it cannot narrow them."""
         return self
 
 

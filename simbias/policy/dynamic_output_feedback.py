@@ -11,6 +11,7 @@ from pydantic import Field
 from simbias.interfaces import Controller, Kernel, Policy, Task
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
 from simbias.records import Array
+from simbias.simulation.actuator import limited
 from simbias.simulation.compilation import function_of
 from simbias.simulation.text import sum_of
 
@@ -116,7 +117,7 @@ class DynamicOutputFeedback(Policy):
         y = before + smoothing * (z - before)
         past = past.reshape(*past.shape[:-1], m, d)
         asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1) + u_0
-        u = np.minimum(np.maximum(asked, -limit), limit)  # quicker than np.clip
+        u = limited(asked, limit)
         free = (u == asked).all(axis=-1, keepdims=True)
         sent = np.concatenate([u[..., None], past], axis=-1)[..., :d]
         kept = [y, w + gathering * y * free, sent.reshape(*sent.shape[:-2], m * d)]

@@ -5,8 +5,8 @@ of vector registers holds everything, so that LLVM keeps in registers what it co
 run in step; one that ends makes room for the next, and a lane without one computes what nobody reads. So
 there is one path through the code, and the numbers of a rollout depend on nothing beside it.
 
-All lanes are in one array, integers too: of two arrays, LLVM would have to ask whether they overlap, and with
-more than some hundred rows it does not ask, but leaves the lanes.
+All lanes are in one array, integers too: of two arrays, LLVM would have to ask whether they overlap. Beyond
+about a hundred rows it does not ask, and compiles one rollout after the other.
 """
 
 from __future__ import annotations

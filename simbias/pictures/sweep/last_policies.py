@@ -45,15 +45,15 @@ class LastPolicies(SweepFigure):
         possible = attainable_starts(trials.table)
         numbers = pd.DataFrame(
             {
-                "cell": [", ".join(row[axis.name] for axis in trials.sweep.axes) for row in rows],
+                "cell": [trials.cell(row) for row in rows],
                 "repetition": [row["repetition"] for row in rows],
                 "succeeded": [row["outcome"] == "succeeded" for row in rows],
                 "experiments": [row["experiments"] for row in rows],
                 "held": [share_held(row["held_out"], possible) for row in rows],
             }
         )
-        cells = {", ".join(cell.labels): None for cell in trials.sweep.cells}
-        return Picture(_figure(numbers, list(cells)), numbers, _caption(numbers, possible))
+        cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
+        return Picture(_figure(numbers, cells), numbers, _caption(numbers, possible))
 
 
 def _caption(numbers: pd.DataFrame, possible: Sequence[bool]) -> str:
