@@ -99,7 +99,7 @@ def test_presets_combine() -> None:
     """A robot and a method; what one chooses oneself wins over both."""
     combined = compose(["preset=[cartpole,robust]", "bias=none"])
     choices = [combined.choices[group] for group in ("preset", "hardware", "optimizer", "bias")]
-    assert choices == ["cartpole,robust", "cartpole", "hybrid", "none"]
+    assert choices == ["cartpole,robust", "cartpole", "hybrid_from_candidates", "none"]
     assert combined.hash == compose(["preset=[robust,cartpole]", "bias=none"]).hash
 
 
