@@ -8,10 +8,12 @@ import sys
 from pathlib import Path
 from textwrap import dedent
 
+import llvmlite.binding
 import numpy as np
 import pytest
+from numba import njit
 
-from simbias.simulation.compilation import Compilation
+from simbias.simulation.compilation import OPTIONS, Compilation
 
 pytestmark = pytest.mark.slow
 
@@ -143,3 +145,18 @@ def test_nothing_is_read_from_a_temporary_folder_of_another_user(tmp_path: Path,
     private.symlink_to("other")
     with pytest.raises(OSError, match="is another user's"):
         compilation._folder()
+
+
+def test_vector_registers_are_used_in_full() -> None:
+    """Sixteen lanes take as few instructions as the processor allows."""
+    if not llvmlite.binding.get_host_cpu_features().get("avx512f") or os.environ.get("NUMBA_CPU_NAME"):
+        pytest.skip("its registers have no half that LLVM would prefer")
+
+    @njit(**OPTIONS)
+    def add(x: np.ndarray, y: np.ndarray) -> None:
+        for i in range(len(x)):
+            y[i] += 2.5 * x[i]
+
+    add(np.zeros(100), np.zeros(100))
+    (assembly,) = add.inspect_asm().values()
+    assert "zmm" in assembly
