@@ -50,7 +50,8 @@ def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array
         return _of_numbers(function, vectors, parameters)
     with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
         columns = function(*map(_columns, vectors), tuple(parameters))
-    rows = np.empty((*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns)))
+    shape = (*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns))
+    rows = np.empty_like(vectors[0], np.float64, shape=shape)
     for index, column in enumerate(columns):
         rows[..., index] = column
     return rows
