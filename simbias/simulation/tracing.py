@@ -15,7 +15,7 @@ import traceback
 import weakref
 from collections.abc import Callable, Sequence
 from copy import copy
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -247,7 +247,7 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
     code = getattr(function, "__code__", None)
     place = f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else ""
     try:
-        if _knows_foreign_code(type(component)):
+        if _knows_foreign_code(type(component)):  # type: ignore[arg-type]  # (mypy: a class has a hash)
             raise TraceError("its module calls code by ctypes or cffi")
         subject = getattr(copy(component), method)  # what it remembers of this is forgotten
         kernel = trace(subject)
@@ -264,16 +264,19 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
     return Part(kernel)
 
 
-@lru_cache(maxsize=256)
+@cache
 def _knows_foreign_code(component: type) -> bool:
     """Whether a module of a component's class could hand the memory of an array to a library."""
     modules = (sys.modules.get(each.__module__) for each in component.__mro__)
-    values = [value for module in modules if module for value in vars(module).values()]
-    names = (
-        getattr(value, "__name__", getattr(value, "__module__", type(value).__module__)) for value in values
+    return any(_is_foreign(value) for module in modules if module for value in vars(module).values())
+
+
+def _is_foreign(value: Any) -> bool:
+    """Whether a value is one of the libraries that call foreign code, or from there."""
+    names = getattr(value, "__name__", ""), getattr(value, "__module__", ""), type(value).__module__
+    return any(
+        str(name).partition(".")[0] in ("ctypes", "_ctypes", "cffi", "_cffi_backend") for name in names
     )
-    types = (type(value).__module__ for value in values)
-    return any(str(name).partition(".")[0] in ("ctypes", "_ctypes", "cffi") for name in (*names, *types))
 
 
 _FOUND: dict[int, dict[str, Part]] = {}  # by the component's identity, for as long as it lives
