@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 import traceback
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from functools import cache
 from pathlib import Path
@@ -221,8 +221,7 @@ def _vectors(made: Any, sizes: Sequence[int], trace: Trace) -> list[list[Symbol]
 
 def _compare(method: Callable, rows: Sequence[Array], made: Sequence[Sequence[Any]]) -> None:
     """Raise unless the method gives the same vectors, twice, and most of them are numbers."""
-    with np.errstate(all="ignore"):
-        first, again = (method(*(each.copy() for each in rows)) for _ in range(2))
+    first, again = (method(*(each.copy() for each in rows)) for _ in range(2))
     if len(made) == 1:
         first, again = (first,), (again,)
     for one, other, values in zip(first, again, made, strict=True):
@@ -247,11 +246,13 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
     code = getattr(function, "__code__", None)
     place = f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else ""
     try:
-        if _knows_foreign_code(type(component)):  # type: ignore[arg-type]  # (mypy: a class has a hash)
-            raise TraceError("its module calls code by ctypes or cffi")
+        for each in _within(component):
+            if _knows_foreign_code(type(each)):  # type: ignore[arg-type]  # (mypy: a class has a hash)
+                raise TraceError("its module calls code by ctypes or cffi")
         subject = getattr(copy(component), method)  # what it remembers of this is forgotten
-        kernel = trace(subject)
-        check(subject, kernel)
+        with np.errstate(all="ignore"):
+            kernel = trace(subject)
+            check(subject, kernel)
     except Exception as error:
         frames = [
             f"{Path(frame.filename).name}:{frame.lineno}"
@@ -262,6 +263,14 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
         why = str(refused) if refused else with_type(error, 100)
         return Part(None, f"{type(component).__name__}.{method} ({frames[-1] if frames else place}: {why})")
     return Part(kernel)
+
+
+def _within(component: Any) -> Iterator[Any]:
+    """A component and those that it holds, as an identified model holds the model."""
+    yield component
+    for each in vars(component).values():
+        if isinstance(each, Task | Nominal | Policy | FittedBias):
+            yield from _within(each)
 
 
 @cache
