@@ -8,14 +8,14 @@ once on symbols, and a kernel is written of what it computes (`simbias.simulatio
         return np.stack([x[..., 0] + self.time_step * velocity, velocity], axis=-1)
 
 That takes arithmetic, elementary functions, indices, sums, products of matrices, `np.where` and comparisons
-in it, `np.clip`, `np.stack`, arrays of `np.zeros_like` and `x.copy()` that are filled, and `np.linalg.solve` of
+in it, `np.clip`, `np.stack`, arrays of `np.zeros_like` and `x.copy()` that are filled, `np.linalg.solve` of
 small matrices. It does not take `if` and `while` that ask for values, masks as indices, arrays of `np.zeros`
-that are filled, random numbers, what is remembered elsewhere than in `memory`, other libraries, or more
-operations than MOST of `simbias.simulation.symbols`. Where code does such things, or a kernel does not give its
+that are filled, random numbers, what is remembered elsewhere than in `memory`, other libraries, or more than
+MOST operations (`simbias.simulation.symbols`). Where code does such things, or what is written gives other
 numbers, the loop runs in NumPy, up to 500 times slower, and a warning names the line.
 
-**By hand.** A kernel is an ordinary Python function of a few numbers, and the parameters that it reads. It may
-branch, and is used in place of what NumPy would be traced to:
+**By hand.** A kernel is an ordinary Python function of a few numbers, and the parameters that it reads. It
+may branch, and is used in place of what NumPy would be traced to:
 
     def _step(x, u, parameters):
         position, velocity = x
