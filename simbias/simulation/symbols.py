@@ -38,6 +38,8 @@ class Trace:
 
     def number(self, value: Any) -> Symbol:
         """A number that the code knows."""
+        if isinstance(value, complex | np.complexfloating):
+            raise TraceError("it computes with complex numbers")
         return self._add("number", value=float(value))
 
     def operation(self, name: str, *operands: Symbol, truth: bool = False) -> Symbol:

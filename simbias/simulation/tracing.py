@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from simbias.blame import is_users
 from simbias.interfaces import FittedBias, Kernel, Model, Nominal, Policy, Task
 from simbias.messages import with_type
 from simbias.records import Array
@@ -30,8 +31,6 @@ from simbias.simulation.written import Written, columns, needed, written
 
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
 ROWS = 32  # states at which they are compared
-_HERE = Path(__file__).parent
-_NUMPY = Path(np.__file__).parent
 
 
 class Part(NamedTuple):
@@ -254,14 +253,11 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
             kernel = trace(subject)
             check(subject, kernel)
     except Exception as error:
-        frames = [
-            f"{Path(frame.filename).name}:{frame.lineno}"
-            for frame in traceback.extract_tb(error.__traceback__)
-            if not {_HERE, _NUMPY} & set(Path(frame.filename).parents)
-        ]
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if is_users(frame.filename)]
+        place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else place
         refused = next((each for each in (error, error.__cause__) if isinstance(each, TraceError)), None)
         why = str(refused) if refused else with_type(error, 100)
-        return Part(None, f"{type(component).__name__}.{method} ({frames[-1] if frames else place}: {why})")
+        return Part(None, f"{type(component).__name__}.{method} ({place}: {why})")
     return Part(kernel)
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from in_numpy import CartPole, Feedback
+from scipy.interpolate import CubicSpline
 
 import simbias
 from simbias.bias.none import ZeroBias
@@ -223,6 +224,9 @@ def never_a_number(x: Array, u: Array) -> Array:
         (lambda x, u: x[..., :2], r"of one row it gives the shape \(1, 2\), not \(1, 3\)"),
         (lambda x, u: np.frexp(x)[0], "np.frexp of values is not known"),
         (lambda x, u: x.astype(int), "it makes whole numbers or conditions"),
+        (lambda x, u: (x * 1j).imag, "it computes with complex numbers"),
+        (lambda x, u: CubicSpline(np.arange(9), np.arange(9) ** 2)(x), "it needs a value"),
+        (lambda x, u: np.sort(x, axis=-1), "it decides by a value"),
     ],
 )
 def test_what_only_numpy_can_run_says_why(step: Callable, why: str) -> None:
