@@ -52,10 +52,10 @@ def has_own_code(error: BaseException) -> bool:
     causes = [error]
     while (cause := causes[-1].__cause__) is not None and cause not in causes:
         causes.append(cause)
-    return any(_is_users(frame.f_code.co_filename) for each in causes for frame in _frames(each))
+    return any(is_users(frame.f_code.co_filename) for each in causes for frame in _frames(each))
 
 
-def _is_users(file: str) -> bool:
+def is_users(file: str) -> bool:
     """Whether a file belongs neither to simbias nor to Python or an installed library."""
     path = Path(file)
     if not path.is_absolute():  # code without a file

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -43,6 +44,11 @@ class Raises(robot.WithoutWind):
 
     def _helped(self, x: Array) -> Array:
         raise KeyError("mass")
+
+
+class Decides(robot.WithoutWind):
+    def step(self, x: Array, u: Array) -> Array:
+        return super().step(x, u) if (np.abs(x) < 1e6).all() else x
 
 
 class OneColumn(robot.WithoutWind):
@@ -105,8 +111,17 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(
 
 
 def test_a_component_of_ones_own_that_keeps_its_contract_is_rehearsed(point_mass: Study) -> None:
-    with pytest.warns(simbias.interfaces.SlowWarning, match="up to 500 times slower.*kernels.py tells how"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", simbias.interfaces.SlowWarning)  # ordinary NumPy is compiled
         rehearse(point_mass)
+
+
+def test_the_line_that_keeps_a_component_in_numpy_is_named(point_mass: Study) -> None:
+    said = (
+        r"up to 500 times slower.*: Decides.step \(test_newcomers.py:\d+: it decides by a value.*kernels.py"
+    )
+    with pytest.warns(simbias.interfaces.SlowWarning, match=said):
+        rehearse(replace(point_mass, nominal=Decides(point_mass.task)))
 
 
 def test_the_traceback_of_an_own_component_is_in_a_file(

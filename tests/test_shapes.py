@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from in_numpy import by_value
 from robots import overrides
 
 import simbias
@@ -31,6 +32,8 @@ def trial_in_numpy(study: Study) -> Outcome:
     """How a trial ends whose searches are simulated in NumPy, so that every method is called."""
     plain = replace(study, nominal=watch(study).nominal)
     plain.nominal.kernel = None
+    for name in ("step", "advance"):
+        setattr(plain.nominal, name, by_value(getattr(plain.nominal, name)))
     return run_trial(watch(plain)).outcome
 
 

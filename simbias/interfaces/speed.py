@@ -7,7 +7,10 @@ from typing import Any, NamedTuple
 
 
 class Kernel(NamedTuple):
-    """What a component offers to the compiled closed loop: see `simbias.simulation.kernels`."""
+    """What a component offers to the compiled closed loop: see `simbias.simulation.kernels`.
+
+    Without one, its method is traced if it is ordinary vectorised NumPy.
+    """
 
     function: Callable
     parameters: Any  # an array; of a bias that works on all lanes, a tuple of arrays

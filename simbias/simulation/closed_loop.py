@@ -1,4 +1,4 @@
-"""Closed-loop rollouts in simulation (Eq. 7, 9): compiled where all parts offer kernels, else in NumPy."""
+"""Closed-loop rollouts in simulation (Eq. 7, 9): compiled where all parts have kernels, else in NumPy."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.correction import corrections
 from simbias.simulation.plain import PlainSimulator
+from simbias.simulation.tracing import parts_of
 
 
 def simulator(model: Model, disturbance: Disturbance | None = None) -> Simulator:
-    """The compiled closed loop where every part of it has a kernel, the plain one otherwise."""
+    """The compiled closed loop where every part of it has a kernel or can be traced, else the plain one."""
     return CompiledSimulator.of(model, disturbance) or PlainSimulator([model], [disturbance], corrections)
 
 
@@ -51,17 +52,10 @@ def join(simulators: Sequence[Simulator]) -> Worlds:
 
 def _say_what_is_slow(model: Model) -> None:
     """Warn of the parts of a closed loop that keep it from being compiled."""
-    kernels = {
-        "task (measure)": model.task.measure_kernel,
-        "task (output)": model.task.output_kernel,
-        "policy": model.policy.kernel,
-        "nominal model": model.nominal.kernel,
-        "bias": model.bias.kernel,
-    }
-    missing = ", ".join(name for name, kernel in kernels.items() if kernel is None)
+    reasons = "; ".join(part.why_not for part in parts_of(model) if part.kernel is None)
     message = (
-        f"simulated in NumPy, up to 500 times slower than compiled, as these have no kernel: {missing}; "
-        "simbias/simulation/kernels.py tells how to write one"
+        f"simulated in NumPy, up to 500 times slower than compiled, as it cannot be compiled: {reasons}; "
+        "simbias/simulation/kernels.py tells what can"
     )
     warnings.warn(message, SlowWarning, stacklevel=3)
 

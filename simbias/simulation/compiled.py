@@ -13,13 +13,14 @@ from simbias.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.fused import Composition, compiled_loop
 from simbias.simulation.plain import costs_of, record
 from simbias.simulation.threads import in_threads
+from simbias.simulation.tracing import parts_of
 
 RECORDED = 256  # rollouts recorded at once: their records take memory
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledSimulator:
-    """The closed loop of components that all offer kernels, in one world or in several."""
+    """The closed loop of components that all have kernels, own or traced, in one world or in several."""
 
     task: Task
     measure: Kernel
@@ -34,12 +35,12 @@ class CompiledSimulator:
 
     @staticmethod
     def of(model: Model, disturbance: Disturbance | None) -> CompiledSimulator | None:
-        """The model's closed loop; None if one of its parts has no kernel."""
-        task, policy, nominal, bias = model.task, model.policy, model.nominal.kernel, model.bias.kernel
-        sizes = policy.memory_size, model.nominal.memory_size
-        measure, output = task.measure_kernel, task.output_kernel
-        if measure is None or output is None or policy.kernel is None or nominal is None or bias is None:
+        """The model's closed loop; None if one of its parts has no kernel, and none can be traced."""
+        parts = parts_of(model)
+        if any(part.kernel is None for part in parts):
             return None
+        task, sizes = model.task, (model.policy.memory_size, model.nominal.memory_size)
+        measure, output, policy, nominal, bias = (part.kernel for part in parts)
         rows = 0 if disturbance is None else task.horizon + 1
         noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))
         if disturbance is not None:
@@ -47,7 +48,7 @@ class CompiledSimulator:
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
         return CompiledSimulator(
-            task, measure, output, policy.kernel, *sizes, nominal, bias, noise, (model.nominal,)
+            task, measure, output, policy, *sizes, nominal, bias, noise, (model.nominal,)
         )
 
     @staticmethod

@@ -18,7 +18,8 @@ from pydantic import BeforeValidator, Field
 from simbias.interfaces import Kernel
 from simbias.messages import quote
 from simbias.records import Array
-from simbias.simulation.compilation import compiled_as, function_of
+from simbias.simulation.choices import greater, lesser
+from simbias.simulation.compilation import function_of
 from simbias.simulation.kernels import elementwise
 from simbias.simulation.trigonometry import sincos
 
@@ -31,28 +32,6 @@ def _as_text(value: Any) -> Any:
 
 
 Expression = Annotated[str, BeforeValidator(_as_text), Field(min_length=1, max_length=LENGTH)]
-
-
-def _lesser(a, b):
-    """The lesser number; nan if one of them is."""
-    return a if a < b or a != a else b
-
-
-def _greater(a, b):
-    """The greater number; nan if one of them is."""
-    return a if a > b or a != a else b
-
-
-@compiled_as(_lesser)
-def lesser(a: Any, b: Any) -> Any:
-    """The lesser of two numbers or, element by element, of arrays."""
-    return np.minimum(a, b)
-
-
-@compiled_as(_greater)
-def greater(a: Any, b: Any) -> Any:
-    """The greater of two numbers or, element by element, of arrays."""
-    return np.maximum(a, b)
 
 
 CONSTANTS = {"pi": math.pi}

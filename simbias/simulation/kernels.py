@@ -1,6 +1,21 @@
 """How a component joins the compiled closed loop: what its author writes, and what the rules are.
 
-A kernel is an ordinary Python function of a few numbers, and the parameters that it reads:
+**In NumPy.** Most need to do nothing for it. A method in ordinary vectorised NumPy, of x (..., n), is called
+once on symbols, and a kernel is written of what it computes (`simbias.simulation.tracing`):
+
+    def step(self, x, u):
+        velocity = x[..., 1] + self.time_step * u[..., 0] / self.mass
+        return np.stack([x[..., 0] + self.time_step * velocity, velocity], axis=-1)
+
+That takes arithmetic, elementary functions, indices, sums, products of matrices, `np.where` and comparisons
+in it, `np.clip`, `np.stack`, arrays of `np.zeros_like` and `x.copy()` that are filled, `np.linalg.solve` of
+small matrices. It does not take `if` and `while` that ask for values, masks as indices, arrays of `np.zeros`
+that are filled, random numbers, what is remembered elsewhere than in `memory`, other libraries, or more than
+MOST operations (`simbias.simulation.symbols`). Where code does such things, or what is written gives other
+numbers, the loop runs in NumPy, up to 500 times slower, and a warning names the line.
+
+**By hand.** A kernel is an ordinary Python function of a few numbers, and the parameters that it reads. It
+may branch, and is used in place of what NumPy would be traced to:
 
     def _step(x, u, parameters):
         position, velocity = x
@@ -50,7 +65,8 @@ def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array
         return _of_numbers(function, vectors, parameters)
     with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
         columns = function(*map(_columns, vectors), tuple(parameters))
-    rows = np.empty((*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns)))
+    shape = (*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns))
+    rows = np.empty_like(vectors[0], np.float64, shape=shape)
     for index, column in enumerate(columns):
         rows[..., index] = column
     return rows

@@ -23,6 +23,7 @@ from simbias.simulation.kernels import LANES
 from simbias.simulation.open_loop_template import TEMPLATE
 from simbias.simulation.text import assign, indent, tuple_of
 from simbias.simulation.threads import in_threads
+from simbias.simulation.tracing import Points, of_bias, of_nominal
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,22 +102,23 @@ def predict(worlds: Sequence[World], windows: Windows, bias: FittedBias | None =
     """Means (k, w, J, n) over each chunk as each of k worlds predicts it; they share the bias."""
     if not len(windows):
         return np.zeros((len(worlds), *windows.means.shape))
-    kernels = [world.nominal.kernel for world in worlds]
-    first = kernels[0]
-    if first is None or any(kernel is None or kernel.function is not first.function for kernel in kernels):
+    points = Points.among(windows.states, windows.inputs)
+    kernels = [of_nominal(world.nominal, points).kernel for world in worlds]
+    correct = None if bias is None else of_bias(bias, points).kernel
+    if any(kernel is None or kernel.function is not kernels[0].function for kernel in kernels):
         return plain(worlds, windows, bias)
-    if bias is not None and bias.kernel is None:
+    if bias is not None and correct is None:
         return plain(worlds, windows, bias)
-    return _compiled(worlds, windows, bias, first.function, worlds[0].nominal.memory_size)
+    return _compiled(worlds, windows, kernels, correct)
 
 
 def _compiled(
-    worlds: Sequence[World], windows: Windows, bias: FittedBias | None, step: Callable, hidden: int
+    worlds: Sequence[World], windows: Windows, kernels: Sequence[Kernel], correct: Kernel | None
 ) -> Array:
     """Without Python, in lanes and threads."""
-    n, m = windows.states.shape[1], windows.inputs.shape[1]
-    parameters = np.array([world.nominal.kernel.parameters for world in worlds if world.nominal.kernel])
-    correct = None if bias is None else bias.kernel
+    n, m, hidden = windows.states.shape[1], windows.inputs.shape[1], worlds[0].nominal.memory_size
+    parameters = np.array([kernel.parameters for kernel in kernels])
+    step = kernels[0].function
     loop = compiled_open_loop(Composition.of(step, correct, n, m, hidden, parameters.shape[1]))
     chunks = windows.frames // windows.chunk
     means = np.empty((len(worlds), chunks.sum(), n))

@@ -1,29 +1,37 @@
 """What a step of a simulated rollout costs: `python tests/benchmarks/closed_loop.py` prints a table.
 
 Costs of policies that balance, from sampled starts on sampled models, as in a search by `evaluation=robust`:
-compiled, and with the same components in NumPy, beside which a learned bias is compiled. All ways are timed
+compiled, and with the same components in NumPy, beside which a learned bias is compiled. Then the same model
+by a kernel that was written by hand, by one that was traced from NumPy, and in that NumPy. All ways are timed
 in turn within one run, on one thread, in processor time, so that a busy machine changes their ratios little:
 the best of ROUNDS rounds.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numba import set_num_threads
 from threadpoolctl import threadpool_limits
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from in_numpy import CartPole, DoublePendulum, Feedback
+
 import simbias
 from simbias.bias.none import ZeroBias
-from simbias.interfaces import FittedBias, SlowWarning
+from simbias.interfaces import FittedBias, Nominal, Simulator, SlowWarning
 from simbias.records import Disturbance, Transitions
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.correction import corrections
 from simbias.simulation.plain import PlainSimulator
+from simbias.simulation.tracing import Points, of_nominal
+from simbias.study import Study
 
 ROUNDS, WORLDS = 7, 8
 BALANCING = np.array([8.12, 4.73, -6.74, -1.02, -5.56])
@@ -62,6 +70,60 @@ def way(bias: FittedBias, noisy: bool, plain: bool, policies: int, horizon: int)
     return run
 
 
+PENDULUM = ["preset=double_pendulum", "identification=none", "hardware.folder=tests/recordings"]
+TWINS: dict[str, tuple[list[str], Callable[[Study], Nominal]]] = {
+    "cart-pole": (
+        ["preset=cartpole"],
+        lambda study: CartPole(study.task, study.nominal.kernel.parameters[1:]),
+    ),
+    "double pendulum": (
+        PENDULUM,
+        lambda study: DoublePendulum(study.nominal.kernel.parameters, study.nominal._sub_steps),
+    ),
+}
+
+
+def twins(robot: str) -> dict[str, Callable[[], int]]:
+    """Simulates the same policies on a robot's model: its kernel, and what somebody writes in NumPy."""
+    options, written = TWINS[robot]
+    study = simbias.load([*options, "policy=output_feedback", "bias=none", "tracking=none"])
+    rng = np.random.default_rng(0)
+    thetas = rng.normal(size=(256, study.policy.n_parameters))
+    starts = np.array([study.task.draw_start(rng) for _ in thetas])
+    model, in_numpy = study.model(), replace(study.model(), nominal=written(study))
+    everything = replace(in_numpy, policy=Feedback(study.task))
+    loops = {
+        f"{robot}, by hand": simulator(model),
+        f"{robot}, traced": simulator(in_numpy),
+        f"{robot}, traced with its policy": simulator(everything),
+        f"{robot}, NumPy": PlainSimulator([everything], [None]),
+    }
+
+    def way(loop: Simulator) -> Callable[[], int]:
+        steps = sum(rollout.frames for rollout in loop.rollouts(thetas, starts))
+
+        def run() -> int:
+            loop.costs(study.cost, thetas, starts)
+            return steps
+
+        return run
+
+    return {name: way(loop) for name, loop in loops.items()}
+
+
+def tracing(robot: str) -> float:
+    """Seconds to trace and check a model that is like one traced before."""
+    options, written = TWINS[robot]
+    study = simbias.load([*options, "tracking=none"])
+    points, seconds = Points.of(study.task), []
+    for _ in range(ROUNDS):
+        model = written(study)
+        start = time.thread_time()
+        assert of_nominal(model, points).kernel is not None
+        seconds.append(time.thread_time() - start)
+    return min(seconds)
+
+
 def main() -> None:
     """Print nanoseconds a step, for each way."""
     none, sparse, exact = ZeroBias(6), fitted("sparse_gp", 200), fitted("gp", 571)
@@ -75,6 +137,14 @@ def main() -> None:
         "gp, 571 samples": way(exact, False, False, 8, 200),
         "gp, 571 samples, NumPy": way(exact, False, True, 32, 20),
     }
+    print_table(ways, "no bias")
+    for robot in TWINS:
+        print_table(twins(robot), f"{robot}, by hand")
+        print(f"\nTo trace and check a {robot}: {1e3 * tracing(robot):.2g} ms\n")
+
+
+def print_table(ways: Mapping[str, Callable[[], int]], reference: str) -> None:
+    """Nanoseconds a step, for each way, and as a ratio to one of them."""
     taken: dict[str, list[float]] = {name: [] for name in ways}
     for run in ways.values():
         run()
@@ -83,9 +153,9 @@ def main() -> None:
             start = time.thread_time()
             steps = run()
             taken[name].append(1e9 * (time.thread_time() - start) / steps)
-    print("| | ns a step | over no bias |\n| --- | --: | --: |")
+    print(f"| | ns a step | over {reference} |\n| --- | --: | --: |")
     for name, values in taken.items():
-        print(f"| {name} | {min(values):.3g} | {min(values) / min(taken['no bias']):.3g} |")
+        print(f"| {name} | {min(values):.3g} | {min(values) / min(taken[reference]):.3g} |")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import simbias
 from simbias.evaluation.robust import CostOfScenarios, Robust, Scenario
-from simbias.interfaces import Cost, SlowWarning
+from simbias.interfaces import Cost
 from simbias.records import Array, Indices, Rollout
 from simbias.simulation.plain import costs_of
 from simbias.study import Study
@@ -123,9 +123,8 @@ def test_by_default_the_declared_noise_is_the_hardwares() -> None:
 
 def test_a_hardware_without_noise_is_evaluated_without_any() -> None:
     study = simbias.load([*POINT_MASS, "tracking=none", "evaluation=robust_models"], OWN_CONF)
-    with pytest.warns(SlowWarning, match=r"have no kernel: task \(measure\)"):
-        costs = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0))
-    assert [scenario.simulator.disturbances for scenario in costs.scenarios] == [[None]] * 8
+    costs = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0))
+    assert [scenario.simulator.noise.shape for scenario in costs.scenarios] == [(1, 0, 3)] * 8
     assert np.isfinite(costs(np.array([9.0, 4.0, 0.0])))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from in_numpy import by_value
 from numba import get_num_threads, set_num_threads
 
 import simbias
@@ -125,20 +126,22 @@ def test_what_is_not_a_number_fails(study: Study) -> None:
         assert loop.rollout(np.zeros(5), start).failed_at == 0
 
 
-def test_plain_components_work_and_mix_with_compiled_ones(point_mass: Study) -> None:
+def test_components_in_numpy_work_and_mix_with_compiled_ones(point_mass: Study) -> None:
     """A user's components have no kernels; the GP, which has one, runs beside them."""
     rollout = point_mass.simulate(np.array([9.0, 4.0, 0.0]))
     assert rollout.frames == point_mass.task.horizon
     assert rollout.cost == point_mass.cost.of(rollout) < 0.1875
-    assert isinstance(point_mass.simulator(), PlainSimulator)
+    plain = PlainSimulator([point_mass.model()], [None]).rollout(np.array([9.0, 4.0, 0.0]), rollout.states[0])
+    np.testing.assert_allclose(plain.states, rollout.states, rtol=1e-9, atol=1e-12)
 
 
 class InNumPy(Nominal):
-    """The bongoboard's model as somebody would write it who knows no kernels."""
+    """The bongoboard's model in a way that only NumPy can run."""
 
     def __init__(self, study: Study) -> None:
         self._model = study.nominal
 
+    @by_value
     def step(self, x: Array, u: Array) -> Array:
         return self._model.step(x, u)
 

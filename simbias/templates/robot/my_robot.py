@@ -12,25 +12,11 @@ import numpy as np
 from pydantic import Field
 
 from simbias.config.numbers import Frames, Length, Mass, TimeStep
-from simbias.interfaces import Criterion, Hardware, Kernel, Nominal, Policy, Quantity, Task
+from simbias.interfaces import Criterion, Hardware, Nominal, Policy, Quantity, Task
 from simbias.parameters import Parameter
 from simbias.records import Array, Rollout
-from simbias.simulation.kernels import elementwise
-from simbias.simulation.trigonometry import sincos
 
 GRAVITY = 9.81  # m/s^2
-
-
-def _measure(x, parameters):
-    """What the failure criteria hold against their limits."""
-    angle, _ = x
-    return (abs(angle),)
-
-
-def _same(x, parameters):
-    """Outputs that are the states."""
-    angle, rate = x
-    return angle, rate
 
 
 class Upright(Task):
@@ -47,8 +33,6 @@ class Upright(Task):
     def __init__(self, time_step: TimeStep = 0.01, horizon: Frames = 300) -> None:
         self.time_step = time_step
         self.horizon = horizon
-        self.measure_kernel = Kernel(_measure, np.empty(0))  # kernels make it fast, and may be left out
-        self.output_kernel = Kernel(_same, np.empty(0))
 
     def measure(self, x: Array) -> Array:
         """Measures (..., 1) of the criteria at states x (..., 2)."""
@@ -59,18 +43,11 @@ class Upright(Task):
         return x.copy()
 
 
-def _step(x, u, parameters):
-    """One time step of the pole, as far as you know it."""
-    time_step, mass, length = parameters
-    angle, rate = x
-    sine, _ = sincos(angle)
-    acceleration = GRAVITY / length * sine + u[0] / (mass * length * length)
-    rate = rate + time_step * acceleration
-    return angle + time_step * rate, rate
-
-
 class Belief(Nominal):
-    """Your simulation model f'. Parameters are what you don't know exactly, and by how much."""
+    """Your simulation model f'. Parameters are what you don't know exactly, and by how much.
+
+    It is compiled as long as it is ordinary NumPy, np.where in place of `if` (simbias/simulation/kernels.py).
+    """
 
     def __init__(self, task: Upright, mass: Mass = 1.0, length: Length = 0.5) -> None:
         self._task = task
@@ -78,12 +55,15 @@ class Belief(Nominal):
             Parameter("mass", "kg", mass, 0.2, "log_normal"),
             Parameter("length", "m", length, 0.1, "log_normal"),
         )
-        self._numbers = np.array([task.time_step, mass, length])
-        self.kernel = Kernel(_step, self._numbers)
+        self._mass, self._length = mass, length
 
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., 2), one time step after x (..., 2) under u (..., 1)."""
-        return elementwise(_step, x, u, parameters=self._numbers)
+        angle, rate = x[..., 0], x[..., 1]
+        inertia = self._mass * self._length**2
+        acceleration = GRAVITY / self._length * np.sin(angle) + u[..., 0] / inertia
+        rate = rate + self._task.time_step * acceleration
+        return np.stack([angle + self._task.time_step * rate, rate], axis=-1)
 
     def with_parameters(self, values: Array) -> Belief:
         """The model with another mass and length."""

@@ -1,0 +1,380 @@
+"""Kernels that are traced from NumPy: the same numbers, or the plain loop and a line that says why."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from in_numpy import CartPole, Feedback
+from scipy.interpolate import CubicSpline
+
+import simbias
+from simbias.bias.none import ZeroBias
+from simbias.identification.posterior import Identified
+from simbias.interfaces import FittedBias, Kernel, Model, Nominal
+from simbias.records import Array
+from simbias.simulation.closed_loop import join, simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.simulation.plain import PlainSimulator
+from simbias.simulation.symbolic_arrays import Symbols
+from simbias.simulation.symbols import MOST, TraceError
+from simbias.simulation.tracing import Points, _knows_foreign_code, of_bias, of_nominal, of_policy
+from simbias.study import Study
+
+RNG = np.random.default_rng(0)
+POINTS = Points(RNG.normal(size=(32, 3)), RNG.normal(size=(32, 3)))
+OTHERS = Points(RNG.normal(size=(50, 3)), RNG.normal(size=(50, 3)))
+VALUES = np.array([10.5, 6.8, 0.81, 0.0, 1.0, 9.81])
+
+
+class Stepping(Nominal):
+    """A model whose step is a function."""
+
+    def __init__(self, function: Callable[[Array, Array], Array]) -> None:
+        self._function = function
+
+    def step(self, x: Array, u: Array) -> Array:
+        return self._function(x, u)
+
+
+@pytest.fixture(scope="module")
+def cartpole() -> Study:
+    return simbias.load(["preset=cartpole", "task.horizon=100", "bias=none", "tracking=none"])
+
+
+def expect_the_same(kernel: Kernel, step: Callable[[Array, Array], Array], points: Points = OTHERS) -> None:
+    """The traced text in Python, at other states than those at which it was checked."""
+    with np.errstate(all="ignore"):
+        columns = kernel.function(tuple(points.x.T), tuple(points.u.T), tuple(kernel.parameters))
+        expected = step(points.x, points.u)
+    for index, column in enumerate(columns):
+        np.testing.assert_allclose(np.broadcast_to(column, 50), expected[:, index], rtol=1e-9, atol=1e-12)
+
+
+A = np.array([[0.0, 1.0, 2.0], [-1.0, 0.5, 0.0], [0.1, 0.2, 0.3]])
+SPD = A @ A.T + np.eye(3)
+
+
+def made_in_place(a: Array, b: Array) -> Array:
+    x = a.copy()
+    x[..., 1] += 0.5 * b[..., 0]
+    x[..., :1] *= b[..., 2:]
+    return x
+
+
+def filled(a: Array, b: Array) -> Array:
+    x = np.zeros_like(a)
+    x[..., 0], x[..., 1:] = b[..., 1], a[..., :2]
+    return x
+
+
+def solved(a: Array, b: Array) -> Array:
+    M = SPD + 0.1 * np.abs(a)[..., None] * np.eye(3)
+    return np.linalg.solve(M, b[..., None])[..., 0] + np.einsum("...ij,...j->...i", np.linalg.inv(M), a)
+
+
+def eliminated(a: Array, b: Array) -> Array:
+    rows = np.concatenate([a, b[..., :1]], axis=-1)
+    M = rows[..., :, None] * rows[..., None, :] + 3 * np.eye(4)
+    return np.linalg.solve(M, np.concatenate([b, a[..., :1]], axis=-1)[..., None])[..., 1:, 0]
+
+
+OPERATIONS: list[Callable[[Array, Array], Array]] = [
+    lambda a, b: a + 2 * b - 1,
+    lambda a, b: a * b / (1 + b**2),
+    lambda a, b: 1 / (3 + np.sin(a) * np.cos(a)) - b / 7,
+    lambda a, b: np.sqrt(np.abs(a)) + np.tanh(b) ** 3 - np.abs(b) ** 0.5,
+    lambda a, b: np.exp(-(a**2)) + np.log1p(b * b) + np.expm1(-np.square(b)),
+    lambda a, b: np.arctan2(a, b) + np.hypot(a, b) + np.arctan(a),
+    lambda a, b: np.where((a > b) & ~(a <= 0) | (b != b), a, -b),
+    lambda a, b: np.maximum(a, b) - np.minimum(a, 0.3),
+    lambda a, b: np.clip(a, -0.5, 0.5) + (a >= b) * b,
+    lambda a, b: np.select([a > 1, b > 1], [a, 0.5 * b], 0.25),
+    lambda a, b: (a + np.pi) % (2 * np.pi) - np.pi + np.floor(b),
+    lambda a, b: np.sign(a) * np.ceil(b) + np.tan(0.1 * b),
+    lambda a, b: a @ A.T + (A @ b[..., None])[..., 0],
+    lambda a, b: np.einsum("ij,...j->...i", A, a) + np.dot(b, A),
+    lambda a, b: np.cross(a, b),
+    lambda a, b: np.stack([a[..., 0], b[..., 1], a[..., 2] * b[..., 0]], axis=-1),
+    lambda a, b: np.concatenate([a[..., :1], b[..., 1:]], axis=-1)[..., ::-1],
+    lambda a, b: a.sum(axis=-1, keepdims=True) * np.ones(3) + np.cumsum(b, axis=-1),
+    lambda a, b: b - a.mean(axis=-1)[..., None] + np.roll(b, 1, axis=-1),
+    lambda a, b: a / (1 + np.linalg.norm(b, axis=-1, keepdims=True)),
+    lambda a, b: np.moveaxis(np.array([a[..., 0], a[..., 1] - b[..., 2], b[..., 0]]), 0, -1) + 0 * a,
+    lambda a, b: np.asarray(a) * a.max(axis=-1, keepdims=True) + b.astype(float).min(axis=-1)[..., None],
+    lambda a, b: np.any(a > 1, axis=-1, keepdims=True) * a + np.isfinite(b) * 1.0,
+    *(made_in_place, filled, solved, eliminated),
+]
+
+
+@pytest.mark.parametrize("operation", range(len(OPERATIONS)))
+def test_every_operation_is_traced(operation: int) -> None:
+    part = of_nominal(Stepping(OPERATIONS[operation]), POINTS)
+    assert part.kernel, part.why_not
+    expect_the_same(part.kernel, OPERATIONS[operation])
+
+
+Program = list[tuple[int, int, int]]
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, len(OPERATIONS) - 1), st.integers(0, 9), st.integers(0, 9)),
+        min_size=1,
+        max_size=6,
+    )
+)
+def test_programs_of_them_are_traced(program: Program) -> None:
+    """Each operation takes two earlier values."""
+
+    def step(x: Array, u: Array) -> Array:
+        values = [x, u]
+        for operation, first, second in program:
+            made = OPERATIONS[operation](values[first % len(values)], values[second % len(values)])
+            values.append(np.tanh(made))
+        return values[-1]
+
+    part = of_nominal(Stepping(step), POINTS)
+    assert part.kernel, part.why_not
+    expect_the_same(part.kernel, step)
+
+
+def test_numbers_change_no_operation(cartpole: Study) -> None:
+    """Neither 0 nor 1, nor what is equal; so worlds run in step, and each loop is compiled once."""
+    points = Points.of(cartpole.task)
+    values = [VALUES, np.ones(6), np.array([1.0, 0.5, 0.5, 0.0, 0.0, 0.0]), RNG.uniform(0.1, 9, 6)]
+    kernels = [of_nominal(CartPole(cartpole.task, each), points).kernel for each in values]
+    assert len({kernel.function for kernel in kernels}) == 1
+    assert len({kernel.parameters.tobytes() for kernel in kernels}) == len(values)
+
+
+def test_it_is_traced_once_for_each_model(cartpole: Study) -> None:
+    model, points = CartPole(cartpole.task, VALUES), Points.of(cartpole.task)
+    assert of_nominal(model, points).kernel is of_nominal(model, points).kernel
+    changed = model.with_parameters(2 * VALUES)
+    assert of_nominal(changed, points).kernel.parameters is not of_nominal(model, points).kernel.parameters
+
+
+class Counting(Nominal):
+    """Depends on how often it was asked."""
+
+    calls = 0
+
+    def step(self, x: Array, u: Array) -> Array:
+        self.calls += 1
+        return x + self.calls
+
+
+def branching(x: Array, u: Array) -> Array:
+    return x if x[0, 0] > 0 else u
+
+
+def into_numbers(x: Array, u: Array) -> Array:
+    made = np.zeros(x.shape)
+    made[..., 0] = x[..., 0]
+    return made
+
+
+def by_mask(x: Array, u: Array) -> Array:
+    made = x.copy()
+    made[made > 1] = 1
+    return made
+
+
+def row_by_row(x: Array, u: Array) -> Array:
+    return x + x.mean(axis=0)
+
+
+def long(x: Array, u: Array) -> Array:
+    for _ in range(MOST):
+        x = np.sin(x + u)
+    return x
+
+
+def noisy(x: Array, u: Array) -> Array:
+    return x + np.random.default_rng().normal(size=x.shape)
+
+
+def broken(x: Array, u: Array) -> Array:
+    raise KeyError("mass")
+
+
+def never_a_number(x: Array, u: Array) -> Array:
+    return x / (u - u)
+
+
+@pytest.mark.parametrize(
+    ("step", "why"),
+    [
+        (branching, "it decides by a value"),
+        (into_numbers, r"it needs a value, as float\(\), math and arrays of np.zeros do"),
+        (by_mask, "IndexError: "),
+        (row_by_row, "what was written down gives other numbers"),
+        (long, f"it takes more than {MOST} operations"),
+        (noisy, "it gives other numbers when it is asked again"),
+        (broken, "KeyError: 'mass'"),
+        (never_a_number, "it gives what is no number at most states"),
+        (lambda x, u: x[..., :2], r"of one row it gives the shape \(1, 2\), not \(1, 3\)"),
+        (lambda x, u: np.frexp(x)[0], "np.frexp of values is not known"),
+        (lambda x, u: x.astype(int), "it makes whole numbers or conditions"),
+        (lambda x, u: (x * 1j).imag, "it computes with complex numbers"),
+        (lambda x, u: CubicSpline(np.arange(9), np.arange(9) ** 2)(x), "it needs a value"),
+        (lambda x, u: np.sort(x, axis=-1), "it decides by a value"),
+    ],
+)
+def test_what_only_numpy_can_run_says_why(step: Callable, why: str) -> None:
+    part = of_nominal(Stepping(step), POINTS)
+    assert part.kernel is None
+    assert re.match(rf"Stepping.step \(test_tracing.py:\d+: {why}", part.why_not), part.why_not
+
+
+def test_what_a_model_remembers_of_the_attempt_is_forgotten() -> None:
+    model = Counting()
+    assert "it gives other numbers when it is asked again" in of_nominal(model, POINTS).why_not
+    assert model.calls == 0
+
+
+def engines(x: Array) -> list[Callable]:
+    """Ways in which a symbolic array's memory could come into other hands."""
+    import ctypes
+
+    return [
+        lambda: x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)),
+        lambda: (ctypes.c_double * 3).from_buffer(x.data),
+        lambda: np.ascontiguousarray(x, np.float64).ctypes.data,
+        lambda: np.ctypeslib.as_ctypes(x),
+        lambda: np.frombuffer(x.tobytes()),
+    ]
+
+
+@pytest.mark.parametrize("way", range(5))
+def test_memory_of_an_array_goes_to_no_other_code(way: int) -> None:
+    """An engine would read addresses for numbers, and write numbers over them."""
+    asked = []
+
+    def step(x: Array, u: Array) -> Array:
+        if isinstance(x, Symbols):
+            with pytest.raises((TraceError, TypeError, ValueError)):
+                engines(x)[way]()
+            asked.append(way)
+        return x + u
+
+    of_nominal(Stepping(step), POINTS)
+    assert asked
+
+
+def test_modules_that_know_ctypes_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    import ctypes
+
+    class Engine(Stepping):
+        def with_parameters(self, values: Array) -> Nominal:
+            return self
+
+    def identified() -> Nominal:
+        return Identified(Engine(lambda x, u: x + u), np.zeros(0), np.zeros((0, 0)), {})
+
+    assert of_nominal(identified(), POINTS).kernel is not None
+    for value in (ctypes, ctypes.CDLL, ctypes.CDLL(None), ctypes.CDLL(None).abs, ctypes.POINTER):
+        monkeypatch.setitem(globals(), "library", value)
+        _knows_foreign_code.cache_clear()
+        assert of_nominal(identified(), POINTS).kernel is None, value
+    part = of_nominal(Engine(lambda x, u: x + u), POINTS)
+    _knows_foreign_code.cache_clear()
+    assert "its module calls code by ctypes" in part.why_not
+
+
+class Remembers(Nominal):
+    """What it keeps of the last input."""
+
+    memory_size = 3
+
+    def step(self, x: Array, u: Array) -> Array:
+        return x + 0.1 * u
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        return x + 0.1 * (memory + u) / 2, u
+
+
+def test_models_and_policies_with_memory_are_traced() -> None:
+    part = of_nominal(Remembers(), POINTS)
+    assert part.kernel, part.why_not
+    made, kept = part.kernel.function(
+        (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), tuple(part.kernel.parameters), (0.0, 1.0, 0.0)
+    )
+    np.testing.assert_allclose(made, [1.2, 2.3, 3.3])
+    assert kept == (4.0, 5.0, 6.0)
+
+
+class Corrects(FittedBias):
+    def __init__(self) -> None:
+        self.weights = 0.1 * A
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        return np.zeros((len(inputs), 3)), np.ones((len(inputs), 3))
+
+    def correction(self, x: Array, u: Array) -> Array:
+        return np.tanh(x) @ self.weights
+
+
+def test_a_bias_of_ones_own_is_traced() -> None:
+    bias = Corrects()
+    part = of_bias(bias, POINTS)
+    assert part.kernel, part.why_not
+    expect_the_same(part.kernel, bias.correction)
+
+
+class Later(Feedback):
+    """From half a second on, and smoothly."""
+
+    memory_size = 1
+
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        u, _ = super().act(theta, x, t, memory)
+        smooth = memory + 0.1 * (u - memory)
+        return smooth * np.where(t >= 0.5, 1.0, 0.0), smooth
+
+
+@pytest.mark.parametrize("policy", [Feedback, Later])
+def test_what_thetas_alone_decide_is_computed_once(cartpole: Study, policy: type[Feedback]) -> None:
+    """The exponentials of the gains are not in the loop."""
+    part = of_policy(policy(cartpole.task), cartpole.task, Points.of(cartpole.task))
+    assert part.kernel, part.why_not
+    thetas = RNG.normal(size=(5, 4))
+    kernel = part.kernel(thetas)
+    gains = np.sign(thetas) * np.expm1(np.abs(thetas))
+    np.testing.assert_allclose(kernel.parameters[:, :4], gains, rtol=1e-12)
+    assert "expm1" not in kernel.function.__code__.co_names
+
+
+def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
+    """All of it but the declared task, in two worlds in step."""
+    task = cartpole.task
+    nominal = CartPole(task, VALUES)
+    first = Model(task, Later(task), nominal, ZeroBias(4))
+    models = [first, replace(first, nominal=nominal.with_parameters(1.2 * VALUES))]
+    thetas = np.array([1.0, 4.0, 1.0, 2.0]) + RNG.normal(size=(40, 4))
+    starts, worlds = np.array([task.draw_start(RNG) for _ in thetas]), RNG.integers(0, 2, 40)
+    together = join([simulator(model) for model in models])
+    assert isinstance(together, CompiledSimulator)
+    reference = PlainSimulator(models, [None, None])
+    made, expected = (loop.rollouts(thetas, starts, worlds) for loop in (together, reference))
+    assert len({rollout.frames for rollout in made}) > 3
+    for one, other in zip(made, expected, strict=True):
+        assert one.frames == other.frames
+        np.testing.assert_allclose(one.states, other.states, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_traced_model_predicts_recordings_as_the_plain_one(cartpole: Study) -> None:
+    nominal = CartPole(cartpole.task, VALUES)
+    windows = Windows.of([cartpole.simulate(np.ones(4))], 5, 5)
+    worlds = [World(nominal), World(nominal.with_parameters(1.2 * VALUES))]
+    np.testing.assert_allclose(predict(worlds, windows), plain(worlds, windows), rtol=1e-9, atol=1e-12)
