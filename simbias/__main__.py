@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from simbias import __version__
 from simbias.commands import add_own_components, python
-from simbias.config import Composition, ConfigError, compose, options, sweeps
+from simbias.config import Composition, ConfigError, Variations, options, sweeps
 
 if TYPE_CHECKING:
     from simbias.study import Study
@@ -104,11 +104,14 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
 
         preview(parsed.overrides[1:], parsed.config_dir, parsed.allow)
         return SUCCEEDED
-    composition = compose(parsed.overrides, parsed.config_dir, parsed.allow)
+    variations = Variations(parsed.overrides, parsed.config_dir, parsed.allow)
+    composition = variations.composition({})
     if parsed.cfg:
         print(_as_yaml(composition), end="")
         return SUCCEEDED
-    return (_sweep if "sweep" in composition.config else _run)(parsed, composition)
+    if "sweep" in composition.config:
+        return _sweep(parsed, composition, variations)
+    return _run(parsed, composition)
 
 
 def _config_dir(arguments: Sequence[str] | None) -> str | None:
@@ -188,7 +191,7 @@ def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
     return WAITING if record.outcome is Outcome.WAITING else FAILED
 
 
-def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
+def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Variations) -> int:
     """Run a sweep in the terminal, or tell what it would run."""
     from simbias.config.services import engine, tracking
     from simbias.sweep.running import prepare, run_sweep
@@ -198,15 +201,16 @@ def _sweep(parsed: argparse.Namespace, composition: Composition) -> int:
 
     trials_engine, store = engine(composition), tracking(composition)
     with preparing(), slowness_in_one_line():
-        sweep, study, finished = prepare(store, parsed.overrides, parsed.config_dir, parsed.allow)
+        sweep, study, finished = prepare(store, variations)
     if sweep.dry_run:
         dry_run(sweep, study, finished, trials_engine)
         return SUCCEEDED
-    again = _command(parsed)
+    console, again = SweepConsole(), _command(parsed)
+    if len(finished) == len(sweep.trials):
+        console.announce(sweep, len(finished))  # at once: MLflow takes two seconds until the store is open
     tracked = store.open_sweep(sweep, again)
     if tracked.changed:
         print(f"simbias: {tracked.changed}", file=sys.stderr)
-    console = SweepConsole()
     try:
         trials = run_sweep(sweep, trials_engine, tracked, console)
     except KeyboardInterrupt:

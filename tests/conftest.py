@@ -85,7 +85,7 @@ def _composed_once() -> Iterator[None]:
     def compose_once(self: Variations, options: tuple[str, ...]) -> Any:
         if self._folders not in ([], [OWN_CONF]):  # files that tests write
             return compose(self, options)
-        key = (tuple(self._overrides), str(self._config_dir), options)
+        key = (tuple(self.overrides), str(self._config_dir), options)
         if key not in known:
             known[key] = compose(self, options)
         return known[key]

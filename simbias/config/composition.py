@@ -99,7 +99,7 @@ class Variations:
     ) -> None:
         for override in overrides:
             _check_text(override)
-        self._overrides = list(overrides)
+        self.overrides = list(overrides)
         self._config_dir = config_dir
         self._composed: dict[tuple[str, ...], _Composed] = {}
         if config_dir is not None and not Path(config_dir).is_dir():
@@ -136,7 +136,7 @@ class Variations:
         except (HydraException, OmegaConfBaseException, UserWarning) as error:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
-            raise ConfigError(" ".join(self._overrides), reason(error)) from error
+            raise ConfigError(" ".join(self.overrides), reason(error)) from error
         return Composition(plain, composed.choices, (*self._allowed, *beside(plain, self._folders)))
 
     def _compose(self, options: tuple[str, ...]) -> _Composed:
@@ -145,7 +145,7 @@ class Variations:
         from omegaconf import OmegaConf
 
         if options not in self._composed:
-            overrides = [*self._overrides, *options]
+            overrides = [*self.overrides, *options]
             if self._config_dir is not None:
                 overrides.append(
                     f"hydra.searchpath=[{_quoted(f'file://{Path(self._config_dir).resolve()}')}]"

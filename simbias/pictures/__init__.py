@@ -7,16 +7,22 @@ its method does not search or learn, raises `NoPictureError`. How a task looks i
 it (`simbias.pictures.drawing`).
 """
 
-from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of
-from simbias.pictures.style import save
-from simbias.pictures.trial.animation import save_animation
-from simbias.pictures.trial.costs import costs
-from simbias.pictures.trial.errors import prediction_errors
-from simbias.pictures.trial.forecast import forecast
-from simbias.pictures.trial.overview import overview
-from simbias.pictures.trial.phases import phases
-from simbias.pictures.trial.rejections import rejections
-from simbias.pictures.trial.snapshots import snapshots
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of
+    from simbias.pictures.style import save
+    from simbias.pictures.trial.animation import save_animation
+    from simbias.pictures.trial.costs import costs
+    from simbias.pictures.trial.errors import prediction_errors
+    from simbias.pictures.trial.forecast import forecast
+    from simbias.pictures.trial.overview import overview
+    from simbias.pictures.trial.phases import phases
+    from simbias.pictures.trial.rejections import rejections
+    from simbias.pictures.trial.snapshots import snapshots
 
 __all__ = [
     "Drawing",
@@ -32,3 +38,19 @@ __all__ = [
     "save_animation",
     "snapshots",
 ]
+
+_ALONE = ("costs", "forecast", "overview", "phases", "rejections", "snapshots")  # in modules so called
+_MODULES = {
+    **dict.fromkeys(("Drawing", "NoPictureError", "drawing_of"), "drawing"),
+    "save": "style",
+    "save_animation": "trial.animation",
+    "prediction_errors": "trial.errors",
+    **{name: f"trial.{name}" for name in _ALONE},
+}
+
+
+def __getattr__(name: str) -> Any:
+    """What `__all__` names, imported when it is asked for: Matplotlib takes a third of a second."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

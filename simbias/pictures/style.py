@@ -1,4 +1,4 @@
-"""Colours, labels and files that all figures share."""
+"""Colours, labels and files that all figures share; Matplotlib is imported where something is drawn."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-from PIL import Image
+from typing import TYPE_CHECKING
 
 from simbias.interfaces import Criterion, Quantity, Task
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+    from PIL import Image
 
 # Okabe and Ito's colours, which the colour-blind tell apart.
 SIMULATION, HARDWARE, NOMINAL = "#0072B2", "#D55E00", "#009E73"
@@ -72,6 +71,8 @@ def shade_beyond(axes: Axes, limit: float, words: str) -> None:
 
 def logarithmic(axes: Axes, *names: str) -> None:
     """Scale the axes of these names, x or y; a tick a decade, as minor ones take most of a figure's time."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     for name in names:
         axis: Axis = getattr(axes, f"{name}axis")
         axes.set(**{f"{name}scale": "log"})
@@ -93,6 +94,8 @@ def plain(axes: Axes) -> None:
 def save(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG or, if the path ends so, as SVG; the same figure gives the same file."""
     if Path(path).suffix == ".svg":
+        from matplotlib import rc_context
+
         with rc_context({"svg.hashsalt": "simbias"}), _silence():
             figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
     else:
@@ -116,6 +119,9 @@ def _silence() -> Iterator[None]:
 
 def render(figure: Figure, dots_per_inch: int) -> Image.Image:
     """A figure in pixels, of 256 colours: in line art none is missed, and files are a third as large."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
     figure.set_dpi(dots_per_inch)
     canvas = FigureCanvasAgg(figure)
     with _silence():

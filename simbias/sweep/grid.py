@@ -119,12 +119,16 @@ def expand(
     ConfigError
         If the sweep, an axis or a value is bad; the components of each cell are not built, so not checked.
     """
-    variations = Variations(overrides, config_dir, allow)
+    return expanded(Variations(overrides, config_dir, allow))
+
+
+def expanded(variations: Variations) -> Sweep:
+    """The grid of a command line whose compositions are known already; errors as of `expand`."""
     base = variations.composition({})
     values = _specification(base)
     axes = tuple(read_axis(name, spec) for name, spec in values["axes"].items())
     _check_size(axes, values["trials"])
-    _check_keys(axes, overrides, base.choices.keys())
+    _check_keys(axes, variations.overrides, base.choices.keys())
     cells = tuple(_cells(axes, _common_seeds(values, axes), variations))
     return Sweep(
         name=base.choices.get("sweep", "sweep"),

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from pandas import DataFrame
 
-from simbias.config import ConfigError, compose
+from simbias.config import ConfigError, Variations
 from simbias.config.build import build
 from simbias.config.services import engine, tracking
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.pictures.sweep.making import FigureObserver, make_figures
 from simbias.study import Study
-from simbias.sweep.grid import Sweep, Trial, expand
+from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.worker import Plan, lost, run_plan
 from simbias.testing.rehearsal import rehearse
@@ -47,18 +47,17 @@ def run(
     ConfigError
         If anything is bad about the sweep; nothing has run then.
     """
-    composition = compose(overrides, config_dir, allow)
+    variations = Variations(overrides, config_dir, allow)
+    composition = variations.composition({})
     if "sweep" not in composition.config:
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
     trials_engine, store = engine(composition), tracking(composition)
-    sweep, _, _ = prepare(store, overrides, config_dir, allow)
+    sweep, _, _ = prepare(store, variations)
     again = f"simbias.run_sweep({list(overrides)!r})"
     return run_sweep(sweep, trials_engine, store.open_sweep(sweep, again), observer)
 
 
-def prepare(
-    store: Tracking, overrides: Sequence[str], config_dir: Path | str | None = None, allow: Sequence[str] = ()
-) -> tuple[Sweep, Study, DataFrame]:
+def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, DataFrame]:
     """The sweep, the study of its first cell, and the finished trials that the store keeps.
 
     The components of every cell could be built. Where trials are missing, the simulation is compiled.
@@ -68,7 +67,7 @@ def prepare(
     ConfigError
         If anything is bad about the sweep or one of its cells; nothing has run then.
     """
-    sweep = expand(overrides, config_dir, allow)
+    sweep = expanded(variations)
     studies: dict[tuple[str, ...], Study] = {}
     for cell in sweep.cells:
         try:

@@ -34,6 +34,7 @@ TABLES = frozenset(  # that every store has; in place of those that are gone, ML
         *("runs", "tags", "params", "metrics", "latest_metrics"),
     ]
 )
+PLAIN = re.compile(r"sqlite:///([^?%@]+)")  # an address whose file is what stands there
 PART = ".part"  # suffix of a SQLite store that is being made
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
 
@@ -227,14 +228,28 @@ def database(uri: str) -> Path | None:
     ConfigError
         If the address is none.
     """
-    import sqlalchemy
-
     if not uri.startswith("sqlite"):
         return None
     try:
-        return _resolved(str(sqlalchemy.make_url(uri).database))
-    except (sqlalchemy.exc.ArgumentError, OSError) as error:
+        return _resolved(plain[1] if (plain := PLAIN.fullmatch(uri)) else _file(uri))
+    except (ValueError, OSError) as error:
         raise ConfigError("tracking.uri", cause(error)) from error
+
+
+def _file(uri: str) -> str:
+    """What SQLAlchemy, which takes a fifth of a second to import, reads as the file in an address.
+
+    Raises
+    ------
+    ValueError
+        If it is no address.
+    """
+    import sqlalchemy
+
+    try:
+        return str(sqlalchemy.make_url(uri).database)
+    except sqlalchemy.exc.ArgumentError as error:
+        raise ValueError(str(error)) from error
 
 
 def _resolved(file: str) -> Path:

@@ -62,3 +62,19 @@ def test_tables_of_another_mlflow_are_read_by_mlflow(
     through = list(nested._from_client(client, experiment, parent))
     monkeypatch.setattr(nested, "_from_database", changed)
     assert nested.nested_runs(client, experiment, parent) == through
+
+
+@pytest.mark.slow
+def test_a_sweeps_runs_are_found_without_mlflow(sweep: tuple[MlflowClient, str, str]) -> None:
+    client, experiment, parent = sweep
+    file = nested.database(client.tracking_uri)
+    assert file is not None
+    assert nested.runs_of_sweep(file, "e", "s") == []
+    client.set_tag(parent, "hash", "s")
+    assert nested.runs_of_sweep(file, "e", "s") == []  # a trial of that hash
+    client.set_tag(parent, "sweep", "mine")
+    assert nested.runs_of_sweep(file, "e", "s") == nested.nested_runs(client, experiment, parent) != []
+    assert nested.runs_of_sweep(file, "another", "s") == []
+    client.delete_experiment(experiment)
+    assert nested.runs_of_sweep(file, "e", "s") == []
+    assert nested.runs_of_sweep(file.with_name("none.db"), "e", "s") == []

@@ -15,7 +15,7 @@ from records import assert_equal, timeless
 from sweeping import QUICK, runs
 
 import simbias
-from simbias.config import ConfigError
+from simbias.config import ConfigError, Variations
 from simbias.engine.sequential import Sequential
 from simbias.records import Array, Iteration, Learning, Rollout
 from simbias.study import Observer, Study
@@ -135,7 +135,7 @@ def test_trials_of_a_sweep_are_read_back(tmp_path: Path) -> None:
     uri = f"sqlite:///{tmp_path}/mlflow.db"
     words = ["+sweep=smoke", *QUICK, "sweep.trials=1"]
     store = Mlflow(uri, pictures=False)
-    sweep, _, _ = prepare(store, words)
+    sweep, _, _ = prepare(store, Variations(words))
     run_sweep(sweep, Sequential(), store.open_sweep(sweep, "the command"))
     (parent,), trials = runs(tmp_path)
     planned = {trial.hash: trial for trial in sweep.trials}

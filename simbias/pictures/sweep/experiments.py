@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from simbias.pictures.series import draw_legend, look
 from simbias.pictures.style import plain
@@ -20,6 +18,9 @@ from simbias.pictures.sweep.swept import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.tables import CONFIDENCE, cells
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from simbias.sweep.axes import Axis
     from simbias.sweep.grid import Sweep
 
@@ -61,6 +62,8 @@ def _caption(table: pd.DataFrame) -> str:
 
 def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     """The cells along an axis, a curve for each combination of the others."""
+    from matplotlib.figure import Figure  # lazily: a sweep is told of before anything is drawn
+
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
