@@ -31,9 +31,16 @@ DETERMINISTIC = [name for name in get_args(Algorithm) if "DIRECT" in name and "R
 Make = Callable[..., Optimizer]
 
 
+def written(name: str) -> dict[str, Any]:
+    """What a YAML says, after those that it goes on from."""
+    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "optimizer" / f"{name}.yaml"))
+    before = [written(other) for other in config.pop("defaults", []) if other != "_self_"]
+    return {key: value for each in [*before, config] for key, value in each.items()}
+
+
 def shipped(name: str) -> Make:
     """What makes the optimizer of a YAML, some of its arguments changed."""
-    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "optimizer" / f"{name}.yaml"))
+    config = written(name)
     module, _, class_name = config.pop("_target_").rpartition(".")
     return lambda **changes: getattr(importlib.import_module(module), class_name)(**{**config, **changes})
 

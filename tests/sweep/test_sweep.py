@@ -34,6 +34,7 @@ from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import cells, interval, layout, legend, markdown
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.sweep import SweepConsole
+from simbias.terminal.trial import COMPILING
 from simbias.tracking import fields, results
 from simbias.tracking.mlflow_sweep import MlflowSweep
 from simbias.tracking.mlflow_trial import MlflowTrial
@@ -400,16 +401,31 @@ def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest
         simbias.run_sweep(["bias=none"])
 
 
+IN_NUMPY = """
+from point_mass import WithoutWind
+
+class Walled(WithoutWind):
+    def step(self, x, u):
+        if (x[..., 0] > 1e6).any():
+            raise ValueError("through the wall")
+        return super().step(x, u)
+"""
+
+
 def test_own_components_are_swept(folder: Path) -> None:
     conf = folder / "conf"
     shutil.copytree(OWN_CONF, conf)
     (conf / "components.yaml").write_text("allow: [point_mass]\n")
+    (conf / "nominal" / "walled.yaml").write_text("_target_: walled.Walled\n")
+    (folder / "walled.py").write_text(IN_NUMPY)
     write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
+    own = [*(option for option in POINT_MASS if not option.startswith("nominal=")), "nominal=walled"]
     quick = ["optimizer.max_evaluations=40", "tracking.pictures=false"]
-    status, _, err = run("--config-dir", "conf", "+sweep=wind", *POINT_MASS, *quick, folder=folder)
+    status, _, err = run("--config-dir", "conf", "+sweep=wind", *own, *quick, folder=folder)
     assert status == 0, err
-    (slow,) = err.splitlines()  # once, although every trial is
+    (slow,) = (line for line in err.splitlines() if line != COMPILING)  # once, although every trial is
     assert slow.startswith("simbias: simulated in NumPy, up to 500 times slower")
+    assert "Walled.step (walled.py:6: " in slow
     assert len(trial_by_trial(folder)) == 4
 
 
