@@ -17,8 +17,8 @@ n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a p
 `task` receives the task. State is passed, never hidden; randomness comes only from a passed NumPy generator.
 
 Where a shape begins with `...`, any leading axes may stand, as in NumPy's own functions: a policy search
-simulates all its candidates together. A component may offer a compiled `kernel` besides. When all parts of a
-closed loop do, rollouts run without Python, with the same numbers.
+simulates all its candidates together. Methods in ordinary vectorised NumPy are compiled for that, with the
+same numbers but for rounding; a component may offer a `kernel` in their place (`simbias.simulation.kernels`).
 """
 
 from simbias.interfaces.model import Bias, FittedBias, Identification, Nominal, Samples
