@@ -21,9 +21,10 @@ from simbias.simulation.compilation import OPTIONS, Compilation
 from simbias.simulation.correction import for_all_lanes
 from simbias.simulation.kernels import LANES
 from simbias.simulation.open_loop_template import TEMPLATE
+from simbias.simulation.points import Points
 from simbias.simulation.text import assign, indent, tuple_of
 from simbias.simulation.threads import in_threads
-from simbias.simulation.tracing import Points, of_bias, of_nominal
+from simbias.simulation.tracing import of_bias, of_nominal
 
 
 @dataclass(frozen=True, eq=False)

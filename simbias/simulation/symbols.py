@@ -228,7 +228,7 @@ def _different(a: Symbol, b: Symbol) -> Symbol:
     return either(both(a, neither(b)), both(neither(a), b))
 
 
-_OF_NUMPY = (
+OF_NUMPY = (  # functions of one number, which are written as they are
     *("arcsin", "arccos", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
     *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p"),
 )
@@ -262,7 +262,7 @@ RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.sin: sine,
     np.cos: cosine,
     np.tan: lambda a: quotient(sine(a), cosine(a)),
-    **{getattr(np, name): _operation(name) for name in ("arctan", "arctan2", "copysign", *_OF_NUMPY)},
+    **{getattr(np, name): _operation(name) for name in ("arctan", "arctan2", "copysign", *OF_NUMPY)},
     np.minimum: lesser,
     np.maximum: greater,
     np.less: less,
@@ -283,35 +283,3 @@ RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.invert: _of_bits(neither),
 }
 _BY_NAME = {ufunc.__name__: rule for ufunc, rule in RULES.items()}
-
-# What is written of each operation, for numbers and for NumPy's arrays; sine and cosine are written together.
-WRITTEN: Mapping[str, str] = {
-    **{name: f"np.{name}({{}})" for name in _OF_NUMPY},
-    "arctan2": "np.arctan2({}, {})",
-    "copysign": "np.copysign({}, {})",
-    "sqrt": "np.sqrt({})",
-    "floor": "np.floor({})",
-    "add": "{} + {}",
-    "subtract": "{} - {}",
-    "multiply": "{} * {}",
-    "divide": "{} / {}",
-    "inverse": "1.0 / {}",
-    "negative": "-{}",
-    "power": "{} ** {}",
-    "abs": "abs({})",
-    "sign": "chosen({0} > 0.0, 1.0, chosen({0} < 0.0, -1.0, {0}))",
-    "arctan": "arctan({})",
-    "minimum": "lesser({}, {})",
-    "maximum": "greater({}, {})",
-    "chosen": "chosen({}, {}, {})",
-    "indicator": "chosen({}, 1.0, 0.0)",
-    "is_true": "{} != 0.0",
-    "finite": "{0} - {0} == 0.0",
-    "less": "{} < {}",
-    "less_equal": "{} <= {}",
-    "equal": "{} == {}",
-    "not_equal": "{} != {}",
-    "and": "{} & {}",
-    "or": "{} | {}",
-    "not": "{} == False",
-}

@@ -25,12 +25,12 @@ from simbias.blame import is_users
 from simbias.interfaces import FittedBias, Kernel, Model, Nominal, Policy, Task
 from simbias.messages import with_type
 from simbias.records import Array
+from simbias.simulation.points import ROWS, Points
 from simbias.simulation.symbolic_arrays import row, symbols_in
 from simbias.simulation.symbols import Symbol, Trace, TraceError
 from simbias.simulation.written import Written, columns, needed, written
 
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
-ROWS = 32  # states at which they are compared
 
 
 class Part(NamedTuple):
@@ -40,28 +40,7 @@ class Part(NamedTuple):
     why_not: str = ""
 
 
-class Points(NamedTuple):
-    """Where a traced kernel is held against its method."""
-
-    x: Array  # (ROWS, n)
-    u: Array  # (ROWS, m)
-
-    @staticmethod
-    def of(task: Task) -> Points:
-        """Around the start, and farther away; inputs within the limits and a little beyond."""
-        rng, n = np.random.default_rng(0), len(task.start_mean)
-        near = task.start_deviation * rng.standard_normal((ROWS, n))
-        far = rng.standard_normal((ROWS, n)) * np.repeat([0.0, 0.1, 1.0, 0.0], ROWS // 4)[:, None]
-        limit = np.where(np.isfinite(task.input_limit), task.input_limit, 1.0)
-        return Points(task.start_mean + near + far, 1.2 * limit * rng.uniform(-1, 1, (ROWS, len(limit))))
-
-    @staticmethod
-    def among(states: Array, inputs: Array) -> Points:
-        """Among those of a record, and a little off them."""
-        rng = np.random.default_rng(0)
-        rows = rng.integers(0, len(states), ROWS)
-        off = 1.0 + 0.1 * rng.standard_normal((ROWS, 1))
-        return Points(off * states[rows] + 0.01 * (off - 1.0), off * inputs[rows])
+Given = tuple[dict[str, Array], list[int]]  # vectors (ROWS, .) that a method takes; sizes of what it gives
 
 
 def parts_of(model: Model) -> tuple[Part, Part, Part, Part, Part]:
@@ -82,37 +61,46 @@ def parts_of(model: Model) -> tuple[Part, Part, Part, Part, Part]:
 
 def of_measure(task: Task, points: Points) -> Part:
     """The task's measures."""
-    return _own_or_traced(task.measure_kernel, task, "measure", {"x": points.x}, len(task.criteria))
+    sizes = [len(task.criteria)]
+    return _own_or_traced(task.measure_kernel, task, "measure", lambda: ({"x": points.x}, sizes))
 
 
 def of_output(task: Task, points: Points) -> Part:
     """The task's outputs."""
-    return _own_or_traced(task.output_kernel, task, "output", {"x": points.x}, len(task.outputs))
+    sizes = [len(task.outputs)]
+    return _own_or_traced(task.output_kernel, task, "output", lambda: ({"x": points.x}, sizes))
 
 
 def of_nominal(nominal: Nominal, points: Points) -> Part:
     """A step of the nominal model; an engine that steps many states at once has its own kernel, or none."""
     if nominal.batched:
         return Part(nominal.kernel, f"{type(nominal).__name__} is an engine's")
-    vectors, n, s = points._asdict(), points.x.shape[1], nominal.memory_size
-    if not s:
-        return _own_or_traced(nominal.kernel, nominal, "step", vectors, n)
-    vectors["memory"] = np.random.default_rng(1).standard_normal((ROWS, s))
-    return _own_or_traced(nominal.kernel, nominal, "advance", vectors, n, s)
+    s = nominal.memory_size
+
+    def given() -> Given:
+        vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
+        if not s:
+            return vectors, sizes
+        memory = np.random.default_rng(1).standard_normal((ROWS, s))
+        return {**vectors, "memory": memory}, [*sizes, s]
+
+    return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", given)
 
 
 def of_bias(bias: FittedBias, points: Points) -> Part:
     """A bias' correction."""
-    return _own_or_traced(bias.kernel, bias, "correction", points._asdict(), points.x.shape[1])
+
+    def given() -> Given:
+        return {"x": points.x, "u": points.u}, [points.x.shape[1]]
+
+    return _own_or_traced(bias.kernel, bias, "correction", given)
 
 
-def _own_or_traced(
-    kernel: Kernel | None, component: Any, method: str, vectors: dict[str, Array], *sizes: int
-) -> Part:
-    """The component's own kernel or, traced once, that of a method which gives vectors of these sizes."""
+def _own_or_traced(kernel: Kernel | None, component: Any, method: str, given: Callable[[], Given]) -> Part:
+    """The component's own kernel or, traced once, that of a method."""
     if kernel is not None:
         return Part(kernel)
-    return _once(component, method, lambda: _traced(component, method, vectors, sizes))
+    return _once(component, method, lambda: _traced(component, method, *given()))
 
 
 def _states(x, parameters):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,10 +10,42 @@ import numpy as np
 from simbias.records import Array
 from simbias.simulation.choices import chosen, greater, lesser
 from simbias.simulation.compilation import function_of
-from simbias.simulation.symbols import WRITTEN, Symbol, Trace
+from simbias.simulation.symbols import OF_NUMPY, Symbol, Trace
 from simbias.simulation.trigonometry import arctan, sincos
 
 NAMES = {"np": np, "sincos": sincos, "arctan": arctan, "lesser": lesser, "greater": greater, "chosen": chosen}
+
+# What is written of each operation, for numbers and for NumPy's arrays; sine and cosine are written together.
+TEXTS: Mapping[str, str] = {
+    **{name: f"np.{name}({{}})" for name in OF_NUMPY},
+    "arctan2": "np.arctan2({}, {})",
+    "copysign": "np.copysign({}, {})",
+    "sqrt": "np.sqrt({})",
+    "floor": "np.floor({})",
+    "add": "{} + {}",
+    "subtract": "{} - {}",
+    "multiply": "{} * {}",
+    "divide": "{} / {}",
+    "inverse": "1.0 / {}",
+    "negative": "-{}",
+    "power": "{} ** {}",
+    "abs": "abs({})",
+    "sign": "chosen({0} > 0.0, 1.0, chosen({0} < 0.0, -1.0, {0}))",
+    "arctan": "arctan({})",
+    "minimum": "lesser({}, {})",
+    "maximum": "greater({}, {})",
+    "chosen": "chosen({}, {}, {})",
+    "indicator": "chosen({}, 1.0, 0.0)",
+    "is_true": "{} != 0.0",
+    "finite": "{0} - {0} == 0.0",
+    "less": "{} < {}",
+    "less_equal": "{} <= {}",
+    "equal": "{} == {}",
+    "not_equal": "{} != {}",
+    "and": "{} & {}",
+    "or": "{} | {}",
+    "not": "{} == False",
+}
 
 
 class Written(NamedTuple):
@@ -54,7 +86,7 @@ def written(
             names[symbol.index] = f"{pairs[angle]}[{0 if symbol.name == 'sin' else 1}]"
             continue
         names[symbol.index] = f"v{len(lines)}"
-        lines.append(f"v{len(lines)} = {WRITTEN[symbol.name].format(*operands)}")
+        lines.append(f"v{len(lines)} = {TEXTS[symbol.name].format(*operands)}")
     vectors = ["(" + "".join(f"{names[symbol.index]}, " for symbol in vector) + ")" for vector in results]
     lines.append(f"return {', '.join(vectors)}")
     text = f"def traced({arguments}):\n    " + "\n    ".join(lines) + "\n"

@@ -30,7 +30,8 @@ from simbias.records import Disturbance, Transitions
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.correction import corrections
 from simbias.simulation.plain import PlainSimulator
-from simbias.simulation.tracing import Points, of_nominal
+from simbias.simulation.points import Points
+from simbias.simulation.tracing import of_nominal
 from simbias.study import Study
 
 ROUNDS, WORLDS = 7, 8

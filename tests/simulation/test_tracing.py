@@ -22,14 +22,15 @@ from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.open_loop import Windows, World, plain, predict
 from simbias.simulation.plain import PlainSimulator
+from simbias.simulation.points import Points
 from simbias.simulation.symbolic_arrays import Symbols
 from simbias.simulation.symbols import MOST, TraceError
-from simbias.simulation.tracing import Points, _knows_foreign_code, of_bias, of_nominal, of_policy
+from simbias.simulation.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy
 from simbias.study import Study
 
 RNG = np.random.default_rng(0)
-POINTS = Points(RNG.normal(size=(32, 3)), RNG.normal(size=(32, 3)))
-OTHERS = Points(RNG.normal(size=(50, 3)), RNG.normal(size=(50, 3)))
+POINTS = Points(lambda: (RNG.normal(size=(32, 3)), RNG.normal(size=(32, 3))))
+OTHERS = Points(lambda: (RNG.normal(size=(50, 3)), RNG.normal(size=(50, 3))))
 VALUES = np.array([10.5, 6.8, 0.81, 0.0, 1.0, 9.81])
 
 
