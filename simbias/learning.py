@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from simbias.interfaces import Model, Objective
-from simbias.records import Array, Optimum, Rollout, Search
+from simbias.records import Array, Flags, Optimum, Rollout, Search
 from simbias.study import Observer, Study
 
 
@@ -81,6 +82,8 @@ class _Watched:
         self._evaluations, self._best = 0, np.inf
         if hasattr(objective, "together"):
             self.together = self._together
+        if speculate := getattr(objective, "speculate", None):
+            self.speculate = partial(self._speculate, speculate)
 
     @property
     def steps(self) -> int:
@@ -96,6 +99,13 @@ class _Watched:
         costs = self._objective.together(thetas)
         self._tell(costs)
         return costs
+
+    def _speculate(
+        self, speculate: Callable[[Array], tuple[Array, Flags]], thetas: Array
+    ) -> tuple[Array, Flags]:
+        costs, known = speculate(thetas)
+        self._tell(costs[known])
+        return costs, known
 
     def _tell(self, costs: Array) -> None:
         self._evaluations += len(costs)

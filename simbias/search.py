@@ -10,7 +10,7 @@ from copy import copy
 
 import numpy as np
 
-from simbias.records import Array, Optimum
+from simbias.records import Array, Flags, Optimum
 
 EVALUATION_LIMIT = "the evaluation limit"
 STEP_LIMIT = "the limit of simulated steps"
@@ -133,6 +133,14 @@ class Evaluations:
     def together(self) -> Callable[[Array], Array] | None:
         """What costs points (k, p) together, if the objective offers it; neither counted nor judged."""
         return getattr(self._objective, "together", None)
+
+    @property
+    def speculate(self) -> Callable[[Array], tuple[Array, Flags]] | None:
+        """What costs some of points (k, p), and says which, if the objective offers it.
+
+        Which ones depends on the threads. So where simulated steps are limited, all are costed together.
+        """
+        return getattr(self._objective, "speculate", None) if self._last_step == np.inf else None
 
     def evaluate(self, point: Array) -> float:
         """Cost of the point (p,), moved into the box where rounding left it outside.

@@ -65,7 +65,11 @@ class Cost(ABC):
 
 
 class Objective(Protocol):
-    """What a policy search minimises; deterministic. A plain function will do, `together` is faster."""
+    """What a policy search minimises; deterministic. A plain function will do, `together` is faster.
+
+    Some offer `speculate(thetas)` besides, for searches that guess what they will ask for: costs (k,) of
+    thetas (k, p), and which are known yet (k,), one at least. Those in front are known sooner.
+    """
 
     steps: int  # simulated so far, for searches that are limited by them
 

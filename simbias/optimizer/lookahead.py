@@ -1,22 +1,24 @@
 """Evaluating a sequential search's points together.
 
 The points that DIRECT asks for next rarely depend on the last few costs. So a search is run on with guessed
-costs until it has asked for some points; they are evaluated together, and the search is run again from its
-start on what is known. The last run knows every cost: it is the sequential search, point by point. Costs that
-a run was told before its first guess are told to every later run, too, so they are not looked up again.
+costs until it has asked for some points; they are evaluated together, all of them or some, and the search is
+run again from its start on what is known. The last run knows every cost: it is the sequential search, point
+by point. Costs that a run was told before its first guess are told to every later run, too, so they are not
+looked up again.
 """
 
 from __future__ import annotations
 
 from copy import copy
+from itertools import compress
 
 import numpy as np
 
-from simbias.records import Array
+from simbias.records import Array, Flags
 from simbias.search import Evaluations, Search, SearchEnded
 
 FIRST_GUESS = 1e6
-MOST = 32  # points evaluated together; of more, too many guesses are wrong
+MOST = 32  # points asked for together; of more, too many guesses are wrong
 CAPRICIOUS = "the search asks for other points when it is given the same costs"
 
 
@@ -28,25 +30,35 @@ def look_ahead(search: Search, evaluations: Evaluations) -> str:
     """Run a search on evaluations; why it ended, in words.
 
     `search` has to ask for the same points when it is given the same costs. An objective that offers
-    `together` is asked for several at once; one that does not, in turn.
+    `together` or `speculate` is asked for several at once; one that does not, in turn.
     """
-    together = evaluations.together
-    if together is None:
+    if evaluations.together is None:
         return search(evaluations)
     past = Past(evaluations)
-    guessed: dict[bytes, Array] = {}
+    asked: list[bytes] = []  # by the last run, of what was not known
+    guessed: list[bytes] = []  # those of them that have been evaluated
     size = MOST
     while True:
         rehearsal = Rehearsal(past, size, evaluations.spent if past.known else None)
         if (stopped_by := rehearsal.run(search, evaluations)) is not None:
             return stopped_by
-        used = sum(point in rehearsal.asked for point in guessed)
+        if not rehearsal.asked.issuperset(asked[:1]):
+            raise RuntimeError(CAPRICIOUS)
         if guessed:
-            if not used:
-                raise RuntimeError(CAPRICIOUS)
-            size = min(2 * used, MOST)  # where most guesses were wrong, fewer are made
-        guessed = rehearsal.unknown
-        past.known.update(zip(guessed, together(np.array(list(guessed.values()))), strict=True))
+            used = sum(point in rehearsal.asked for point in guessed)
+            size = min(max(2 * used * size // len(guessed), 1), MOST)  # where most were wrong, fewer are made
+        asked = list(rehearsal.unknown)
+        costs, known = _evaluated(evaluations, np.array(list(rehearsal.unknown.values())))
+        guessed = list(compress(asked, known))
+        past.known.update(zip(guessed, costs[known].tolist(), strict=True))
+
+
+def _evaluated(evaluations: Evaluations, points: Array) -> tuple[Array, Flags]:
+    """Costs (k,) of points (k, p), and whether they are known (k,): one at least is, all by `together`."""
+    if evaluations.speculate is not None:
+        return evaluations.speculate(points)
+    assert evaluations.together is not None
+    return evaluations.together(points), np.full(len(points), True)
 
 
 class Past:

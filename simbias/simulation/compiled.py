@@ -10,11 +10,13 @@ import numpy as np
 
 from simbias.interfaces import Cost, Kernel, Model, Nominal, Task
 from simbias.records import Array, Disturbance, Indices, Rollout
-from simbias.simulation.fused import Composition, compiled_loop
+from simbias.simulation.fused import Composition, compiled_loop, rows
+from simbias.simulation.kernels import LANES
 from simbias.simulation.plain import costs_of, record
 from simbias.simulation.threads import in_threads
 from simbias.simulation.tracing import parts_of
 
+NOTHING = np.empty((0, LANES))  # kept of earlier rollouts
 RECORDED = 256  # rollouts recorded at once: their records take memory
 
 
@@ -99,47 +101,47 @@ class CompiledSimulator:
         if cost.kernel is None:
             return costs_of(cost, self.rollouts(thetas, starts, worlds))
         made = self._run(cost.kernel, cost.totals, thetas, starts, worlds)
-        lost = np.where(made.violated < 0, 0, self.task.horizon - made.frames)
-        return cost.of_totals(made.totals, lost), made.frames
+        return made.costs(cost, self.task.horizon), made.frames
 
     def _run(
         self, total: Kernel | None, totals: int, thetas: Array, starts: Array, worlds: Indices | None
-    ) -> _Made:
+    ) -> Made:
         """Rollouts that a cost's kernel sums up as so many totals or, if there is none, are recorded."""
-        task, k = self.task, len(thetas)
-        n, m = len(task.states), len(task.inputs)
-        policy = self.policy(np.asarray(thetas, dtype=np.float64))
-        recorded = 0 if total else k
-        made = _Made(
-            np.empty((recorded, task.horizon + 1, n)),
-            np.empty((recorded, task.horizon, m)),
-            np.empty((k, totals)),
-            np.empty(k, np.int64),
-            np.empty(k, np.int64),
-        )
+        k = len(thetas)
+        made = Made.of(k, totals, self.task, 0 if total else k)
         if not total:
             made.states[:, 0] = starts
-        loop = compiled_loop(self._composition(policy, total, totals))
-        noise = self.noise.reshape(-1, m + n)
-        weights = total.parameters if total else np.empty(0)
+        policy = self.policy(np.asarray(thetas, dtype=np.float64))
+        loop, _ = self.loop(policy, total, totals)
         each = (
             np.ascontiguousarray(policy.parameters),
             np.zeros(k, np.int64) if worlds is None else worlds,
             np.ascontiguousarray(starts, dtype=np.float64),
+            *made.arrays,
         )
 
         def run(begin: int, end: int) -> None:
-            rows = slice(begin, end)
-            own, world, start = (array[rows] for array in each)
-            loop(
-                task.horizon, task.time_step, _limits(task),
-                self.measure.parameters, self.output.parameters, own, self.nominal.parameters,
-                self.bias.parameters, weights, noise,
-                world, start, *(array[rows] for array in made.arrays),
-            )  # fmt: skip
+            loop(*(array[begin:end] for array in each), end - begin, 0, NOTHING)
 
         in_threads(run, k)
         return made
+
+    def loop(self, policy: Kernel, total: Kernel | None, totals: int) -> tuple[Callable[..., None], int]:
+        """The compiled loop, as a function of what differs between its calls, and the rows of its lanes."""
+        task, composition = self.task, self._composition(policy, total, totals)
+        compiled = compiled_loop(composition)
+        limits = np.array([criterion.limit for criterion in task.criteria])
+        noise = self.noise.reshape(-1, len(task.inputs) + len(task.states))
+        weights = total.parameters if total else np.empty(0)
+
+        def loop(policies: Array, worlds: Indices, starts: Array, *rest: Any) -> None:
+            compiled(
+                task.horizon, task.time_step, limits,
+                self.measure.parameters, self.output.parameters, policies, self.nominal.parameters,
+                self.bias.parameters, weights, noise, worlds, starts, *rest,
+            )  # fmt: skip
+
+        return loop, rows(composition)
 
     def _composition(self, policy: Kernel, total: Kernel | None, totals: int) -> Composition:
         """What is compiled."""
@@ -168,21 +170,39 @@ class CompiledSimulator:
 
 
 @dataclass(frozen=True, eq=False)
-class _Made:
+class Made:
     """What became of k rollouts."""
 
     states: Array  # (k, T+1, n), or nothing where a cost was summed up
     inputs: Array  # (k, T, m), likewise
     totals: Array  # (k, s) of the cost
-    frames: Indices  # (k,)
+    frames: Indices  # (k,), -1 of those that have not ended
     violated: Indices  # (k,) criterion that ended it, -1 at the horizon
+
+    @staticmethod
+    def of(k: int, totals: int, task: Task, recorded: int = 0) -> Made:
+        """Nothing yet, of k rollouts, so many of which are to be recorded."""
+        return Made(
+            np.empty((recorded, task.horizon + 1, len(task.states))),
+            np.empty((recorded, task.horizon, len(task.inputs))),
+            np.zeros((k, totals)),
+            np.full(k, -1),
+            np.full(k, -1),
+        )
 
     @property
     def arrays(self) -> tuple[Any, ...]:
         """In the order of the loop's arguments."""
         return self.states, self.inputs, self.totals, self.frames, self.violated
 
+    def part(self, some: Sequence[int]) -> Made:
+        """A copy of what became of some rollouts, none of them recorded."""
+        return Made(self.states, self.inputs, self.totals[some], self.frames[some], self.violated[some])
 
-def _limits(task: Task) -> Array:
-    """Limits (c,) of the criteria."""
-    return np.array([criterion.limit for criterion in task.criteria])
+    def put(self, some: Sequence[int], part: Made) -> None:
+        """Put such a part back."""
+        self.totals[some], self.frames[some], self.violated[some] = part.totals, part.frames, part.violated
+
+    def costs(self, cost: Cost, horizon: int) -> Array:
+        """Costs (k,), of the totals of a cost's kernel."""
+        return cost.of_totals(self.totals, np.where(self.violated < 0, 0, horizon - self.frames))

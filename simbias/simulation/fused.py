@@ -26,7 +26,8 @@ from simbias.simulation.kernels import LANES
 from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, RECORD, TEMPLATE
 from simbias.simulation.text import assign, indent, tuple_of
 
-INTEGERS = 6  # of each lane: where its rollout stands
+# Where the rollout of each lane stands.
+INTEGERS = ("stopping", "criterion", "running", "frame", "rollout", "first_row")
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,8 @@ def source(c: Composition) -> str:
         totals=c.totals,
         memory=c.memory,
         rows=indent(_rows(c), 4),
-        integers=", ".join(f"integers[{i}]" for i in range(INTEGERS)),
+        integers=", ".join(INTEGERS),
+        rows_of_integers=", ".join(f"integers[{i}]" for i in range(len(INTEGERS))),
         limits=tuple_of("limits[{}]", c.criteria),
         measure_data=tuple_of("measure_parameters[{}]", c.measure_parameters),
         output_data=tuple_of("output_parameters[{}]", c.output_parameters),
@@ -109,8 +111,8 @@ def source(c: Composition) -> str:
     )
 
 
-def _rows(c: Composition) -> list[str]:
-    """Rows for everything in one array of lanes."""
+def _sizes(c: Composition) -> dict[str, int]:
+    """How many rows of the lanes each thing takes; the integers are the last."""
     sizes = {
         "x": c.states,
         "x_next": c.states,
@@ -123,9 +125,20 @@ def _rows(c: Composition) -> list[str]:
         "totals": c.totals,
         "before": c.totals,
         "memory": c.memory,
-        "integers": INTEGERS,
+        "hidden": c.hidden,
+        "integers": len(INTEGERS),
     }
-    sizes |= {"hidden": c.hidden} if c.hidden else {}
+    return {name: size for name, size in sizes.items() if name != "hidden" or size}
+
+
+def rows(c: Composition) -> int:
+    """How many rows the lanes have."""
+    return sum(_sizes(c).values())
+
+
+def _rows(c: Composition) -> list[str]:
+    """Rows for everything in one array of lanes."""
+    sizes = _sizes(c)
     ends = np.cumsum(list(sizes.values())).tolist()
     slices = [
         f"{name} = lanes[{end - size}:{end}]" for (name, size), end in zip(sizes.items(), ends, strict=True)

@@ -4,29 +4,35 @@ Arrays of all lanes have a row for each component: `x[i, lane]`. The arguments a
 are noise (w (T+1), m+n), worlds (k,), starts (k, n), and what is filled: states (k, T+1, n) and inputs
 (k, T, m), or final_totals (k, s); frames (k,), and the criterion (k,) that each rollout violated, -1 at the
 horizon.
+
+It ends when so many rollouts as are `needed` have. Those under way then stay in the lanes, which are copied
+to `carried`, if that has any rows; the next call, which begins with a copy of it, goes on with them. These
+`begun` ones are its first.
 """
 
 TEMPLATE = """\
 def closed_loop(
     horizon, time_step, limits, measure_parameters, output_parameters, policy_parameters,
     nominal_parameters, bias_parameters, cost_parameters, noise, worlds, starts,
-    states, inputs, final_totals, frames, violated,
+    states, inputs, final_totals, frames, violated, needed, begun, carried,
 ):
     {rows}
-    stopping, criterion, running, frame, rollout, first_row = {integers}
+    {integers} = {rows_of_integers}
     limit = {limits}
     measure_data = {measure_data}
     output_data = {output_data}
     {constants}
     x[:] = nan  # in a lane without a rollout, so that no kernel works for nothing
-    begun, count, ended = 0, 0, 1
+    for row in range(carried.shape[0]):
+        for lane in range({LANES}):
+            lanes[row, lane] = carried[row, lane]
+    ended = 1
     while True:
         if ended > 0:  # others take their places
             for lane in range({LANES}):
                 if running[lane] == 0 and begun < starts.shape[0]:
                     b = begun
                     begun += 1
-                    count += 1
                     running[lane], frame[lane], rollout[lane] = 1, 0, b
                     first_row[lane] = worlds[b] * (horizon + 1)
                     for i in range({n}):
@@ -39,7 +45,10 @@ def closed_loop(
                         memory[i, lane] = 0.0
 {forget}                    for i in range({totals}):
                         totals[i, lane] = 0.0
-            if count == 0:
+            if needed <= 0:
+                for row in range(carried.shape[0]):
+                    for lane in range({LANES}):
+                        carried[row, lane] = lanes[row, lane]
                 return
         {gather}
         ended = 0
@@ -64,7 +73,7 @@ def closed_loop(
                 if running[lane] == 1 and stopping[lane] == 1:
                     b = rollout[lane]
                     running[lane] = 0
-                    count -= 1
+                    needed -= 1
                     frames[b], violated[b] = frame[lane], criterion[lane]
                     for i in range({totals}):
                         final_totals[b, i] = before[i, lane]

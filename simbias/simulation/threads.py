@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
+from itertools import pairwise
 
 from numba import get_num_threads
 
@@ -17,10 +18,15 @@ def in_threads(run: Callable[[int, int], object], count: int) -> None:
     """Call run(begin, end) for parts of range(count), one on each thread, if they fill the lanes."""
     threads = max(1, min(get_num_threads(), math.ceil(count / LANES)))
     cuts = [count * part // threads for part in range(threads + 1)]
-    if threads == 1:
-        run(0, count)
+    at_once([partial(run, begin, end) for begin, end in pairwise(cuts)])
+
+
+def at_once(calls: Sequence[Callable[[], object]]) -> None:
+    """Make these calls, one on each thread."""
+    if len(calls) == 1:
+        calls[0]()
     else:
-        list(_pool(threads).map(run, cuts[:-1], cuts[1:]))
+        list(_pool(len(calls)).map(lambda call: call(), calls))
 
 
 @cache
