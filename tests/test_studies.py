@@ -43,9 +43,9 @@ def test_a_policy_is_searched_on_the_hardware(tmp_path: Path) -> None:
 
 def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
-    wide = ["--sweep", "gaps", "--cell", "motor 60", "--everywhere", "--screening", "2"]
-    study("searched_on_hardware", "found.csv", *short, *wide, folder=tmp_path)
-    assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%"]
+    nearby = ["--sweep", "gaps", "--cells", "motor 60", "lag 20", "--screening", "2", "--deviation", "0.002"]
+    study("searched_on_hardware", "found.csv", *short, *nearby, "method.max_iterations=1", folder=tmp_path)
+    assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%", "lag 20 ms"]
 
 
 def test_robots_are_tried_by_each_way(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from simbias.interfaces import Criterion, Kernel, Quantity, Task
 from simbias.records import Array
 from simbias.simulation.expressions import Expression, Expressions
 from simbias.task.mjcf_figure import Figure, FigureFile
+from simbias.task.mjcf_rendering import Image
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class Declared(Task):
     drawing
         Parts by name, from back to front, all lengths in one unit, y upwards.
     figure
-        In place of a drawing: the file of a MuJoCo model, whose geoms are drawn.
+        In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
     """
 
     measure_kernel: Kernel
@@ -172,6 +173,10 @@ class Declared(Task):
         points = self._points(x).reshape(-1, 2)
         ends = np.cumsum([len(part.points) for part in self.drawing.values()])
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
+
+    def image(self, x: Array) -> Image | None:
+        """How MuJoCo renders the state x (n,); None if the drawing is of parts."""
+        return self._figure.image(x) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
         """Expressions of the states and of what else has a name here.

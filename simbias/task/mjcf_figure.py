@@ -1,7 +1,8 @@
-"""A stick figure of a robot's MuJoCo model: its geoms, seen from the side."""
+"""A drawing of a robot's MuJoCo model: a stick figure of its geoms from the side, or as MuJoCo renders it."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ from simbias.interfaces import Task
 from simbias.records import Array
 from simbias.task.mjcf import Mechanism
 from simbias.task.mjcf_parameters import mujoco
+from simbias.task.mjcf_rendering import Image, NoRendererError, Rendering
 
 VIEWS = {"xz": [0, 2], "yz": [1, 2], "xy": [0, 1]}
 
@@ -23,10 +25,13 @@ class FigureFile:
     joints: list[str] | None = None
     actuators: list[str] | None = None
     view: Literal["xz", "yz", "xy"] = "xz"
+    rendered: bool | None = None  # by MuJoCo, where OpenGL can run; None: if the stick figure lacks a geom
 
 
 class Figure:
     """Spheres are discs, capsules and cylinders are bars, boxes are polygons; other geoms are left out.
+
+    With these, MuJoCo renders it, where it can.
 
     Raises
     ------
@@ -46,6 +51,20 @@ class Figure:
                 name = geom.name or f"geom {index}"
                 self.thickness[name] = 2 * float(geom.size[0])
                 self._ends[name] = (index, points)
+        plane = int(mujoco().mjtGeom.mjGEOM_PLANE)
+        lacks = len(self._ends) < np.sum(self._robot.model.geom_type != plane)
+        rendered = lacks if source.rendered is None else source.rendered
+        self._rendering = Rendering(self._robot, source.view) if rendered else None
+
+    def image(self, x: Array) -> Image | None:
+        """How it looks at the state x (n,); None where a stick figure is drawn."""
+        if self._rendering is not None:
+            try:
+                return self._rendering.image(x)
+            except NoRendererError as error:
+                warnings.warn(f"a stick figure is drawn: {error}", stacklevel=2)
+                self._rendering = None
+        return None
 
     def _local(self, index: int) -> Array | None:
         """The points (k, 3) of a geom in its own frame; None if it is not drawn."""

@@ -5,12 +5,12 @@ policy on sampled models and goes on from it with CMA-ES on the hardware itself,
 from eight starts; for each seed it tells in how many of 20 other starts either balances. The hardware has
 separate feet if nothing is overridden.
 
-Where the policy of sampled models may be far from any good one, `--everywhere` searches all of the box
-instead, by `optimizer=hybrid`, and `--screening 2` judges a policy that falls from the first two starts by
-these. `--sweep NAME` does all that for each cell of a sweep, `--cell LABEL` for those whose label begins so:
+`--sweep NAME` goes on from the last policy of a trial of each of the sweep's cells instead, `--cells LABEL
+...` of those whose labels begin so. Regulators need `--deviation 0.002`: their gains depend on each other.
+With `--screening 2`, a policy that falls from the first two starts is judged by these:
 
-    python tests/studies/searched_on_hardware.py gaps.csv --sweep gaps --seeds 1 --evaluations 2000 \
-        --everywhere --screening 2
+    python tests/studies/searched_on_hardware.py on_hardware.csv --sweep gaps --cells "slope 0.05" --seeds 1 \
+        --evaluations 2000 --deviation 0.002 --screening 2
 """
 
 from __future__ import annotations
@@ -31,35 +31,49 @@ from simbias.records import Array
 from simbias.study import Study
 from simbias.sweep.grid import expand
 
-SEARCHED_STARTS = 8
-DEVIATION = 0.05  # of the search on hardware at first, in units of the box's width
 SEPARATE = ["hardware.feet=separate"]
-SIMULATED = ["evaluation=robust_models", "optimizer=hybrid"]
-NEARBY = ["optimizer=cma", f"optimizer.initial_deviation={DEVIATION}"]
-EVERYWHERE = ["optimizer=hybrid"]
+SIMULATED = ["evaluation=robust_models", "optimizer=hybrid", "bias=none"]
 
 
 def study_of(overrides: Sequence[str], sweep: str | None, cell: str) -> Study:
     """The study of these overrides, or of a sweep's cell."""
-    chosen = ["tracking=none", "bias=none", *overrides]
+    chosen = ["tracking=none", *overrides]
     if sweep is None:
         return build(compose(chosen))
     cells = {" ".join(each.labels): each for each in expand([f"+sweep={sweep}", *chosen]).cells}
     return build(cells[cell].composition)
 
 
+def simulated(
+    study: Study, scenario_rng: np.random.Generator, search_rng: np.random.Generator
+) -> tuple[Array, float]:
+    """A policy that is optimal on sampled models, and its cost there."""
+    objective = study.evaluation.objective(study.model(), study.cost, scenario_rng)
+    optimum = study.optimizer.minimize(objective, *study.policy.bounds, search_rng, study.cost.max_cost)
+    return optimum.parameters, optimum.cost
+
+
+def learned(study: Study) -> tuple[Array, float]:
+    """The last policy of a trial, and its predicted cost."""
+    *_, last = study.run()
+    return last.parameters, last.search.predicted_cost
+
+
 def searched(seed: int, cell: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """Both searches of a seed, and what their policies are worth."""
-    overrides = arguments.overrides or ([] if arguments.sweep else SEPARATE)
-    study = study_of([*overrides, *SIMULATED], arguments.sweep, cell)
-    on_hardware = EVERYWHERE if arguments.everywhere else NEARBY
-    limit = f"optimizer.max_evaluations={arguments.evaluations}"
-    real = study_of([*overrides, *on_hardware, limit], arguments.sweep, cell)
+    sweep, overrides = arguments.sweep, arguments.overrides
+    limits = [f"optimizer.max_evaluations={arguments.evaluations}"]
+    limits += [f"optimizer.initial_deviation={arguments.deviation}"]
     scenario_rng, search_rng, start_rng, rng = np.random.default_rng(seed).spawn(4)
-    box = study.policy.bounds
-    objective = study.evaluation.objective(study.model(), study.cost, scenario_rng)
-    simulated = study.optimizer.minimize(objective, *box, search_rng, study.cost.max_cost)
-    starts = [real.task.draw_start(start_rng) for _ in range(SEARCHED_STARTS)]
+    if sweep:
+        theta, cost_there = learned(study_of([*overrides, f"seed={seed}"], sweep, cell))
+    else:
+        overrides = overrides or SEPARATE
+        theta, cost_there = simulated(
+            study_of([*SIMULATED, *overrides], None, cell), scenario_rng, search_rng
+        )
+    real = study_of([*overrides, "optimizer=cma", *limits], sweep, cell)
+    starts = [real.task.draw_start(start_rng) for _ in range(arguments.starts)]
 
     def cost(theta: Array) -> float:
         """The mean over the starts, each with its own noise."""
@@ -71,12 +85,12 @@ def searched(seed: int, cell: str, arguments: argparse.Namespace) -> dict[str, A
                 break
         return float(np.mean(costs))
 
-    found = real.optimizer.minimize(cost, *box, rng, real.cost.max_cost, [simulated.parameters])
+    found = real.optimizer.minimize(cost, *real.policy.bounds, rng, real.cost.max_cost, [theta])
     return {
         **({"cell": cell} if cell else {}),
         "seed": seed,
-        "simulated_cost": simulated.cost,
-        "simulated_balances": balanced_starts(real, simulated.parameters),
+        "simulated_cost": cost_there,
+        "simulated_balances": balanced_starts(real, theta),
         "hardware_cost": found.cost,
         "hardware_balances": balanced_starts(real, found.parameters),
         "starts": STARTS,
@@ -88,7 +102,7 @@ def main(arguments: argparse.Namespace) -> None:
     cells = [""]
     if arguments.sweep:
         labels = [" ".join(cell.labels) for cell in expand([f"+sweep={arguments.sweep}"]).cells]
-        cells = [label for label in labels if label.startswith(arguments.cell)]
+        cells = [label for label in labels if label.startswith(tuple(arguments.cells))]
     rows = Parallel(n_jobs=2)(
         delayed(searched)(seed, cell, arguments) for cell in cells for seed in range(arguments.seeds)
     )
@@ -103,12 +117,11 @@ if __name__ == "__main__":
     parser.add_argument("overrides", nargs="*", metavar="override")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--evaluations", type=int, default=500, help="of policies on the hardware")
-    parser.add_argument(
-        "--everywhere", action="store_true", help="not only near the policy of sampled models"
-    )
-    parser.add_argument(
-        "--screening", type=int, default=SEARCHED_STARTS, help="starts, if it falls from all of them"
-    )
+    parser.add_argument("--deviation", type=float, default=0.05, help="of CMA-ES, over the box's width")
+    parser.add_argument("--starts", type=int, default=8, help="of which a policy costs the mean")
+    parser.add_argument("--screening", type=int, default=None, help="so many, if it falls from all of them")
     parser.add_argument("--sweep", help="whose cells to search for")
-    parser.add_argument("--cell", default="", help="only cells whose labels begin with this")
+    parser.add_argument(
+        "--cells", nargs="*", default=[""], help="only those whose labels begin with one of these"
+    )
     main(parser.parse_intermixed_args())
