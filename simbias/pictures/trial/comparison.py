@@ -92,7 +92,8 @@ def policy_words(iteration: Iteration) -> str:
 
 def simulation_words(study: Study, samples: int) -> str:
     """The simulation whose bias was learned from so many samples."""
-    bias = f" + learned bias ({study.choices['bias']})" if samples else ""
+    learns = samples and study.choices["bias"] != "none"
+    bias = f" + learned bias ({study.choices['bias']})" if learns else ""
     identified = "identified" if samples and study.nominal.parameters and identifies(study) else "nominal"
     return f"simulation: {identified} model{bias}"
 
