@@ -7,6 +7,7 @@ sees less imitates it.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from simbias.interfaces import Model
+from simbias.interfaces import Model, SlowWarning
 from simbias.records import Array
 
 PRICES = (10.0, 100.0, 1000.0, 10000.0)  # of inputs at their limits, that of a state of one unit being 1
@@ -50,7 +51,11 @@ class Candidates(Sequence[Array]):
     @cached_property
     def _policies(self) -> list[Array]:
         """All of them."""
-        return [*self._given, *designs(self._model, self._count)]
+        designed = designs(self._model, self._count)
+        if self._count and not designed:
+            message = f"searches begin without regulators: {type(self._model.policy).__name__} imitates none"
+            warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
+        return [*self._given, *designed]
 
     def __getitem__(self, index: Any) -> Any:
         return self._policies[index]

@@ -8,8 +8,8 @@ from point_mass import PointMass, WithoutWind
 
 import simbias
 from simbias.bias.none import ZeroBias
-from simbias.design import PRICES, designs, linearised, regulated, regulator, rest
-from simbias.interfaces import Model, Policy
+from simbias.design import PRICES, Candidates, designs, linearised, regulated, regulator, rest
+from simbias.interfaces import Model, Policy, SlowWarning
 from simbias.policy.gains import signed_exponential
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.records import Array
@@ -143,3 +143,25 @@ def test_one_of_them_balances_where_searches_find_none(
         return sum(rollout.failure is None for rollout in rollouts)
 
     assert max(map(held, regulated(model))) == 8
+
+
+def test_searches_that_begin_without_regulators_say_so() -> None:
+    """Where a policy has no `imitating`; the candidates that were given are kept."""
+
+    class Gain(Policy):
+        """u = theta x, without `imitating`."""
+
+        def __init__(self, task: PointMass) -> None:
+            self.n_parameters, self.bounds = 2, (np.full(2, -5.0), np.full(2, 5.0))
+
+        def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+            return np.sum(theta * x, axis=-1, keepdims=True), memory
+
+        def outputs(self, x: Array) -> Array:
+            return x
+
+    given = [np.array([1.0, 2.0])]
+    with pytest.warns(SlowWarning, match="begin without regulators: Gain imitates none"):
+        assert list(Candidates(given, point_mass(policy=Gain), 3)) == given
+    assert list(Candidates(given, point_mass(policy=Gain), 0)) == given
+    assert len(Candidates(given, point_mass(), 1)) > 1

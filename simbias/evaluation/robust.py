@@ -109,7 +109,7 @@ class Robust(Evaluation):
             task = task.with_horizon(task.frames(seconds))
             self.horizon = task.horizon
         self._task = task
-        self._rollouts = rollouts
+        self.rollouts = rollouts
         self._noise = Noise(task, noise)
         self.noisy_rollouts = 0 if self._noise.is_silent else rollouts
         self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
@@ -122,7 +122,7 @@ class Robust(Evaluation):
         """The aggregated cost in scenarios that are drawn here, once."""
         if self.horizon is not None:
             model, cost = replace(model, task=self._task), cost.with_horizon(self.horizon)
-        scenarios = [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self._rollouts)]
+        scenarios = [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self.rollouts)]
         return CostOfScenarios(scenarios, cost, self._worst, self._screening)
 
     def _scenario(self, model: Model, rng: np.random.Generator) -> Scenario:

@@ -83,7 +83,8 @@ class Objective(Protocol):
 class Evaluation(ABC):
     """How the cost of a policy is predicted in simulation."""
 
-    noisy_rollouts: int = 0  # of each policy, whose noise is kept as long as a search goes on
+    rollouts: int = 1  # of each policy
+    noisy_rollouts: int = 0  # those whose noise is kept as long as a search goes on
     horizon: int | None = None  # frames of its rollouts; None is the task's
 
     @abstractmethod

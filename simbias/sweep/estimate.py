@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from statistics import mean
+from typing import NamedTuple
 
 import numpy as np
 from pandas import DataFrame
@@ -13,41 +14,45 @@ from simbias.study import Study
 from simbias.sweep.grid import Sweep
 
 SAMPLES = 150  # of training data in the middle of a trial
-ITERATIONS = 0.5  # of those that a trial may make
-FRAMES = 0.75  # of the horizon, which a policy balances on average in a search
+FRAMES = 0.75  # of the horizon, for which a policy balances on average in a search
 POLICIES = 32  # that are simulated to measure the speed
 
 
-def estimate(sweep: Sweep, finished: DataFrame, study: Study, n_jobs: int) -> tuple[float, str]:
-    """Seconds that the missing trials may take, and what that rests on.
+class Estimate(NamedTuple):
+    """Seconds that a sweep's missing trials may take, and what that rests on."""
 
-    The means of finished trials, cell by cell where there are any; otherwise the speed of simulation.
-    """
+    least: float  # if each first policy succeeds
+    most: float  # if none does, in as many iterations as there may be
+    basis: str
+
+
+def estimate(sweep: Sweep, finished: DataFrame, study: Study, n_jobs: int) -> Estimate:
+    """From the means of finished trials, cell by cell where there are any, or from simulation's speed."""
     missing = [trial for trial in sweep.trials if trial.hash not in set(finished["hash"])]
     if not len(finished):
-        return len(missing) * _trial_seconds(
-            study
-        ) / n_jobs, "rough, from the speed of this machine's simulation"
+        first, later = _search_seconds(study, 0), _search_seconds(study, SAMPLES)
+        most = first + (study.method.max_iterations - 1) * later
+        least, most = (len(missing) * seconds / n_jobs for seconds in (first, most))
+        return Estimate(least, most, "rough: as fast as this machine simulates, without the hardware")
     seconds: dict[tuple[str, ...], list[float]] = {}
     for row in finished.to_dict("records"):
         seconds.setdefault(tuple(row[axis.name] for axis in sweep.axes), []).append(row["seconds"])
     overall = list(finished["seconds"])
-    total = sum(mean(seconds.get(trial.cell.labels, overall)) for trial in missing)
-    return total / n_jobs, f"from {len(finished)} finished trials"
+    total = sum(mean(seconds.get(trial.cell.labels, overall)) for trial in missing) / n_jobs
+    return Estimate(total, total, f"from {len(finished)} finished trials")
 
 
-def _trial_seconds(study: Study) -> float:
-    """A trial's time from that of a simulated frame: nearly all of it goes into policy searches."""
-    task, rng = study.task, np.random.default_rng(0)
+def _search_seconds(study: Study, samples: int) -> float:
+    """A search's time with a bias that was learned from so many samples, from that of a simulated frame."""
+    task, evaluation, rng = study.task, study.evaluation, np.random.default_rng(0)
     n, m = len(task.states), len(task.inputs)
-    no_residuals = Transitions(rng.normal(0.0, 0.1, (SAMPLES, n + m)), np.zeros((SAMPLES, n)))
-    simulator = study.simulator(study.bias.fit(no_residuals))
+    transitions = Transitions(rng.normal(0.0, 0.1, (samples, n + m)), np.zeros((samples, n)))
+    objective = evaluation.objective(study.model(study.bias.fit(transitions)), study.cost, rng)
     lower, upper = study.policy.bounds
     thetas = rng.uniform(lower, upper, (POLICIES, len(lower)))
-    starts = np.tile(task.start_mean, (POLICIES, 1))
-    simulator.rollouts(thetas, starts)  # compiles
-    start = time.perf_counter()
-    frames = sum(rollout.frames for rollout in simulator.rollouts(thetas, starts))
-    a_frame = (time.perf_counter() - start) / max(frames, 1)
-    iterations = ITERATIONS * study.method.max_iterations
-    return iterations * study.optimizer.max_evaluations * FRAMES * task.horizon * a_frame
+    objective.together(thetas)  # compiles
+    start, before = time.perf_counter(), objective.steps
+    objective.together(thetas)
+    a_frame = (time.perf_counter() - start) / max(objective.steps - before, 1)
+    frames = FRAMES * evaluation.rollouts * (evaluation.horizon or task.horizon)
+    return study.optimizer.max_evaluations * frames * a_frame

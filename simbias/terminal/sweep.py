@@ -205,8 +205,11 @@ def dry_run(sweep: Sweep, study: Study, finished: DataFrame, engine: Engine) -> 
         state = "finished" if trial.hash in done else "missing"
         print(f"{state:8}  {trial.hash}  seed {trial.seed:<15}  {trial.name}")
     n_jobs = getattr(engine, "n_jobs", 1)
-    seconds, basis = estimate(sweep, finished, study, n_jobs)
+    least, most, basis = estimate(sweep, finished, study, n_jobs)
+    how_long = f"{duration(least)} on {counted(n_jobs, 'job')}"
+    if most > least:
+        how_long += f" if each first policy succeeds, {duration(most)} if none does"
     print(
         f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; "
-        f"the others may take {duration(seconds)} on {counted(n_jobs, 'job')} ({basis})."
+        f"the others may take {how_long} ({basis})."
     )
