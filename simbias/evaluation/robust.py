@@ -48,19 +48,18 @@ class CostOfScenarios:
 
     def together(self, thetas: Array) -> Array:
         """The costs (k,) of thetas (k, p); all policies in all scenarios run in step."""
-        costs = np.full((len(thetas), len(self.scenarios)), np.nan)
+        costs = np.zeros((len(thetas), len(self.scenarios)))
         every = np.arange(len(self.scenarios))
-        first, others = np.split(every, [self._screening])
+        first, others = every[: self._screening], every[self._screening :]
         if self._share_promising > 0.5:  # so many in step that it pays to simulate some in vain
             costs = self._costs(thetas, every)
             hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
-            costs[np.ix_(hopeless, others)] = np.nan
         else:
             costs[:, first] = self._costs(thetas, first)
             hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
             costs[np.ix_(~hopeless, others)] = self._costs(thetas[~hopeless], others)
         self._share_promising = 1 - np.mean(hopeless)
-        return np.array([self._aggregated(row[~np.isnan(row)]) for row in costs])
+        return np.where(hopeless, self._aggregated(costs[:, first]), self._aggregated(costs))
 
     def _costs(self, thetas: Array, worlds: Indices) -> Array:
         """The cost of each theta of (k, p) in each of the worlds."""
@@ -70,9 +69,9 @@ class CostOfScenarios:
         self.steps += int(frames.sum())
         return costs.reshape(len(thetas), len(worlds))
 
-    def _aggregated(self, costs: Array) -> float:
-        """The mean of the worst of the costs."""
-        return float(np.mean(np.sort(costs)[-self._worst :]))
+    def _aggregated(self, costs: Array) -> Array:
+        """The means (k,) of the worst of the costs (k, .)."""
+        return np.mean(np.sort(costs)[:, -self._worst :], axis=1)
 
 
 class Robust(Evaluation):
