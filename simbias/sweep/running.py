@@ -132,4 +132,5 @@ def _plan(trial: Trial, tracked: TrackedSweep) -> Plan:
     """What a worker is told of a trial."""
     journal, composition = tracked.journal(trial), trial.composition
     folder = None if journal is None else str(journal.absolute())
-    return Plan(composition.config, composition.choices, folder, tuple(tracked.pictures), composition.allowed)
+    pictures = () if trial.repetition else tuple(tracked.pictures)  # a cell's first trial stands for all
+    return Plan(composition.config, composition.choices, folder, pictures, composition.allowed)

@@ -63,11 +63,13 @@ def test_trials_without_pictures(tmp_path: Path) -> None:
 
 
 def test_a_sweeps_trials_keep_few_pictures(tmp_path: Path) -> None:
+    """The first of each cell; to draw one takes longer than to keep a trial."""
     uri = f"tracking.uri=sqlite:///{tmp_path}/mlflow.db"
-    assert simbias(["+sweep=smoke", *QUICK, uri, "sweep.trials=1", "engine=sequential"]) == 0
+    assert simbias(["+sweep=smoke", *QUICK, uri, "sweep.trials=2", "engine=sequential"]) == 0
     for run in runs(tmp_path)[1]:
-        kept = {path.name for path in (artifacts(run) / "pictures").iterdir()}
-        assert kept == {f"{name}.png" for name in IN_SWEEPS}
+        kept = {path.name for path in (artifacts(run) / "pictures").glob("*")}
+        first = run.data.tags["repetition"] == "0"
+        assert kept == ({f"{name}.png" for name in IN_SWEEPS} if first else set())
 
 
 def test_broken_pictures_lose_no_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
