@@ -23,6 +23,7 @@ def _peak_and_effort(x, u, weights, totals):
     return max(peak, distance), effort
 
 
+LARGEST = 1e100  # of a peak: in a frame, a simulated state may grow until its square is no number any more
 Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
 
 
@@ -62,13 +63,14 @@ class Quadratic(Cost):
     def of(self, rollout: Rollout) -> float:
         """Z of a rollout (Eq. 8)."""
         lost = 0 if rollout.failed_at is None else self._horizon - rollout.failed_at
-        peak = np.fmax.reduce(np.square(rollout.states[1:]) @ self._R, initial=0.0)  # a state may be nan
+        with np.errstate(over="ignore", invalid="ignore"):
+            peak = np.fmax.reduce(np.square(rollout.states[1:]) @ self._R, initial=0.0)  # a state may be nan
         effort = np.sum(np.square(rollout.inputs) @ self._Q)
-        return float(self._failure_weight * lost + peak + effort)
+        return float(self._failure_weight * lost + min(peak, LARGEST) + effort)
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (k,) of rollouts whose peaks and efforts are totals (k, 2) and who lost so many frames (k,)."""
-        return self._failure_weight * lost + totals.sum(axis=1)
+        return self._failure_weight * lost + np.minimum(totals, LARGEST).sum(axis=1)
 
 
 def _diagonal(name: str, weights: Weights, quantities: Sequence[Quantity]) -> Array:

@@ -110,3 +110,17 @@ def test_weights_by_name_are_weights_by_place(study: Study) -> None:
     assert named.of(rollout) == placed.of(rollout)
     with pytest.raises(ValueError, match="state_weights: nothing is called size; there is alpha_w, angle"):
         Quadratic(study.task, 200.0, {"size": 1.0}, [1e-6], 200.0)
+
+
+@pytest.mark.parametrize("far", [1e160, np.inf, np.nan])
+def test_a_state_beyond_all_numbers_costs_a_finite_number(study: Study, far: float) -> None:
+    """As of a model that explodes within a frame; the same by the kernel's totals."""
+    states = np.array([study.task.start_mean, np.full(6, far)])
+    rollout = Rollout(states, np.zeros((1, 1)), failed_at=1, failure="distance")
+    cost = study.cost.of(rollout)
+    assert study.cost.max_cost < cost < np.inf
+    totals = (0.0, 0.0)
+    with np.errstate(all="ignore"):
+        totals = study.cost.kernel.function(states[1], np.zeros(1), study.cost.kernel.parameters, totals)
+    (by_totals,) = study.cost.of_totals(np.array([totals]), np.array([study.task.horizon - 1]))
+    assert by_totals == pytest.approx(cost, rel=1e-12)
