@@ -68,3 +68,14 @@ def test_what_is_learned_on_one_engine_is_tried_on_all(tmp_path: Path) -> None:
     assert list(tried["learned on"]) == engines
     assert (tried[engines] == 20).all(axis=None)  # nobody falls within 60 ms
     assert [line.split(" | ")[0] for line in printed.splitlines()[2:]] == [f"| {name}" for name in engines]
+
+
+def test_what_is_learned_of_gaps_predicts_other_experiments(tmp_path: Path) -> None:
+    """A motor of 40% is a parameter of the model: what is identified predicts best."""
+    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=1000"]
+    printed = study("gaps_predicted", "predicted.csv", *arguments, folder=tmp_path)
+    assert printed.splitlines()[-1].startswith("| motor 40% | ")
+    errors = pd.read_csv(tmp_path / "predicted.csv").set_index("way")["error"]
+    assert errors["nominal"] == 1
+    assert errors["identified"] < 0.3
+    assert errors["both"] < 0.3

@@ -54,6 +54,8 @@ def prediction_errors(
         for name, (bias, nominal) in _models(study, iterations, iteration).items():
             names[name] = None
             pieces = windows(study, iteration, max(horizons), nominal)
+            if not len(pieces.states):
+                continue  # its experiments ended too early
             errors = prediction_error(study, bias, pieces, horizons, nominal)
             for row, states in zip(grid, groups.values(), strict=True):
                 for axes, values in zip(row, errors, strict=True):
@@ -112,10 +114,11 @@ def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | 
     memories = {
         id(r): (nominal or study.nominal).memories(r.states[:-1], r.inputs) for r in iteration.experiments
     }
+    w = len(starts)
     return Windows(
-        np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(-1, frames + 1, n),
-        np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(-1, frames, m),
-        np.array([memories[id(rollout)][t] for rollout, t in starts]).reshape(len(starts), s),
+        np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(w, frames + 1, n),
+        np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(w, frames, m),
+        np.array([memories[id(rollout)][t] for rollout, t in starts]).reshape(w, s),
     )
 
 

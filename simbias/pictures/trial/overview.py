@@ -43,7 +43,7 @@ from simbias.study import Study
 
 COLUMNS = 6  # of snapshots
 WIDTH, TITLE, SNAPSHOTS, MEASURE, TIME_AXIS = 9.0, 0.4, 1.2, 1.3, 0.42  # in
-BLOCK_SIDES, COST_SIDES = {"left": 0.06, "right": 0.755}, {"left": 0.84, "right": 0.97}  # of the width
+BLOCK_SIDES, COST_SIDES = {"left": 0.07, "right": 0.755}, {"left": 0.84, "right": 0.97}  # of the width
 
 
 class Comparison(NamedTuple):
@@ -149,7 +149,7 @@ def _draw_measure(axes: Axes, study: Study, comparison: Comparison, index: int, 
     axes.set_xlim(ticks[0] - ticks[1] / 2, ticks[-1] + ticks[1] / 2)
     axes.set_xticks(ticks)
     axes.set_xlabel("time (s)", labelpad=1)
-    axes.set_ylabel(label(criterion))
+    axes.set_ylabel(label(criterion), labelpad=1)
     shade_beyond(axes, criterion.limit, "limit")
     _tell_failure(axes, study, comparison.hardware, criterion.limit)
     axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.87), frameon=False, fontsize=SMALL)

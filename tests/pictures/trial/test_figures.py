@@ -192,6 +192,7 @@ def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: 
     assert len(prediction_errors(short, [brief], [1, 20]).axes) == 2  # one horizon, two units
     with pytest.raises(NoPictureError, match="lasted"):
         prediction_errors(short, [brief], [11])
+    assert len(prediction_errors(short, [brief, trial[0]], [1, 20]).axes) == 4  # of the other iteration's
 
 
 @pytest.mark.slow
