@@ -50,9 +50,12 @@ def _search_seconds(study: Study, samples: int) -> float:
     objective = evaluation.objective(study.model(study.bias.fit(transitions)), study.cost, rng)
     lower, upper = study.policy.bounds
     thetas = rng.uniform(lower, upper, (POLICIES, len(lower)))
-    objective.together(thetas)  # compiles
-    start, before = time.perf_counter(), objective.steps
-    objective.together(thetas)
-    a_frame = (time.perf_counter() - start) / max(objective.steps - before, 1)
+    together = getattr(objective, "together", lambda points: [objective(point) for point in points])
+    together(thetas)  # compiles
+    start, before = time.perf_counter(), getattr(objective, "steps", 0)
+    together(thetas)
+    seconds, steps = time.perf_counter() - start, getattr(objective, "steps", 0) - before
+    if not steps:  # a plain function counts none
+        return study.optimizer.max_evaluations * seconds / POLICIES
     frames = FRAMES * evaluation.rollouts * (evaluation.horizon or task.horizon)
-    return study.optimizer.max_evaluations * frames * a_frame
+    return study.optimizer.max_evaluations * frames * seconds / steps
