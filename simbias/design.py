@@ -77,14 +77,10 @@ def regulated(model: Model) -> list[Array]:
         linear = linearised(model)
     except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
         return []
-    found, rng = [], np.random.default_rng(SEED)
-    for price in PRICES:
-        gains = regulator(linear, price * np.diag(model.task.input_limit**-2.0))
-        if gains is not None:
-            theta = model.policy.imitating(*_records(model, linear, gains, rng))
-            if theta is not None:
-                found.append(theta)
-    return found
+    each = [regulator(linear, price * np.diag(model.task.input_limit**-2.0)) for price in PRICES]
+    records = _records(model, linear, [gains for gains in each if gains is not None])
+    imitations = [model.policy.imitating(states, inputs) for states, inputs in records]
+    return [theta for theta in imitations if theta is not None]
 
 
 def rest(model: Model) -> tuple[Array, Array]:
@@ -132,17 +128,22 @@ def regulator(linear: Linear, R: Array) -> Array | None:
     return np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
 
 
-def _records(model: Model, linear: Linear, gains: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """States (k, T, n) of the regulated linear model from the task's starts, and its regulator's inputs."""
-    task = model.task
-    n, frames = len(task.states), task.frames(SECONDS)
-    s = np.zeros((RECORDS, len(linear.rest)))
-    s[:, :n] = [task.draw_start(rng) - linear.rest[:n] for _ in range(RECORDS)]
-    states, inputs = [], []
-    for _ in range(frames):
-        u = -s @ gains.T
-        states.append(s[:, :n] + linear.rest[:n])
-        inputs.append(u + linear.inputs)
-        shaken = u + SHAKEN * task.input_limit * rng.standard_normal(u.shape)
-        s = s @ linear.A.T + shaken @ linear.B.T
-    return np.stack(states, axis=1), np.stack(inputs, axis=1)
+def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
+    """Of each regulator K (m, l): states (k, T, n) of the regulated linear model, and inputs (k, T, m).
+
+    It begins at the task's starts, and is shaken.
+    """
+    task, rng = model.task, np.random.default_rng(SEED)
+    n, m, frames, r = len(task.states), len(task.inputs), task.frames(SECONDS), len(gains)
+    s, shaking = np.zeros((r, RECORDS, len(linear.rest))), np.empty((r, frames, RECORDS, m))
+    for one, noise in zip(s, shaking, strict=True):
+        one[:, :n] = [task.draw_start(rng) - linear.rest[:n] for _ in range(RECORDS)]
+        noise[:] = SHAKEN * task.input_limit * rng.standard_normal(noise.shape)
+    states, inputs = np.empty((frames, r, RECORDS, n)), np.empty((frames, r, RECORDS, m))
+    K = -np.reshape(gains, (r, m, s.shape[-1])).transpose(0, 2, 1)
+    for t in range(frames):
+        states[t] = s[..., :n]
+        inputs[t] = u = s @ K
+        s = s @ linear.A.T + (u + shaking[:, t]) @ linear.B.T
+    states, inputs = states + linear.rest[:n], inputs + linear.inputs
+    return list(zip(np.moveaxis(states, 0, 2), np.moveaxis(inputs, 0, 2), strict=True))

@@ -1,8 +1,12 @@
-"""The kernel of a bias, called on its own."""
+"""Compiled functions, called on their own."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+from numba import njit
 
 from simbias.interfaces import FittedBias
 from simbias.records import Array
@@ -10,10 +14,21 @@ from simbias.simulation.compilation import Compilation
 from simbias.simulation.kernels import LANES
 
 
+def from_python(function: Callable, inline: bool = True) -> Any:
+    """A function, compiled as a part of compiled code, that Python can call all the same."""
+    part = Compilation().compiled(function, inline)
+
+    @njit
+    def call(*arguments):
+        return part(*arguments)
+
+    return call
+
+
 def corrections(fitted: FittedBias, inputs: Array, n: int = 6) -> Array:
     """What it adds (k, n) at raw inputs (k, n+m), up to LANES of them at a time."""
     assert fitted.kernel is not None
-    correct = Compilation().compiled(fitted.kernel.function, inline=False)
+    correct = from_python(fitted.kernel.function, inline=False)
     values = []
     for first in range(0, len(inputs), LANES):
         some = inputs[first : first + LANES]

@@ -11,6 +11,7 @@ from textwrap import dedent
 import llvmlite.binding
 import numpy as np
 import pytest
+from in_lanes import from_python
 from numba import njit
 
 from simbias.simulation.compilation import OPTIONS, Compilation
@@ -85,7 +86,7 @@ def test_closures_and_substitutes_are_part_of_it() -> None:
 
         return function
 
-    squared, cubed = Compilation().compiled(power(2)), Compilation().compiled(power(3))
+    squared, cubed = from_python(power(2)), from_python(power(3))
     assert (squared(3.0), cubed(3.0)) == (9.0, 27.0)
 
 

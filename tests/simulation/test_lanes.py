@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from in_lanes import from_python
 from numba import njit
 
-from simbias.simulation.compilation import Compilation
 from simbias.simulation.kernels import LANES
 from simbias.simulation.lanes import everywhere, exp, load, store
 
@@ -34,7 +34,7 @@ def exponentials(z):
     return out
 
 
-exponentials = Compilation().compiled(exponentials)
+exponentials = from_python(exponentials)
 
 
 @settings(deadline=None)  # the first example compiles
