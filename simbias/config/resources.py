@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from simbias.config.errors import ConfigError, reason
 from simbias.config.files import check_file
+
+if TYPE_CHECKING:
+    from hydra.core.config_store import ConfigNode
 
 PRIMARY = "config.yaml"  # the one that names the defaults
 
@@ -54,32 +57,32 @@ def register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
     """
     from hydra.core.config_store import ConfigStore
 
-    store = ConfigStore.instance()
-    store.repo.pop("sweep", None)  # those of another config_dir
+    group: dict[str, Any] = {}
     for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
         for file in _files(folder):
             try:
                 about = file.stat()
-                node = _sweep(file, about.st_mtime_ns, about.st_size)
+                group[file.name] = _sweep(file, about.st_mtime_ns, about.st_size)
             except Exception as error:  # OmegaConf's, YAML's or the system's
                 if file.stem != wanted:
                     continue
                 if isinstance(error, ConfigError):
                     raise
                 raise ConfigError(str(file), reason(error)) from error
-            store.store(group="sweep", name=file.stem, node=node, package="_global_")
+    ConfigStore.instance().repo["sweep"] = group  # in place of those of another config_dir
 
 
 @cache
-def _sweep(file: Path, time: int, size: int) -> Any:
-    """The config in a file that was changed last at that time; Hydra copies what it uses of it."""
+def _sweep(file: Path, time: int, size: int) -> ConfigNode:
+    """What is in a file that was changed last at that time; Hydra copies what it uses of it."""
+    from hydra.core.config_store import ConfigNode
     from omegaconf import DictConfig, OmegaConf
 
     check_file(file)
     node = OmegaConf.load(file)
     if not isinstance(node, DictConfig):
         raise ConfigError(str(file), "must be a mapping")
-    return node
+    return ConfigNode(file.name, node, group="sweep", package="_global_", provider=None)
 
 
 def check_no_primary(config_dir: Path | str | None) -> None:
