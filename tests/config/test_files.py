@@ -17,7 +17,7 @@ from simbias.sweep.grid import expand
 pytestmark = pytest.mark.slow
 
 BOMB = "a0: &a0 [1]\n" + "".join(f"a{i}: &a{i} [{','.join(9 * [f'*a{i - 1}'])}]\n" for i in range(1, 9))
-DEEP = "a: " + 3000 * "[" + 3000 * "]"
+DEEP = "a: " + 1000 * "[" + 1000 * "]"
 BROKEN: dict[str, Callable[[Path], object]] = {
     "folder": Path.mkdir,
     "dangling": lambda path: path.symlink_to("nowhere"),

@@ -140,7 +140,7 @@ def walk(
     covariance: Array,
     rng: np.random.Generator,
     walkers: int = 64,
-    steps: int = 1200,
+    steps: int = 600,
 ) -> Array:
     """Draws by stretch moves of an ensemble, from a wide start (J. Goodman and J. Weare, 2010)."""
     p, half = len(start), walkers // 2
