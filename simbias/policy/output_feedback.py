@@ -89,4 +89,4 @@ class _Loop(Controller):
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the state x (n,)."""
-        return np.minimum(np.maximum(self._gains @ self._outputs(x), self._least), self._most)
+        return np.minimum(np.maximum(self._gains.dot(self._outputs(x)), self._least), self._most)
