@@ -220,7 +220,7 @@ class Study:
 
     def simulator(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Simulator:
         """The closed loop on the (identified) nominal model, corrected by a fitted bias; g = 0 without."""
-        return simulator(self.model(fitted_bias, nominal))
+        return simulator(self.model(fitted_bias, nominal), cost=self.cost)
 
     def model(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Model:
         """The (identified) nominal model, corrected by a fitted bias; g = 0 without one."""

@@ -17,9 +17,14 @@ from simbias.simulation.plain import PlainSimulator
 from simbias.simulation.tracing import parts_of
 
 
-def simulator(model: Model, disturbance: Disturbance | None = None) -> Simulator:
-    """The compiled closed loop where every part of it has a kernel or can be traced, else the plain one."""
-    return CompiledSimulator.of(model, disturbance) or PlainSimulator([model], [disturbance], corrections)
+def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost | None = None) -> Simulator:
+    """The compiled closed loop where every part of it has a kernel or can be traced, else the plain one.
+
+    With the cost of a search, what it compiles is what the search runs.
+    """
+    return CompiledSimulator.of(model, disturbance, cost) or PlainSimulator(
+        [model], [disturbance], corrections
+    )
 
 
 class Worlds(Protocol):

@@ -34,9 +34,12 @@ class CompiledSimulator:
     bias: Kernel
     noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
     models: tuple[Nominal, ...]  # held on to: a kernel's parameters may be addresses of what is theirs
+    cost: Cost | None = None  # summed up of recorded rollouts, too: one loop is compiled for both
 
     @staticmethod
-    def of(model: Model, disturbance: Disturbance | None) -> CompiledSimulator | None:
+    def of(
+        model: Model, disturbance: Disturbance | None, cost: Cost | None = None
+    ) -> CompiledSimulator | None:
         """The model's closed loop; None if one of its parts has no kernel, and none can be traced."""
         parts = parts_of(model)
         if any(part.kernel is None for part in parts):
@@ -50,7 +53,7 @@ class CompiledSimulator:
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
         return CompiledSimulator(
-            task, measure, output, policy, *sizes, nominal, bias, noise, (model.nominal,)
+            task, measure, output, policy, *sizes, nominal, bias, noise, (model.nominal,), cost
         )
 
     @staticmethod
@@ -89,7 +92,8 @@ class CompiledSimulator:
         task, rollouts = self.task, []
         for first in range(0, len(thetas), RECORDED):
             some = slice(first, first + RECORDED)
-            made = self._run(None, 0, thetas[some], starts[some], None if worlds is None else worlds[some])
+            own = None if worlds is None else worlds[some]
+            made = self._run(self.cost, len(thetas[some]), thetas[some], starts[some], own)
             each = zip(made.states, made.inputs, made.frames.tolist(), made.violated.tolist(), strict=True)
             rollouts += [record(task.criteria, *one) for one in each]
         return rollouts
@@ -100,17 +104,17 @@ class CompiledSimulator:
         """Costs and frames (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
         if cost.kernel is None:
             return costs_of(cost, self.rollouts(thetas, starts, worlds))
-        made = self._run(cost.kernel, cost.totals, thetas, starts, worlds)
+        made = self._run(cost, 0, thetas, starts, worlds)
         return made.costs(cost, self.task.horizon), made.frames
 
     def _run(
-        self, total: Kernel | None, totals: int, thetas: Array, starts: Array, worlds: Indices | None
+        self, cost: Cost | None, recorded: int, thetas: Array, starts: Array, worlds: Indices | None
     ) -> Made:
-        """Rollouts that a cost's kernel sums up as so many totals or, if there is none, are recorded."""
+        """Rollouts, summed up by the cost's kernel if it has one; so many are recorded, all or none."""
         k = len(thetas)
-        made = Made.of(k, totals, self.task, 0 if total else k)
-        if not total:
-            made.states[:, 0] = starts
+        total, totals = (cost.kernel, cost.totals) if cost and cost.kernel else (None, 0)
+        made = Made.of(k, totals, self.task, recorded)
+        made.states[:, 0] = starts[:recorded]
         policy = self.policy(np.asarray(thetas, dtype=np.float64))
         loop, _ = self.loop(policy, total, totals)
         each = (

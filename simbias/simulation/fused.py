@@ -23,7 +23,7 @@ from numba import njit
 from simbias.simulation.compilation import OPTIONS, Compilation
 from simbias.simulation.correction import for_all_lanes
 from simbias.simulation.kernels import LANES
-from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, RECORD, TEMPLATE
+from simbias.simulation.loop_template import CORRECT_ALL_LANES, FORGET, GATHER, TEMPLATE
 from simbias.simulation.text import assign, indent, tuple_of
 
 # Where the rollout of each lane stands.
@@ -39,7 +39,7 @@ class Composition:
     control: Callable
     step: Callable
     correct: Callable
-    total: Callable | None  # of a cost; without one, rollouts are recorded
+    total: Callable | None  # of a cost; without one, nothing is summed up
     states: int  # n
     inputs: int  # m
     criteria: int  # c
@@ -107,7 +107,7 @@ def source(c: Composition) -> str:
         forget=FORGET.format(hidden=c.hidden) if c.hidden else "",
         advance=indent(_advanced(c), 12),
         correct=indent([*corrected, *assign("command", "u", m), *assign("force", "u_", m)], 12),
-        record=after + ("" if c.total else RECORD.format(**sizes)),
+        correct_all=after,
     )
 
 

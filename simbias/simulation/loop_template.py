@@ -2,8 +2,8 @@
 
 Arrays of all lanes have a row for each component: `x[i, lane]`. The arguments after the kernels' parameters
 are noise (w (T+1), m+n), worlds (k,), starts (k, n), and what is filled: states (k, T+1, n) and inputs
-(k, T, m), or final_totals (k, s); frames (k,), and the criterion (k,) that each rollout violated, -1 at the
-horizon.
+(k, T, m), or neither; the cost's final_totals (k, s); frames (k,), and the criterion (k,) that each rollout
+violated, -1 at the horizon.
 
 It ends when so many rollouts as are `needed` have. Those under way then stay in the lanes, which are copied
 to `carried`, if that has any rows; the next call, which begins with a copy of it, goes on with them. These
@@ -22,6 +22,7 @@ def closed_loop(
     measure_data = {measure_data}
     output_data = {output_data}
     {constants}
+    recorded = states.shape[0] > 0
     x[:] = nan  # in a lane without a rollout, so that no kernel works for nothing
     for row in range(carried.shape[0]):
         for lane in range({LANES}):
@@ -67,7 +68,15 @@ def closed_loop(
             criterion[lane] = failed
             stopping[lane] = 1 if stop else 0
             frame[lane] += 0 if stop else 1
-        {record}
+        {correct_all}
+        if recorded:
+            for lane in range({LANES}):
+                if running[lane] == 1 and stopping[lane] == 0:
+                    b, t = rollout[lane], frame[lane]
+                    for i in range({m}):
+                        inputs[b, t - 1, i] = command[i, lane]
+                    for i in range({n}):
+                        states[b, t, i] = x[i, lane]
         if ended > 0:
             for lane in range({LANES}):
                 if running[lane] == 1 and stopping[lane] == 1:
@@ -90,15 +99,6 @@ CORRECT_ALL_LANES = """
         correct(x, force, bias_parameters, correction)
         for lane in range({LANES}):
             {settle}"""
-
-RECORD = """
-        for lane in range({LANES}):
-            if running[lane] == 1 and stopping[lane] == 0:
-                b, t = rollout[lane], frame[lane]
-                for i in range({m}):
-                    inputs[b, t - 1, i] = command[i, lane]
-                for i in range({n}):
-                    states[b, t, i] = x[i, lane]"""
 
 GATHER = """
         for lane in range({LANES}):
