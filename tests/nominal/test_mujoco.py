@@ -104,7 +104,7 @@ def candidates(study: Study, k: int) -> tuple[Array, Array, Indices]:
 def test_a_compiled_frame_is_the_engines_to_the_last_bit(preset: str) -> None:
     """In a rollout without a policy, so that nothing but the engine acts."""
     study = search(preset, "task.horizon=20")
-    loop, (_, starts, _) = simulator(study.model()), candidates(study, 40)
+    loop, (_, starts, _) = study.simulator(), candidates(study, 40)
     assert isinstance(loop, CompiledSimulator)
     for rollout in loop.rollouts(np.zeros((40, study.policy.n_parameters)), starts):
         assert rollout.frames > 3
@@ -119,7 +119,7 @@ def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
     study = search("double_cartpole", "identification=none", "bias=gp")
     bias = study.bias.fit(transitions(study)) if learns else None
     models = worlds_of(study, bias)
-    compiled = join([simulator(model) for model in models])
+    compiled = join([simulator(model, cost=study.cost) for model in models])
     assert isinstance(compiled, CompiledSimulator)
     asked = candidates(study, 60)
     costs, frames = compiled.costs(study.cost, *asked)
@@ -133,7 +133,7 @@ def test_predictions_of_a_record_are_the_plain_ones() -> None:
     """As an identification asks for them: each world's model along the inputs of an experiment."""
     study = search("double_cartpole")
     thetas, starts, _ = candidates(study, 3)
-    windows = Windows.of(simulator(study.model()).rollouts(0.01 * thetas, starts), 4, 2)
+    windows = Windows.of(study.simulator().rollouts(0.01 * thetas, starts), 4, 2)
     worlds = [World(model.nominal) for model in worlds_of(study)]
     assert len(windows) >= 3
     np.testing.assert_allclose(predict(worlds, windows), plain(worlds, windows), rtol=1e-12, atol=1e-12)
@@ -161,7 +161,7 @@ def test_a_lane_without_a_rollout_does_not_ask_the_engine(monkeypatch: pytest.Mo
     monkeypatch.setattr(Places, "__init__", noted(Places.__init__, made))
     study = search("double_cartpole")
     thetas, starts, _ = candidates(study, 5)
-    _, frames = simulator(study.model()).costs(study.cost, thetas, starts)
+    _, frames = study.simulator().costs(study.cost, thetas, starts)
     (places,) = made
     steps = sum(data.timer[mujoco.mjtTimer.mjTIMER_STEP].number for data in places.data)
     substeps = round(study.task.time_step / 0.01)
@@ -193,7 +193,7 @@ def test_what_blows_up_in_compiled_code_is_no_number() -> None:
     study = search("double_cartpole")
     start = study.task.start_mean.copy()
     start[3] = 2e4
-    rollout = simulator(study.model()).rollout(np.zeros(study.policy.n_parameters), start)
+    rollout = study.simulator().rollout(np.zeros(study.policy.n_parameters), start)
     assert rollout.failed_at == 1
     assert np.isnan(rollout.states[1]).all()
 

@@ -108,7 +108,7 @@ def test_models_with_memory_run_compiled_as_in_numpy(driven: Study) -> None:
     """In several worlds, some rollouts taking the places of others that ended."""
     rng, model = np.random.default_rng(0), driven.model()
     models = [replace(model, nominal=driven.nominal.draw(rng)) for _ in range(3)]
-    fast = join([simulator(each) for each in models])
+    fast = join([simulator(each, cost=driven.cost) for each in models])
     assert isinstance(fast, CompiledSimulator)
     worlds, thetas = rng.integers(0, 3, 40), rng.uniform(-5, 5, (40, 5))
     starts = np.array([driven.task.draw_start(rng) for _ in range(40)])

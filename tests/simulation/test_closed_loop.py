@@ -31,7 +31,7 @@ def both(
     study: Study, bias: FittedBias, disturbance: Disturbance | None = None
 ) -> tuple[CompiledSimulator, PlainSimulator]:
     model = study.model(bias)
-    compiled = simulator(model, disturbance)
+    compiled = simulator(model, disturbance, study.cost)
     assert isinstance(compiled, CompiledSimulator)
     return compiled, PlainSimulator([model], [disturbance])
 
@@ -190,8 +190,11 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
     drawn = [bias.draw(rng) for _ in range(3)]
     models = [replace(study.model(bias), nominal=study.nominal.draw(rng)) for _ in range(3)]
     noises = [Disturbance(0.3 * rng.normal(size=(T, 1)), 0.01 * rng.normal(size=(T + 1, 6))) for _ in models]
-    simulators = [simulator(model, noise) for model, noise in zip(models, noises, strict=True)]
-    own = [simulator(replace(model, bias=bias)) for model, bias in zip(models, drawn, strict=True)]
+    simulators = [simulator(model, noise, study.cost) for model, noise in zip(models, noises, strict=True)]
+    own = [
+        simulator(replace(model, bias=bias), cost=study.cost)
+        for model, bias in zip(models, drawn, strict=True)
+    ]
     worlds = rng.integers(0, 3, 40)
     thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
     for several, in_step in ((simulators, True), (own, False), ([*simulators[:2], own[0]], False)):
