@@ -206,7 +206,7 @@ def dry_run(sweep: Sweep, study: Study, finished: DataFrame, engine: Engine) -> 
         print(f"{state:8}  {trial.hash}  seed {trial.seed:<15}  {trial.name}")
     n_jobs = getattr(engine, "n_jobs", 1)
     least, most, basis = estimate(sweep, finished, study, n_jobs)
-    how_long = f"{duration(least)} on {counted(n_jobs, 'job')}"
+    how_long = f"{duration(least) if least >= 0.5 else 'less than 1 s'} on {counted(n_jobs, 'job')}"
     if most > least:
         how_long += f" if each first policy succeeds, {duration(most)} if none does"
     print(

@@ -268,7 +268,7 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[:4]] == ["finished", "finished", "missing", "missing"]
     assert lines[4].startswith(
-        "smoke: 2 of 4 trials are finished; the others may take 0 s on 2 jobs (from 2 "
+        "smoke: 2 of 4 trials are finished; the others may take less than 1 s on 2 jobs (from 2 "
     )
     assert len(runs(folder)[1]) == 2
 

@@ -1,0 +1,56 @@
+"""How long a sweep may take, before it is run."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from simbias.interfaces import Cost, Evaluation, Model, Objective
+from simbias.study import Study
+from simbias.sweep.estimate import estimate
+from simbias.sweep.grid import Sweep, expand
+
+SECONDS = 2e-3
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Sweep:
+    return expand(["+sweep=smoke", "tracking=none"])
+
+
+class Slow(Evaluation):
+    """A plain function of a policy, which counts no simulated steps."""
+
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
+        """It takes so many seconds, whatever the policy."""
+        return lambda theta: time.sleep(SECONDS) or 0.0
+
+
+def test_a_plain_function_is_timed(sweep: Sweep, point_mass: Study) -> None:
+    study = replace(point_mass, evaluation=Slow())
+    made = estimate(sweep, pd.DataFrame({"hash": []}), study, 2)
+    search = study.optimizer.max_evaluations * SECONDS
+    assert 1 <= made.least / (search * len(sweep.trials) / 2) < 5  # on a busy machine
+    assert made.most > 2 * made.least
+
+
+def test_a_search_is_as_long_as_its_evaluations_and_its_horizon(sweep: Sweep, point_mass: Study) -> None:
+    """Timed on few short rollouts."""
+    few = replace(point_mass, task=point_mass.task.with_horizon(500))
+    nothing = pd.DataFrame({"hash": []})
+    long = replace(point_mass, task=point_mass.task.with_horizon(5000))
+    assert estimate(sweep, nothing, few, 1).least < estimate(sweep, nothing, long, 1).least
+
+
+def test_finished_trials_tell(sweep: Sweep, point_mass: Study) -> None:
+    """Those of the same cell where there are any, else all of them."""
+    first, *others = sweep.trials
+    axis = sweep.axes[0].name
+    rows = [{"hash": first.hash, axis: first.cell.labels[0], "seconds": 4.0}]
+    made = estimate(sweep, pd.DataFrame(rows), point_mass, 2)
+    assert made.least == made.most == 4.0 * len(others) / 2
+    assert made.basis == "from 1 finished trials"
