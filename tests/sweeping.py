@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
+NO_FIGURES = "+sweep.figures={}"  # to draw them takes a second
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 FOUR_CELLS = """
 task: {horizon: 600}
@@ -30,6 +31,7 @@ method: {max_iterations: 2}
 tracking: {pictures: false}
 sweep:
   trials: 5
+  figures: {}
   axes:
     hardware.noise.torque_variance: [0.0, 0.1]
     hardware.inertia_error: [0.0, 0.2]

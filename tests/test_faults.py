@@ -28,6 +28,7 @@ cost: {{max_cost: 1e-3}}
 tracking: {{pictures: false}}
 sweep:
   trials: 1
+  figures: {{}}
   axes:
     hardware.fault: [{faults}]
 """

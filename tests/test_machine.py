@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 from mlflow import MlflowClient
-from sweeping import QUICK, runs
+from sweeping import NO_FIGURES, QUICK, runs
 
 from simbias import machine
 from simbias.__main__ import main
 
 GENERIC = {"NUMBA_CPU_NAME": "generic", "OPENBLAS_CORETYPE": "Prescott"}
-SWEEP = ["+sweep=smoke", "sweep.trials=1", "engine=sequential", "tracking.pictures=false", *QUICK]
+SWEEP = ["+sweep=smoke", NO_FIGURES, "sweep.trials=1", "engine=sequential", "tracking.pictures=false", *QUICK]
 
 
 def uri(folder: Path) -> str:

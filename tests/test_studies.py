@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import ROOT
-from sweeping import run
+from sweeping import NO_FIGURES, run
 
 pytestmark = pytest.mark.slow
 
@@ -21,7 +21,9 @@ def study(name: str, *arguments: str, folder: Path) -> str:
 
 
 def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
-    status, _, err = run("+sweep=smoke", "tracking.pictures=false", "engine=sequential", folder=tmp_path)
+    status, _, err = run(
+        "+sweep=smoke", NO_FIGURES, "tracking.pictures=false", "engine=sequential", folder=tmp_path
+    )
     assert status == 0, err
     printed = study("last_policies", "smoke", "policies.csv", folder=tmp_path)
     head, _, *body = printed.splitlines()

@@ -20,7 +20,7 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS, ROOT
 from mlflow import MlflowClient
 from rich.console import Console
-from sweeping import QUICK, artifacts, everything, run, runs, table, trial_by_trial, write_sweep
+from sweeping import NO_FIGURES, QUICK, artifacts, everything, run, runs, table, trial_by_trial, write_sweep
 
 import simbias
 from simbias.__main__ import main
@@ -107,7 +107,7 @@ def test_jobs_and_order_change_nothing(
         "two": ["engine.n_jobs=2"],
         "backwards": ["engine=sequential", "engine._target_=test_sweep.Backwards", "--allow", "test_sweep"],
     }
-    quick = ["+sweep=smoke", "optimizer.max_evaluations=15", "tracking.pictures=false"]
+    quick = ["+sweep=smoke", NO_FIGURES, "optimizer.max_evaluations=15", "tracking.pictures=false"]
     found = {}
     for name, overrides in engines.items():
         (folder / name).mkdir()
@@ -173,7 +173,7 @@ def test_last_policies_are_tried_and_told(folder: Path) -> None:
     """By the workers, after the trials; table, metrics and files tell of it, also when read again."""
     tries = ["held_out.starts=3", "held_out.lasting=1", "held_out.seconds=0.4"]
     told = "+sweep.report.measures=[experiments,hardware_seconds,held,reliable,lasted]"
-    again = ["+sweep=smoke", *QUICK, *tries, told, "tracking.pictures=false", store(folder)]
+    again = ["+sweep=smoke", NO_FIGURES, *QUICK, *tries, told, "tracking.pictures=false", store(folder)]
     trials = simbias.run_sweep(again)
     assert set(trials["held_out"]) == {"111"}  # nobody falls within 0.2 s
     frames = [len(each) for each in _experiments(folder)]
@@ -261,7 +261,7 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert " on 2 jobs if each first policy succeeds, " in said
     assert " if none does (rough: as fast as this machine simulates" in said
     assert not list((folder / "elsewhere").iterdir())
-    quick = ["sweep.trials=1", "engine=sequential", "tracking.pictures=false"]
+    quick = ["sweep.trials=1", "engine=sequential", "tracking.pictures=false", NO_FIGURES]
     assert main(["+sweep=smoke", *quick, store(folder)]) == 0
     capsys.readouterr()
     assert main(["+sweep=smoke", "sweep.dry_run=true", store(folder)]) == 0
@@ -286,7 +286,7 @@ class Hot(PymunkBongoboard):
 
 def test_a_trial_that_raises(folder: Path) -> None:
     """It is recorded with its error, the others run; when the fault is mended, it goes on in its run."""
-    conf = write_sweep(folder, "mine", "sweep: {trials: 4, axes: {bias: [gp, none]}}")
+    conf = write_sweep(folder, "mine", "sweep: {trials: 4, figures: {}, axes: {bias: [gp, none]}}")
     (conf / "hardware").mkdir()
     (conf / "hardware" / "hot.yaml").write_text("_target_: hot.Hot\nnoise: {}\n")
     module = folder / "hot.py"
@@ -374,7 +374,7 @@ print("more MiB:", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 def test_parents_memory_is_flat(folder: Path) -> None:
     """40 trials more, whose rollouts alone are 5 MiB when unpacked."""
-    small = ["task.horizon=500", "tracking.pictures=false"]
+    small = ["task.horizon=500", "tracking.pictures=false", NO_FIGURES]
     done = subprocess.run(
         [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *QUICK, *small],
         cwd=folder,
@@ -394,7 +394,8 @@ def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest
         def ended(self, trial: Trial, record: TrialRecord) -> None:
             names.append(trial.name)
 
-    words = ["+sweep=smoke", *QUICK, "engine=sequential", "tracking.pictures=false", store(folder)]
+    words = ["+sweep=smoke", NO_FIGURES, *QUICK, "engine=sequential", "tracking.pictures=false"]
+    words.append(store(folder))
     trials = simbias.run_sweep(words, observer=Listener())
     assert list(trials["outcome"]) == ["succeeded"] * 4
     assert names == [trial.name for trial in expand(words).trials]
@@ -421,7 +422,7 @@ def test_own_components_are_swept(folder: Path) -> None:
     (conf / "components.yaml").write_text("allow: [point_mass]\n")
     (conf / "nominal" / "walled.yaml").write_text("_target_: walled.Walled\n")
     (folder / "walled.py").write_text(IN_NUMPY)
-    write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
+    write_sweep(folder, "wind", "sweep: {trials: 2, figures: {}, axes: {hardware.wind: [1.0, 2.0]}}")
     own = [*(option for option in POINT_MASS if not option.startswith("nominal=")), "nominal=walled"]
     quick = ["optimizer.max_evaluations=40", "tracking.pictures=false"]
     status, _, err = run("--config-dir", "conf", "+sweep=wind", *own, *quick, folder=folder)

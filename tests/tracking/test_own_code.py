@@ -18,7 +18,7 @@ from simbias.__main__ import main
 from simbias.config.own_code import changed, digests
 
 SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20", "tracking.pictures=false"]
-SWEEP = "sweep: {trials: 1, axes: {hardware.inertia_error: [0.0, 0.1]}}"
+SWEEP = "sweep: {trials: 1, figures: {}, axes: {hardware.inertia_error: [0.0, 0.1]}}"
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS
 from mlflow.entities import Metric, Param
 from records import assert_equal, timeless
-from sweeping import QUICK, runs
+from sweeping import NO_FIGURES, QUICK, runs
 
 import simbias
 from simbias.config import ConfigError, Variations
@@ -133,7 +133,7 @@ def test_a_trial_that_went_on_is_read_back_as_one_that_was_not_disturbed(uri: st
 
 def test_trials_of_a_sweep_are_read_back(tmp_path: Path) -> None:
     uri = f"sqlite:///{tmp_path}/mlflow.db"
-    words = ["+sweep=smoke", *QUICK, "sweep.trials=1"]
+    words = ["+sweep=smoke", NO_FIGURES, *QUICK, "sweep.trials=1"]
     store = Mlflow(uri, pictures=False)
     sweep, _, _ = prepare(store, Variations(words))
     run_sweep(sweep, Sequential(), store.open_sweep(sweep, "the command"))

@@ -10,7 +10,7 @@ from conftest import OWN_CONF, POINT_MASS
 from matplotlib.figure import Figure
 from mlflow import MlflowClient
 from mlflow.entities import Run
-from sweeping import QUICK, artifacts, runs
+from sweeping import NO_FIGURES, QUICK, artifacts, runs
 
 from simbias.__main__ import main as simbias
 from simbias.pictures.__main__ import main as draw
@@ -65,7 +65,7 @@ def test_trials_without_pictures(tmp_path: Path) -> None:
 def test_a_sweeps_trials_keep_few_pictures(tmp_path: Path) -> None:
     """The first of each cell; to draw one takes longer than to keep a trial."""
     uri = f"tracking.uri=sqlite:///{tmp_path}/mlflow.db"
-    assert simbias(["+sweep=smoke", *QUICK, uri, "sweep.trials=2", "engine=sequential"]) == 0
+    assert simbias(["+sweep=smoke", NO_FIGURES, *QUICK, uri, "sweep.trials=2", "engine=sequential"]) == 0
     for run in runs(tmp_path)[1]:
         kept = {path.name for path in (artifacts(run) / "pictures").glob("*")}
         first = run.data.tags["repetition"] == "0"
