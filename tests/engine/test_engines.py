@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
 import psutil
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
+from conftest import ROOT
+from engine_tasks import Task, Trap, examine, hand_over, hand_over_a_view, set_trap, work
+from threadpoolctl import threadpool_limits
 
 from simbias.config import compose
 from simbias.config.services import engine
@@ -33,58 +32,6 @@ needs_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None,
 DASK = pytest.param(Dask(n_jobs=2), marks=needs_dask)
 WORKERS = [Loky(n_jobs=2), DASK]
 ENGINES = [Sequential(), Loky(n_jobs=1), *WORKERS]
-
-Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
-
-
-def work(task: Task) -> tuple[int, int]:
-    """Twice the number, and the process that did it."""
-    number, seconds, fate = task
-    time.sleep(seconds)
-    if fate == "always dies" or (fate and not Path(fate).exists()):
-        if fate != "always dies":
-            Path(fate).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 2 * number, os.getpid()
-
-
-class Trap:
-    """A result that kills the worker that sends it, once."""
-
-    def __init__(self, fate: str) -> None:
-        self.fate = fate
-
-    def __reduce__(self) -> Any:
-        if not Path(self.fate).exists():
-            Path(self.fate).touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return Trap, (self.fate,)
-
-
-def set_trap(fate: str) -> Trap:
-    return Trap(fate)
-
-
-def hand_over_a_view(task: dict[str, int]) -> Any:
-    """A result that a plain pickle refuses, as parts of trials are."""
-    return MappingProxyType(task)
-
-
-def hand_over(task: tuple[float, str]) -> np.ndarray:
-    """A result of 160 MB, whose worker is killed so many seconds after it is computed, once."""
-    seconds, fate = task
-    if not Path(fate).exists():
-        Path(fate).touch()
-        threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
-    return np.zeros(20_000_000)
-
-
-def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
-    """A number whose last bits matter, the task in words, and how many threads libraries use here."""
-    x, _ = task
-    np.ones((9, 9)) @ np.ones((9, 9))
-    threads = {library["num_threads"] for library in threadpool_info()}
-    return sum(math.sin(k * x) / k for k in range(1, 200)), repr(task), threads
 
 
 def name_of(subject: Any) -> str:
@@ -199,7 +146,10 @@ def test_closing_stops_the_workers(subject: Engine, recwarn: pytest.WarningsReco
 BUSY = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from test_engines import Dask, Loky, Path, begin
+from pathlib import Path
+from engine_tasks import begin
+from simbias.engine.dask import Dask
+from simbias.engine.loky import Loky
 import psutil, threading, time
 
 def tell():
@@ -217,17 +167,11 @@ if __name__ == "__main__":
 """
 
 
-def begin(file: str) -> None:
-    """Say so, and go on for long."""
-    Path(file).touch()
-    time.sleep(60)
-
-
 def busy(name: str, folder: Path) -> Iterator[Any]:
     """A process with two workers that have nothing to do and one that has, and their ids."""
     (folder / "busy.py").write_text(BUSY)
     process = subprocess.Popen(
-        [sys.executable, folder / "busy.py", Path(__file__).parent, name, folder / "begun"],
+        [sys.executable, folder / "busy.py", ROOT / "tests", name, folder / "begun"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -1,0 +1,73 @@
+"""What engines' workers do in tests, in a module that they import at once."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
+
+
+def work(task: Task) -> tuple[int, int]:
+    """Twice the number, and the process that did it."""
+    number, seconds, fate = task
+    time.sleep(seconds)
+    if fate == "always dies" or (fate and not Path(fate).exists()):
+        if fate != "always dies":
+            Path(fate).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number, os.getpid()
+
+
+class Trap:
+    """A result that kills the worker that sends it, once."""
+
+    def __init__(self, fate: str) -> None:
+        self.fate = fate
+
+    def __reduce__(self) -> Any:
+        if not Path(self.fate).exists():
+            Path(self.fate).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Trap, (self.fate,)
+
+
+def set_trap(fate: str) -> Trap:
+    return Trap(fate)
+
+
+def hand_over_a_view(task: dict[str, int]) -> Any:
+    """A result that a plain pickle refuses, as parts of trials are."""
+    return MappingProxyType(task)
+
+
+def hand_over(task: tuple[float, str]) -> np.ndarray:
+    """A result of 160 MB, whose worker is killed so many seconds after it is computed, once."""
+    seconds, fate = task
+    if not Path(fate).exists():
+        Path(fate).touch()
+        threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
+    return np.zeros(20_000_000)
+
+
+def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
+    """A number whose last bits matter, the task in words, and how many threads libraries use here."""
+    x, _ = task
+    np.ones((9, 9)) @ np.ones((9, 9))
+    threads = {library["num_threads"] for library in threadpool_info()}
+    return sum(math.sin(k * x) / k for k in range(1, 200)), repr(task), threads
+
+
+def begin(file: str) -> None:
+    """Say so, and go on for long."""
+    Path(file).touch()
+    time.sleep(60)
