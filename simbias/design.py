@@ -129,9 +129,9 @@ def regulator(linear: Linear, R: Array) -> Array | None:
 
 
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Of each regulator K (m, l): states (k, T, n) of the regulated linear model, and inputs (k, T, m).
+    """Of each regulator K (m, l): states (k, T, n) and inputs (k, T, m) of the linear model under it.
 
-    It begins at the task's starts, and is shaken.
+    The model begins at the task's starts, and random inputs shake it.
     """
     task, rng = model.task, np.random.default_rng(SEED)
     n, m, frames, r = len(task.states), len(task.inputs), task.frames(SECONDS), len(gains)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty_hardware import LEFT, MENDED, RETURNED
+from faulty_hardware import DEADLY, LEFT, MENDED, RETURNED
 from mlflow import MlflowClient
 from mlflow.entities import Run
 from sweeping import QUICK, artifacts, run, runs, write_sweep
@@ -28,7 +28,6 @@ cost: {{max_cost: 1e-3}}
 tracking: {{pictures: false}}
 sweep:
   trials: 1
-  figures: {{}}
   axes:
     hardware.fault: [{faults}]
 """
@@ -148,8 +147,7 @@ def test_a_sweep_goes_on_whatever_its_hardware_does(folder: Path) -> None:
     raised = ["speechless", "no UTF-8", "exit", "cancelled", "own words"]
     returned = ["list", "columns", "ended early", "NaN"]
     fine = ["float32", "none", *LEFT]
-    deadly = ["SIGSEGV", "SIGKILL beside a child"]  # the others end single trials, below
-    faults = [*raised, *returned, *deadly, "hangs", *fine]
+    faults = [*raised, *returned, *DEADLY, "hangs", *fine]
     write_sweep(folder, "mine", SWEEP.format(faults=", ".join(f'"{fault}"' for fault in faults)))
     command = ["--config-dir", "conf", "+sweep=mine", "hardware=faulty", "experiment_timeout=2"]
     status, out, err = run(*command, folder=folder)
@@ -159,7 +157,7 @@ def test_a_sweep_goes_on_whatever_its_hardware_does(folder: Path) -> None:
         (line,) = re.findall(rf"^\[\d+/{len(faults)}\] {re.escape(fault)} #0: (.*)$", out, re.MULTILINE)
         if fault in fine:
             assert line.startswith("not succeeded after 2 experiments")
-        elif fault in deadly:
+        elif fault in DEADLY:
             assert line.startswith("its worker died 3 times"), line
         elif fault != "own words":
             assert line.startswith("HardwareError: Faulty.run: "), (fault, line)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Annotated, Protocol
@@ -125,11 +124,8 @@ class _Running(Robot):
         (torque,) = self._drive(u.tolist())
         self._world.step(torque)
         x = self._world.state()
-        for value in x:
-            if not abs(value) <= ABSURD:
-                x = [math.nan] * 6
-                break
-        self._states.append(np.array(x))
+        stable = all(abs(value) <= ABSURD for value in x)
+        self._states.append(np.array(x if stable else [math.nan] * 6))
 
     def failure(self) -> str | None:
         """The criterion of Section IV-C that it violates; the contacts (1, 2) are the engine's."""
@@ -139,10 +135,7 @@ class _Running(Robot):
         else:
             depth, gap = contact(self._task.robot, *self._world.wheel_and_board())
             measures = (depth, gap - self._detachment, *deviations(x.tolist()))
-        if all(map(operator.le, measures, self._limits)):  # quicker than in NumPy
-            return None
-        return next(
-            criterion.name
-            for criterion, value in zip(self._task.criteria, measures, strict=True)
-            if not value <= criterion.limit
-        )
+        for i, limit in enumerate(self._limits):  # quicker than in NumPy
+            if not measures[i] <= limit:
+                return self._task.criteria[i].name
+        return None

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # A product and a sum may become one instruction. Nothing may assume that numbers are finite: a rollout that
 # blows up ends because its state is not a number.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
-# Functions that only compiled code calls: what Python would call them by takes up to a third of compiling.
+# Of functions that only compiled code calls: entry points for Python take up to a third of compiling.
 NOT_FROM_PYTHON: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 VERSIONS = (sys.version, numba.__version__, llvmlite.__version__)
 

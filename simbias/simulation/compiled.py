@@ -93,7 +93,7 @@ class CompiledSimulator:
         for first in range(0, len(thetas), RECORDED):
             some = slice(first, first + RECORDED)
             own = None if worlds is None else worlds[some]
-            made = self._run(self.cost, len(thetas[some]), thetas[some], starts[some], own)
+            made = self._run(self.cost, True, thetas[some], starts[some], own)
             each = zip(made.states, made.inputs, made.frames.tolist(), made.violated.tolist(), strict=True)
             rollouts += [record(task.criteria, *one) for one in each]
         return rollouts
@@ -104,19 +104,19 @@ class CompiledSimulator:
         """Costs and frames (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
         if cost.kernel is None:
             return costs_of(cost, self.rollouts(thetas, starts, worlds))
-        made = self._run(cost, 0, thetas, starts, worlds)
+        made = self._run(cost, False, thetas, starts, worlds)
         return made.costs(cost, self.task.horizon), made.frames
 
     def _run(
-        self, cost: Cost | None, recorded: int, thetas: Array, starts: Array, worlds: Indices | None
+        self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, worlds: Indices | None
     ) -> Made:
-        """Rollouts, summed up by the cost's kernel if it has one; so many are recorded, all or none."""
+        """Rollouts, recorded or not; the cost's kernel sums them up, if it has one."""
         k = len(thetas)
-        total, totals = (cost.kernel, cost.totals) if cost and cost.kernel else (None, 0)
-        made = Made.of(k, totals, self.task, recorded)
-        made.states[:, 0] = starts[:recorded]
+        made = Made.of(k, cost, self.task, recorded)
+        if recorded:
+            made.states[:, 0] = starts
         policy = self.policy(np.asarray(thetas, dtype=np.float64))
-        loop, _ = self.loop(policy, total, totals)
+        loop, _ = self.loop(policy, cost)
         each = (
             np.ascontiguousarray(policy.parameters),
             np.zeros(k, np.int64) if worlds is None else worlds,
@@ -130,13 +130,13 @@ class CompiledSimulator:
         in_threads(run, k)
         return made
 
-    def loop(self, policy: Kernel, total: Kernel | None, totals: int) -> tuple[Callable[..., None], int]:
+    def loop(self, policy: Kernel, cost: Cost | None) -> tuple[Callable[..., None], int]:
         """The compiled loop, as a function of what differs between its calls, and the rows of its lanes."""
-        task, composition = self.task, self._composition(policy, total, totals)
+        task, composition = self.task, self._composition(policy, cost)
         compiled = compiled_loop(composition)
         limits = np.array([criterion.limit for criterion in task.criteria])
         noise = self.noise.reshape(-1, len(task.inputs) + len(task.states))
-        weights = total.parameters if total else np.empty(0)
+        weights = cost.kernel.parameters if cost and cost.kernel else np.empty(0)
 
         def loop(policies: Array, worlds: Indices, starts: Array, *rest: Any) -> None:
             compiled(
@@ -147,9 +147,9 @@ class CompiledSimulator:
 
         return loop, rows(composition)
 
-    def _composition(self, policy: Kernel, total: Kernel | None, totals: int) -> Composition:
+    def _composition(self, policy: Kernel, cost: Cost | None) -> Composition:
         """What is compiled."""
-        task, bias = self.task, self.bias
+        task, bias, total = self.task, self.bias, cost.kernel if cost else None
         return Composition(
             measure=self.measure.function,
             output=self.output.function,
@@ -160,7 +160,7 @@ class CompiledSimulator:
             states=len(task.states),
             inputs=len(task.inputs),
             criteria=len(task.criteria),
-            totals=totals,
+            totals=cost.totals if cost else 0,
             memory=self.memory,
             hidden=self.hidden,
             measure_parameters=len(self.measure.parameters),
@@ -177,19 +177,20 @@ class CompiledSimulator:
 class Made:
     """What became of k rollouts."""
 
-    states: Array  # (k, T+1, n), or nothing where a cost was summed up
+    states: Array  # (k, T+1, n), or nothing if they are not recorded
     inputs: Array  # (k, T, m), likewise
     totals: Array  # (k, s) of the cost
     frames: Indices  # (k,), -1 of those that have not ended
     violated: Indices  # (k,) criterion that ended it, -1 at the horizon
 
     @staticmethod
-    def of(k: int, totals: int, task: Task, recorded: int = 0) -> Made:
-        """Nothing yet, of k rollouts, so many of which are to be recorded."""
+    def of(k: int, cost: Cost | None, task: Task, recorded: bool = False) -> Made:
+        """Nothing yet, of k rollouts that are to be summed up and recorded, or not."""
+        rows = k if recorded else 0
         return Made(
-            np.empty((recorded, task.horizon + 1, len(task.states))),
-            np.empty((recorded, task.horizon, len(task.inputs))),
-            np.zeros((k, totals)),
+            np.empty((rows, task.horizon + 1, len(task.states))),
+            np.empty((rows, task.horizon, len(task.inputs))),
+            np.zeros((k, cost.totals if cost else 0)),
             np.full(k, -1),
             np.full(k, -1),
         )

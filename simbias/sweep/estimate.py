@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from pandas import DataFrame
 
+from simbias.messages import counted
 from simbias.records import Transitions
 from simbias.study import Study
 from simbias.sweep.grid import Sweep
@@ -39,7 +40,7 @@ def estimate(sweep: Sweep, finished: DataFrame, study: Study, n_jobs: int) -> Es
         seconds.setdefault(tuple(row[axis.name] for axis in sweep.axes), []).append(row["seconds"])
     overall = list(finished["seconds"])
     total = sum(mean(seconds.get(trial.cell.labels, overall)) for trial in missing) / n_jobs
-    return Estimate(total, total, f"from {len(finished)} finished trials")
+    return Estimate(total, total, f"from {counted(len(finished), 'finished trial')}")
 
 
 def _search_seconds(study: Study, samples: int) -> float:

@@ -15,6 +15,7 @@ from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, expand
 
 SECONDS = 2e-3
+NOTHING = pd.DataFrame({"hash": []})  # is finished
 
 
 @pytest.fixture(scope="module")
@@ -32,18 +33,15 @@ class Slow(Evaluation):
 
 def test_a_plain_function_is_timed(sweep: Sweep, point_mass: Study) -> None:
     study = replace(point_mass, evaluation=Slow())
-    made = estimate(sweep, pd.DataFrame({"hash": []}), study, 2)
+    made = estimate(sweep, NOTHING, study, 2)
     search = study.optimizer.max_evaluations * SECONDS
     assert 1 <= made.least / (search * len(sweep.trials) / 2) < 5  # on a busy machine
     assert made.most > 2 * made.least
 
 
-def test_a_search_is_as_long_as_its_evaluations_and_its_horizon(sweep: Sweep, point_mass: Study) -> None:
-    """Timed on few short rollouts."""
-    few = replace(point_mass, task=point_mass.task.with_horizon(500))
-    nothing = pd.DataFrame({"hash": []})
-    long = replace(point_mass, task=point_mass.task.with_horizon(5000))
-    assert estimate(sweep, nothing, few, 1).least < estimate(sweep, nothing, long, 1).least
+def test_a_longer_horizon_takes_longer(sweep: Sweep, point_mass: Study) -> None:
+    short, long = (replace(point_mass, task=point_mass.task.with_horizon(T)) for T in (500, 5000))
+    assert estimate(sweep, NOTHING, short, 1).least < estimate(sweep, NOTHING, long, 1).least
 
 
 def test_finished_trials_tell(sweep: Sweep, point_mass: Study) -> None:
@@ -53,4 +51,4 @@ def test_finished_trials_tell(sweep: Sweep, point_mass: Study) -> None:
     rows = [{"hash": first.hash, axis: first.cell.labels[0], "seconds": 4.0}]
     made = estimate(sweep, pd.DataFrame(rows), point_mass, 2)
     assert made.least == made.most == 4.0 * len(others) / 2
-    assert made.basis == "from 1 finished trials"
+    assert made.basis == "from 1 finished trial"

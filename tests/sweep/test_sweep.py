@@ -286,7 +286,7 @@ class Hot(PymunkBongoboard):
 
 def test_a_trial_that_raises(folder: Path) -> None:
     """It is recorded with its error, the others run; when the fault is mended, it goes on in its run."""
-    conf = write_sweep(folder, "mine", "sweep: {trials: 4, figures: {}, axes: {bias: [gp, none]}}")
+    conf = write_sweep(folder, "mine", "sweep: {trials: 4, axes: {bias: [gp, none]}}")
     (conf / "hardware").mkdir()
     (conf / "hardware" / "hot.yaml").write_text("_target_: hot.Hot\nnoise: {}\n")
     module = folder / "hot.py"
@@ -374,7 +374,7 @@ print("more MiB:", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 def test_parents_memory_is_flat(folder: Path) -> None:
     """40 trials more, whose rollouts alone are 5 MiB when unpacked."""
-    small = ["task.horizon=500", "tracking.pictures=false", NO_FIGURES]
+    small = ["task.horizon=500", "tracking.pictures=false"]
     done = subprocess.run(
         [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *QUICK, *small],
         cwd=folder,
@@ -394,8 +394,7 @@ def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest
         def ended(self, trial: Trial, record: TrialRecord) -> None:
             names.append(trial.name)
 
-    words = ["+sweep=smoke", NO_FIGURES, *QUICK, "engine=sequential", "tracking.pictures=false"]
-    words.append(store(folder))
+    words = ["+sweep=smoke", *QUICK, "engine=sequential", "tracking.pictures=false", store(folder)]
     trials = simbias.run_sweep(words, observer=Listener())
     assert list(trials["outcome"]) == ["succeeded"] * 4
     assert names == [trial.name for trial in expand(words).trials]
@@ -422,7 +421,7 @@ def test_own_components_are_swept(folder: Path) -> None:
     (conf / "components.yaml").write_text("allow: [point_mass]\n")
     (conf / "nominal" / "walled.yaml").write_text("_target_: walled.Walled\n")
     (folder / "walled.py").write_text(IN_NUMPY)
-    write_sweep(folder, "wind", "sweep: {trials: 2, figures: {}, axes: {hardware.wind: [1.0, 2.0]}}")
+    write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
     own = [*(option for option in POINT_MASS if not option.startswith("nominal=")), "nominal=walled"]
     quick = ["optimizer.max_evaluations=40", "tracking.pictures=false"]
     status, _, err = run("--config-dir", "conf", "+sweep=wind", *own, *quick, folder=folder)

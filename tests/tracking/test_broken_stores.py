@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from sweeping import NO_FIGURES, QUICK, write_sweep
+from sweeping import QUICK, write_sweep
 
 from simbias.__main__ import main
 from simbias.tracking import rows
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 SHORT = [*QUICK, "tracking.pictures=false"]
 TRIAL = [*SHORT, "seed=1"]
-SWEEP = ["+sweep=smoke", NO_FIGURES, "sweep.trials=1", "engine=sequential", *SHORT]
+SWEEP = ["+sweep=smoke", "sweep.trials=1", "engine=sequential", *SHORT]
 CHILD = "(SELECT run_uuid FROM tags WHERE key = 'mlflow.parentRunId' ORDER BY 1 LIMIT 1)"
 
 
