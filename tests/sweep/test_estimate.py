@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from simbias.interfaces import Cost, Evaluation, Model, Objective
+from simbias.records import Array
 from simbias.study import Study
 from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, expand
@@ -39,9 +41,27 @@ def test_a_plain_function_is_timed(sweep: Sweep, point_mass: Study) -> None:
     assert made.most > 2 * made.least
 
 
-def test_a_longer_horizon_takes_longer(sweep: Sweep, point_mass: Study) -> None:
-    short, long = (replace(point_mass, task=point_mass.task.with_horizon(T)) for T in (500, 5000))
-    assert estimate(sweep, NOTHING, short, 1).least < estimate(sweep, NOTHING, long, 1).least
+class Counting(Evaluation):
+    """An objective that simulates ten frames of each policy, in so many seconds."""
+
+    steps = 0
+
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
+        """Itself, but for single policies."""
+        return cast(Objective, self)
+
+    def together(self, thetas: Array) -> Array:
+        self.steps += 10 * len(thetas)
+        time.sleep(SECONDS * len(thetas))
+        return np.zeros(len(thetas))
+
+
+def test_simulated_frames_are_timed(sweep: Sweep, point_mass: Study) -> None:
+    """A search is as long as its policies last: for three quarters of the horizon."""
+    study = replace(point_mass, evaluation=Counting(), task=point_mass.task.with_horizon(400))
+    made = estimate(sweep, NOTHING, study, 1)
+    search = study.optimizer.max_evaluations * 0.75 * 400 * SECONDS / 10
+    assert 1 <= made.least / (search * len(sweep.trials)) < 5  # on a busy machine
 
 
 def test_finished_trials_tell(sweep: Sweep, point_mass: Study) -> None:
