@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from simbias.study import Study
     from simbias.sweep.running import SweepObserver
-    from simbias.tracking.trials import RecordedTrial
+    from simbias.trial.run import RecordedTrial
+    from simbias.trial.study import Study
 
 __version__ = "0.1.0"
 
@@ -49,7 +49,7 @@ def load_trial(
     simbias.config.ConfigError
         If the store has no such trial; the message is one line.
     """
-    from simbias.tracking import trials
+    from simbias.mlflow import trials
 
     return trials.load_trial(run_id, uri, config_dir, allow)
 

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from simbias import __version__
-from simbias.commands import add_own_components, python
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
+from simbias.core.commands import add_own_components, python
 
 if TYPE_CHECKING:
-    from simbias.study import Study
-    from simbias.tracking.contract import TrackedTrial
+    from simbias.sweep.tracking import TrackedTrial
+    from simbias.trial.study import Study
 
 GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
@@ -78,8 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _trace_of_own_code(error: ConfigError) -> str:
     """Where the traceback is of an error that came from the user's own code."""
-    from simbias.blame import has_own_code
-    from simbias.messages import with_trace
+    from simbias.core.error_origin import has_own_code
+    from simbias.core.messages import with_trace
     from simbias.terminal.trial import temporary_traceback
 
     if error.__cause__ is None or not has_own_code(error.__cause__):
@@ -149,7 +149,7 @@ def _as_yaml(composition: Composition) -> str:
 def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run one trial in the terminal, or go on with it."""
     from simbias.config.build import build
-    from simbias.config.services import engine, tracking
+    from simbias.sweep.services import engine, tracking
     from simbias.terminal.trial import preparing, slowness_in_one_line
     from simbias.testing.rehearsal import rehearse
 
@@ -165,9 +165,9 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
 
 def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
     """Run a trial as far as it goes; `again` is the command that goes on with it."""
-    from simbias.messages import counted, with_type
+    from simbias.core.messages import counted, with_type
     from simbias.terminal.trial import TrialConsole, asking, traceback_file
-    from simbias.trial import Outcome, run_trial
+    from simbias.trial.run import Outcome, run_trial
 
     if tracked.changed:
         print(f"simbias: {tracked.changed}", file=sys.stderr)
@@ -177,6 +177,10 @@ def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
             return SUCCEEDED if before.iterations[-1].succeeded else FAILED
         try:
             record = run_trial(asking(study, console), tracked, console)
+            if tracked.pictures:
+                from simbias.pictures.trial.gallery import illustrated
+
+                record = illustrated(study, record, tracked)
         except Exception as error:  # of the store: what a component raises is in the record
             print(f"simbias: {with_type(error)} (go on with:  {again})", file=sys.stderr)
             return FAILED
@@ -193,11 +197,11 @@ def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
 
 def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Variations) -> int:
     """Run a sweep in the terminal, or tell what it would run."""
-    from simbias.config.services import engine, tracking
+    from simbias.mlflow.store import cause
     from simbias.sweep.running import prepare, run_sweep
+    from simbias.sweep.services import engine, tracking
     from simbias.terminal.sweep import SweepConsole, dry_run
     from simbias.terminal.trial import preparing, slowness_in_one_line
-    from simbias.tracking.store import cause
 
     trials_engine, store = engine(composition), tracking(composition)
     with preparing(), slowness_in_one_line():

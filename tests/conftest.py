@@ -16,12 +16,15 @@ from hydra.core.plugins import Plugins
 from threadpoolctl import threadpool_limits
 
 import simbias
-from simbias.cache import cache_folder
 from simbias.config import Variations
-from simbias.study import Study
+from simbias.core.cache import cache_folder
+from simbias.trial.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
-OWN_CONF = ROOT / "tests" / "own_conf"
+OWN_CONF = ROOT / "notebooks" / "examples" / "conf"
+PYTHONPATH = os.pathsep.join(
+    map(str, (ROOT, ROOT / "tests", ROOT / "tests" / "support", ROOT / "notebooks" / "examples"))
+)  # of processes that tests start
 POINT_MASS = [f"{group.name}=point_mass" for group in sorted(OWN_CONF.iterdir())]
 ALL_SLOW = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.slow\b", re.MULTILINE)
 
@@ -131,7 +134,7 @@ def _compiled(request: pytest.FixtureRequest) -> None:
 @pytest.fixture(scope="session")
 def new_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with nothing in it, to be copied: creating one takes a second."""
-    from simbias.tracking.store import connect  # lazily: MLflow takes seconds
+    from simbias.mlflow.store import connect  # lazily: MLflow takes seconds
 
     file = tmp_path_factory.mktemp("new store") / "mlflow.db"
     connect(f"sqlite:///{file}", "another")

@@ -1,4 +1,4 @@
-"""The rules of CONTRIBUTING on who knows whom, held against the imports of every file."""
+"""The storeys of the package, held against the imports of every file: a folder imports lower ones only."""
 
 from __future__ import annotations
 
@@ -6,33 +6,51 @@ import ast
 import re
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
-import pytest
 from conftest import ROOT
 
 PACKAGE = ROOT / "simbias"
-COMPONENTS = (
-    *("task", "nominal", "hardware", "policy", "identification", "samples"),
-    *("bias", "cost", "evaluation", "optimizer", "method"),
+STOREYS = (  # from the ground; folders of one line do not know each other
+    ("core",),
+    ("simulation/compiler",),
+    ("simulation",),
+    ("policy", "cost", "learning", "search"),
+    ("learning/bias", "learning/identification", "learning/samples", "search/optimizer", "search/evaluation"),
+    ("robots/mujoco",),
+    ("robots/bongoboard", "robots/declared", "robots"),
+    ("lab",),
+    ("lab/requests",),
+    ("trial",),
+    ("trial/methods", "config", "engine"),
+    ("testing", "pictures/elements"),
+    ("pictures/trial",),
+    ("pictures",),
+    ("sweep",),
+    ("sweep/figures",),
+    ("mlflow",),
+    ("terminal",),
+    ("",),  # the few files on top of the package
 )
-ROBOTS = ("task", "nominal", "hardware")  # rooms that may know one
-LARGEST_CIRCLE = 5  # files
+HEIGHT = {folder: height for height, folders in enumerate(STOREYS) for folder in folders}
+MOST_LOOSE = 5  # files on top of the package
+LARGEST_CIRCLE = 5  # files of one folder
+
+MODULES = {
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+    for file in sorted(PACKAGE.rglob("*.py"))
+    if not {"__pycache__", "templates"} & set(file.parts)
+}
 
 
-def module(file: Path) -> str:
-    """The dotted name of a file."""
-    parts = file.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+def folder(name: str) -> str:
+    """The folder of a module, within the package; a program's entry belongs to the top."""
+    file = MODULES[name]
+    return "" if file.stem == "__main__" else file.parent.relative_to(PACKAGE).as_posix().removeprefix(".")
 
 
-FILES = sorted(file for file in PACKAGE.rglob("*.py") if "__pycache__" not in file.parts)
-MODULES = {module(file): file for file in FILES}
-
-
-def imports(file: Path) -> Iterator[str]:
-    """The modules of simbias that a file imports, anywhere in it."""
-    for node in ast.walk(ast.parse(file.read_text())):
+def imports(name: str) -> Iterator[str]:
+    """The modules of simbias that a module imports: anywhere in it, also for type checkers alone."""
+    for node in ast.walk(ast.parse(MODULES[name].read_text())):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
@@ -44,7 +62,7 @@ def imports(file: Path) -> Iterator[str]:
 @cache
 def graph() -> dict[str, set[str]]:
     """The modules of simbias that each of them imports."""
-    return {name: {found for found in imports(file) if found in MODULES} for name, file in MODULES.items()}
+    return {name: {found for found in imports(name) if found in MODULES} for name in MODULES}
 
 
 def circles() -> list[set[str]]:
@@ -75,36 +93,35 @@ def circles() -> list[set[str]]:
     return [component for component in components if len(component) > 1]
 
 
-def room(name: str) -> str:
-    """The folder of a module."""
-    return name.split(".")[1] if name.count(".") > 1 else ""
+def test_every_folder_has_a_storey() -> None:
+    assert {folder(name) for name in MODULES} == HEIGHT.keys()
 
 
-def test_no_circle_of_imports_is_large() -> None:
+def test_a_folder_imports_lower_storeys_only() -> None:
+    upwards = [
+        f"{name} -> {found}"
+        for name in MODULES
+        for found in graph()[name]
+        if folder(found) != folder(name) and HEIGHT[folder(found)] >= HEIGHT[folder(name)]
+    ]
+    assert not upwards
+
+
+def test_few_files_lie_on_top_of_the_package() -> None:
+    assert len(list(PACKAGE.glob("*.py"))) <= MOST_LOOSE
+
+
+def test_no_circle_of_files_is_large() -> None:
     assert max(map(len, circles()), default=0) <= LARGEST_CIRCLE, circles()
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if room(name) in COMPONENTS])
-def test_a_component_imports_none_of_another_group(name: str) -> None:
-    """But for the robot's own: its model and its hardware know its task."""
-    foreign = {found for found in graph()[name] if room(found) in COMPONENTS and room(found) != room(name)}
-    if room(name) in ROBOTS:
-        foreign = {found for found in foreign if room(found) != "task"}
-    assert not foreign
+def test_only_its_own_folder_knows_the_bongoboard() -> None:
+    knows = re.compile(r"bongoboard|pymunk|ankle|alpha_w", re.IGNORECASE)
+    outside = [name for name in MODULES if not folder(name).startswith("robots")]
+    assert not [name for name in outside if knows.search(MODULES[name].read_text())]
 
 
-@pytest.mark.parametrize("name", [name for name in MODULES if room(name) in COMPONENTS])
-def test_a_component_knows_neither_stores_nor_sweeps_nor_terminals(name: str) -> None:
-    rooms = {room(found) for found in graph()[name]}
-    assert not rooms & {"tracking", "sweep", "terminal", "engine", "pictures"} or name.endswith("_drawing")
-
-
-@pytest.mark.parametrize("name", [name for name in MODULES if room(name) not in ROBOTS])
-def test_only_its_own_rooms_know_the_bongoboard(name: str) -> None:
-    assert not re.search(r"bongoboard|pymunk|ankle|alpha_w", MODULES[name].read_text(), re.IGNORECASE)
-
-
-@pytest.mark.parametrize(("library", "own_room"), [("mlflow", "tracking"), ("rich", "terminal")])
-def test_only_its_own_room_imports(library: str, own_room: str) -> None:
-    pattern = re.compile(rf"^\s*(?:from|import) {library}\b", re.MULTILINE)
-    assert {room(name) for name, file in MODULES.items() if pattern.search(file.read_text())} == {own_room}
+def test_only_its_own_folder_imports_a_library() -> None:
+    for library, own in (("mlflow", "mlflow"), ("rich", "terminal"), ("hydra", "config")):
+        pattern = re.compile(rf"^\s*(?:from|import) {library}\b", re.MULTILINE)
+        assert {folder(name) for name, file in MODULES.items() if pattern.search(file.read_text())} == {own}

@@ -15,20 +15,20 @@ from conftest import OWN_CONF, POINT_MASS, rest_slow
 from rich.console import Console
 
 import simbias
-from simbias import remarks
 from simbias.__main__ import BAD_INPUT, main
-from simbias.bias.none import NoBias
-from simbias.blame import told
 from simbias.config import ConfigError
-from simbias.config.numbers import frames_in
-from simbias.interfaces import NOT_A_NUMBER, Cost
-from simbias.method.algorithm1 import Algorithm1
-from simbias.records import Array, Rollout, Selection, Transitions
-from simbias.samples.thresholds import Thresholds, Windows
-from simbias.study import Study
+from simbias.core import NOT_A_NUMBER, Cost
+from simbias.core.error_origin import told
+from simbias.core.ranges import frames_in
+from simbias.core.records import Array, Rollout, Selection, Transitions
+from simbias.learning.bias.none import NoBias
+from simbias.learning.samples.thresholds import Thresholds, Windows
 from simbias.terminal.trial import TrialConsole
 from simbias.testing.rehearsal import rehearse
-from simbias.trial import run_trial
+from simbias.trial import diagnostics as remarks
+from simbias.trial.methods.algorithm1 import Algorithm1
+from simbias.trial.run import run_trial
+from simbias.trial.study import Study
 
 
 class NaNVelocity(robot.WithoutWind):
@@ -112,7 +112,7 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(
 
 def test_a_component_of_ones_own_that_keeps_its_contract_is_rehearsed(point_mass: Study) -> None:
     with warnings.catch_warnings():
-        warnings.simplefilter("error", simbias.interfaces.SlowWarning)  # ordinary NumPy is compiled
+        warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy is compiled
         rehearse(point_mass)
 
 
@@ -120,7 +120,7 @@ def test_the_line_that_keeps_a_component_in_numpy_is_named(point_mass: Study) ->
     said = (
         r"up to 500 times slower.*: Decides.step \(test_newcomers.py:\d+: it decides by a value.*kernels.py"
     )
-    with pytest.warns(simbias.interfaces.SlowWarning, match=said):
+    with pytest.warns(simbias.core.SlowWarning, match=said):
         rehearse(replace(point_mass, nominal=Decides(point_mass.task)))
 
 
@@ -132,7 +132,7 @@ def test_the_traceback_of_an_own_component_is_in_a_file(
     (tmp_path / "conf" / "nominal").mkdir(parents=True)
     (tmp_path / "conf" / "nominal" / "mine.yaml").write_text("_target_: mine_that_raises.Mine\n")
     (tmp_path / "mine_that_raises.py").write_text(
-        "from simbias.interfaces import Nominal\nclass Mine(Nominal):\n"
+        "from simbias.core import Nominal\nclass Mine(Nominal):\n"
         "    def __init__(self, task): self._x = task.mas\n    def step(self, x, u): return x\n"
     )
     command = ["--config-dir", str(tmp_path / "conf"), "nominal=mine", "tracking=none"]

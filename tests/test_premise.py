@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from premise import STARTS, balanced_starts
 
-from simbias.study import Study
+from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
 

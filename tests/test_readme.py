@@ -18,7 +18,7 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *(
         ROOT / folder / "README.md"
-        for folder in ("conf", "simbias", "simbias/hardware", "tests", "sweeps/results")
+        for folder in ("conf", "simbias", "simbias/robots", "tests", "sweeps/results")
     ),
 ]
 SHORT = [
@@ -27,7 +27,7 @@ SHORT = [
     "method.max_iterations=1",
     "tracking.pictures=false",
 ]
-SHOWN = README + (ROOT / "simbias" / "hardware" / "README.md").read_text()
+SHOWN = README + (ROOT / "simbias" / "robots" / "README.md").read_text()
 COMMANDS = sorted(
     {
         line.partition("  #")[0].strip()
@@ -69,7 +69,7 @@ def test_a_command_runs(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In this process, as a new one takes seconds; `tests/test_command_line.py` starts some."""
+    """In this process, as a new one takes seconds; `tests/terminal/test_command_line.py` starts some."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(new_store, tmp_path)
     module, name, *arguments = shortened(command)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from simbias.tracking.files import load_rollout, load_transitions
+from simbias.trial.files import load_rollout, load_transitions
 
 FILES = sorted(file for file in (ROOT / "simbias").rglob("*.py") if "__pycache__" not in file.parts)
 RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jsonpickle"}

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 def study(name: str, *arguments: str, folder: Path) -> str:
     """What a study prints."""
-    program = [str(ROOT / "tests" / "studies" / f"{name}.py")]
+    program = [str(ROOT / "sweeps" / "studies" / f"{name}.py")]
     status, out, err = run(*arguments, folder=folder, program=program, timeout=300)
     assert status == 0, err
     return out

@@ -13,9 +13,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from simbias.config.errors import ConfigError
 from simbias.config.files import check_file
-from simbias.messages import quote, words
+from simbias.core.errors import ConfigError
+from simbias.core.messages import quote, words
 
 OWN = "simbias"
 FILE = "components.yaml"  # in a folder of configs: `allow: [my_robot]`

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NotRequired, Required, get_type_hints
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import PositiveFloat
 
 from simbias.config.components import construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
-from simbias.config.errors import ConfigError
 from simbias.config.identity import LATER
 from simbias.config.memory import check_memory
-from simbias.config.numbers import Seed
-from simbias.interfaces import Task
-from simbias.study import HeldOut, Study
+from simbias.core import Hardware, Task
+from simbias.core.errors import ConfigError
+from simbias.core.ranges import Seed
+from simbias.trial.study import HeldOut, Study
 
-NO_COMPONENTS = ("seed", "conditions", "held_out", "composition")
+NO_COMPONENTS = ("seed", "conditions", "held_out", "composition", "hardware_of")
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],
@@ -58,7 +60,14 @@ def build(composition: Composition) -> Study:
         **components,
         **values,
         composition=composition,
+        hardware_of=partial(_hardware, config[HARDWARE], allowed),
         conditions=conditions(whole, task, timeout),
     )
     check_memory(study)
     return study
+
+
+def _hardware(config: Any, allowed: Sequence[str], task: Task) -> Hardware:
+    """The hardware for a task; errors as of `construct`."""
+    hardware: Hardware = construct(config, Hardware, HARDWARE, allowed, task=task)
+    return hardware

@@ -13,8 +13,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import TARGET, check_allowed
-from simbias.config.errors import ConfigError, reason
-from simbias.messages import quote, with_type, words
+from simbias.core.errors import ConfigError, reason
+from simbias.core.messages import quote, with_type, words
 
 
 def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = (), **provided: Any) -> Any:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
-from simbias.config.errors import ConfigError, reason
 from simbias.config.files import check_file
 from simbias.config.resources import check_no_primary, register_sweeps, resource_folder
+from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any, NotRequired
 
 from simbias.config.components import validate
-from simbias.config.errors import ConfigError
-from simbias.experiments import Conditions
-from simbias.interfaces import Task
-from simbias.messages import words
-from simbias.safety import NO_LIMITS, Safety
+from simbias.core import Task
+from simbias.core.errors import ConfigError
+from simbias.core.messages import words
+from simbias.lab.checked_hardware import Conditions
+from simbias.lab.safety import NO_LIMITS, Safety
 
 HARDWARE = "hardware"  # the group
 FIELDS = {"safety": NotRequired[Safety], "confirm": NotRequired[bool]}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from simbias.config.errors import ConfigError
+from simbias.core.errors import ConfigError
 
 MOST_VALUES = 100_000  # of a file, each counted as often as aliases repeat it
 

@@ -23,7 +23,7 @@ from simbias.config.conditions import HARDWARE, safety, split
 
 SCHEME = 2  # of identities: raised when all of them change
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
-    "identification": {TARGET: "simbias.identification.none.NoIdentification"},
+    "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
 }
 DIGITS = 12  # hexadecimal
 

@@ -6,8 +6,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from simbias.config.errors import ConfigError
-from simbias.study import Study
+from simbias.core.errors import ConfigError
+from simbias.trial.study import Study
 
 BYTES = 8  # of a number
 GIB = 2**30

@@ -6,8 +6,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simbias.config.errors import ConfigError, reason
 from simbias.config.files import check_file
+from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
     from hydra.core.config_store import ConfigNode

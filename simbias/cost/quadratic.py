@@ -7,9 +7,9 @@ from copy import copy
 
 import numpy as np
 
-from simbias.config.numbers import NonNegative, Positive
-from simbias.interfaces import Cost, Kernel, Quantity, Task
-from simbias.records import Array, Indices, Rollout
+from simbias.core import Cost, Kernel, Quantity, Task
+from simbias.core.ranges import NonNegative, Positive
+from simbias.core.records import Array, Indices, Rollout
 
 
 def _peak_and_effort(x, u, weights, totals):

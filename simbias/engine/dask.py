@@ -19,12 +19,12 @@ from urllib.parse import urlsplit
 
 from pydantic import FilePath
 
-from simbias.config import ConfigError
-from simbias.config.numbers import Workers
+from simbias.core.errors import ConfigError
+from simbias.core.extras import library
+from simbias.core.messages import quote, words
+from simbias.core.ranges import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
-from simbias.extras import library
-from simbias.messages import quote, words
 
 if TYPE_CHECKING:
     from distributed import Client, Future

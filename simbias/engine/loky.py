@@ -16,7 +16,7 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
-from simbias.config.numbers import Workers
+from simbias.core.ranges import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
 from simbias.engine.workplace import tidy, workplace
 

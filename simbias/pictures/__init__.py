@@ -4,7 +4,7 @@ No function touches pyplot, so none needs a display or leaves an open figure: sa
 let a notebook show what a function returns. Those of a trial take its study and its iterations, as
 `study.run()` yields them or `simbias.load_trial` reads them back; a picture that a trial cannot have, because
 its method does not search or learn, raises `NoPictureError`. How a task looks is told by the module beside
-it (`simbias.pictures.drawing`).
+it (`simbias.pictures.elements.drawing`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of
-    from simbias.pictures.style import save
+    from simbias.pictures.elements.drawing import Drawing, NoPictureError, drawing_of
+    from simbias.pictures.elements.style import save
     from simbias.pictures.trial.animation import save_animation
     from simbias.pictures.trial.costs import costs
     from simbias.pictures.trial.errors import prediction_errors
@@ -41,8 +41,8 @@ __all__ = [
 
 _ALONE = ("costs", "forecast", "overview", "phases", "rejections", "snapshots")  # in modules so called
 _MODULES = {
-    **dict.fromkeys(("Drawing", "NoPictureError", "drawing_of"), "drawing"),
-    "save": "style",
+    **dict.fromkeys(("Drawing", "NoPictureError", "drawing_of"), "elements.drawing"),
+    "save": "elements.style",
     "save_animation": "trial.animation",
     "prediction_errors": "trial.errors",
     **{name: f"trial.{name}" for name in _ALONE},

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from simbias import load, load_trial
-from simbias.commands import add_own_components
-from simbias.config import ConfigError
-from simbias.interfaces import HardwareError, Waiting
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.style import save
+from simbias.core import HardwareError, Waiting
+from simbias.core.commands import add_own_components
+from simbias.core.errors import ConfigError
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.style import save
 from simbias.pictures.trial.gallery import save_all
 from simbias.pictures.trial.overview import overview
 

@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from simbias.interfaces import Quantity
-from simbias.pictures.panels import headline, legend, panels
-from simbias.pictures.style import LIMIT, SIMULATION, label, plain
-from simbias.prediction import DRAWS, Prediction
-from simbias.records import Array
-from simbias.safety import Bounds
-from simbias.study import Study
+from simbias.core import Quantity
+from simbias.core.records import Array
+from simbias.lab.safety import Bounds
+from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.style import LIMIT, SIMULATION, label, plain
+from simbias.trial.prediction import DRAWS, Prediction
+from simbias.trial.study import Study
 
 HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
 

@@ -8,12 +8,12 @@ from typing import Annotated, Any, final
 import numpy as np
 from pydantic import Field
 
-from simbias.interfaces import Controller, Kernel, Policy, Task
+from simbias.core import Controller, Kernel, Policy, Task
+from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
-from simbias.records import Array
 from simbias.simulation.actuator import limited
-from simbias.simulation.compilation import function_of
-from simbias.simulation.text import sum_of
+from simbias.simulation.compiler.compilation import function_of
+from simbias.simulation.compiler.text import sum_of
 
 RATE = "/s"  # what the units of rates end with
 

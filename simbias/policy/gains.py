@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simbias.records import Array
+from simbias.core.records import Array
 
 TINY = 1e-12  # size of a feature that is never there
 RCOND = 1e-10  # of features of unit size

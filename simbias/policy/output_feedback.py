@@ -8,9 +8,9 @@ from typing import Annotated, final
 import numpy as np
 from pydantic import Field
 
-from simbias.interfaces import Controller, Kernel, Law, Policy, Task
+from simbias.core import Controller, Kernel, Law, Policy, Task
+from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
-from simbias.records import Array
 
 
 def _law(inputs: int, first: int = 0) -> Callable:

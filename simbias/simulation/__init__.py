@@ -1,1 +1,1 @@
-"""The closed loop in simulation: plain and compiled."""
+"""The closed loop and the open loop, in plain NumPy and compiled; noise, actuators and sensors."""

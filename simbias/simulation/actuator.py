@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simbias.interfaces import Kernel
-from simbias.records import Array
-from simbias.simulation.compilation import compiled_as, function_of
-from simbias.simulation.kernels import elementwise
-from simbias.simulation.text import sum_of
+from simbias.core import Kernel
+from simbias.core.records import Array
+from simbias.simulation.compiler.compilation import compiled_as, function_of
+from simbias.simulation.compiler.kernels import elementwise
+from simbias.simulation.compiler.text import sum_of
 
 MOST_TAPS = 100  # frames of delay that a model may remember
 

@@ -9,12 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
-from simbias.interfaces import Cost, Model, Simulator, SlowWarning
-from simbias.records import Array, Disturbance, Indices, Rollout
+from simbias.core import Cost, Model, Simulator, SlowWarning
+from simbias.core.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.correction import corrections
-from simbias.simulation.plain import PlainSimulator
-from simbias.simulation.tracing import parts_of
+from simbias.simulation.compiler.correction import corrections
+from simbias.simulation.compiler.tracing import parts_of
+from simbias.simulation.numpy_loop import PlainSimulator
 
 
 def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost | None = None) -> Simulator:
@@ -60,7 +60,7 @@ def _say_what_is_slow(model: Model) -> None:
     reasons = "; ".join(part.why_not for part in parts_of(model) if part.kernel is None)
     message = (
         f"simulated in NumPy, up to 500 times slower than compiled, as it cannot be compiled: {reasons}; "
-        "simbias/simulation/kernels.py tells what can"
+        "simbias/simulation/compiler/kernels.py tells what can"
     )
     warnings.warn(message, SlowWarning, stacklevel=3)
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from simbias.interfaces import Cost, Kernel, Model, Nominal, Task
-from simbias.records import Array, Disturbance, Indices, Rollout
-from simbias.simulation.fused import Composition, compiled_loop, rows
-from simbias.simulation.kernels import LANES
-from simbias.simulation.plain import costs_of, record
-from simbias.simulation.threads import in_threads
-from simbias.simulation.tracing import parts_of
+from simbias.core import Cost, Kernel, Model, Nominal, Task
+from simbias.core.records import Array, Disturbance, Indices, Rollout
+from simbias.simulation.compiler.fused import Composition, compiled_loop, rows
+from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler.threads import in_threads
+from simbias.simulation.compiler.tracing import parts_of
+from simbias.simulation.numpy_loop import costs_of, record
 
 NOTHING = np.empty((0, LANES))  # kept of earlier rollouts
 RECORDED = 256  # rollouts recorded at once: their records take memory

@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
-from simbias.config.numbers import Variance
-from simbias.interfaces import Quantity, Task
-from simbias.records import Array, Disturbance
+from simbias.core import Quantity, Task
+from simbias.core.ranges import Variance
+from simbias.core.records import Array, Disturbance
 
 SUFFIX = "_variance"
 

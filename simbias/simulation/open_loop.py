@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from simbias.interfaces import FittedBias, Kernel, Nominal
-from simbias.records import Array, Indices, Rollout
-from simbias.simulation.compilation import OPTIONS, Compilation
-from simbias.simulation.correction import for_all_lanes
-from simbias.simulation.kernels import LANES
-from simbias.simulation.open_loop_template import TEMPLATE
-from simbias.simulation.points import Points
-from simbias.simulation.text import assign, indent, tuple_of
-from simbias.simulation.threads import in_threads
-from simbias.simulation.tracing import of_bias, of_nominal
+from simbias.core import FittedBias, Kernel, Nominal
+from simbias.core.records import Array, Indices, Rollout
+from simbias.simulation.compiler.compilation import OPTIONS, Compilation
+from simbias.simulation.compiler.correction import for_all_lanes
+from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler.open_loop_template import TEMPLATE
+from simbias.simulation.compiler.points import Points
+from simbias.simulation.compiler.text import assign, indent, tuple_of
+from simbias.simulation.compiler.threads import in_threads
+from simbias.simulation.compiler.tracing import of_bias, of_nominal
 
 
 @dataclass(frozen=True, eq=False)

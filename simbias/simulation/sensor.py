@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
-from simbias.config.numbers import Coordinate
-from simbias.interfaces import Task
-from simbias.records import Array
+from simbias.core import Task
+from simbias.core.ranges import Coordinate
+from simbias.core.records import Array
 
 
 def _without_zeros(offsets: dict[str, float]) -> dict[str, float]:

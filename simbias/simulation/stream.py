@@ -12,12 +12,12 @@ from functools import partial
 import numpy as np
 from numba import get_num_threads
 
-from simbias.interfaces import Cost
-from simbias.records import Array, Indices
+from simbias.core import Cost
+from simbias.core.records import Array, Indices
 from simbias.simulation.compiled import CompiledSimulator, Made
-from simbias.simulation.fused import INTEGERS
-from simbias.simulation.kernels import LANES
-from simbias.simulation.threads import at_once
+from simbias.simulation.compiler.fused import INTEGERS
+from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler.threads import at_once
 
 NEEDED = 3 * LANES // 4  # rollouts that end on each thread before a search hears of them
 THREADS = 2  # at most: more would have to guess farther ahead

@@ -8,7 +8,7 @@ from typing import Any, NotRequired, Required
 
 from simbias.config import ConfigError
 from simbias.config.components import validate
-from simbias.messages import quote
+from simbias.core.messages import quote
 
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from pandas import DataFrame
 
-from simbias.messages import counted
-from simbias.records import Transitions
-from simbias.study import Study
+from simbias.core.messages import counted
+from simbias.core.records import Transitions
 from simbias.sweep.grid import Sweep
+from simbias.trial.study import Study
 
 SAMPLES = 150  # of training data in the middle of a trial
 FRAMES = 0.75  # of the horizon, for which a policy balances on average in a search

@@ -16,9 +16,9 @@ from pydantic import Field
 from simbias.config import Composition, ConfigError, Variations
 from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED, overridden
-from simbias.interfaces import Task
-from simbias.pictures.sweep.swept import SweepFigure
+from simbias.core import Task
 from simbias.sweep.axes import Axis, label, read_axis
+from simbias.sweep.figure import SweepFigure
 
 MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
@@ -27,7 +27,7 @@ Measure = Literal[
     "experiments", "iterations", "succeeded", "hardware_seconds", "held", "reliable", "lasted", "paper"
 ]
 FIGURES = {
-    "experiments": {"_target_": "simbias.pictures.sweep.experiments.Experiments"}
+    "experiments": {"_target_": "simbias.sweep.figures.experiments.Experiments"}
 }  # where none is named
 
 

@@ -9,16 +9,16 @@ from pandas import DataFrame
 
 from simbias.config import ConfigError, Variations
 from simbias.config.build import build
-from simbias.config.services import engine, tracking
 from simbias.engine.contract import Engine, WorkerLostError
-from simbias.pictures.sweep.making import FigureObserver, make_figures
-from simbias.study import Study
 from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.interruption import Interruption, stopping_workers
+from simbias.sweep.making import FigureObserver, make_figures
+from simbias.sweep.services import engine, tracking
+from simbias.sweep.tracking import TrackedSweep, Tracking
 from simbias.sweep.worker import Plan, lost, run_plan
 from simbias.testing.rehearsal import rehearse
-from simbias.tracking.contract import TrackedSweep, Tracking
-from simbias.trial import TrialRecord
+from simbias.trial.run import TrialRecord
+from simbias.trial.study import Study
 
 
 class SweepObserver(FigureObserver):
@@ -88,7 +88,7 @@ def run_sweep(
 ) -> DataFrame:
     """Run the trials that are not finished, and keep each as it ends; then make the figures.
 
-    Returns the trials, as `simbias.tracking.results` describes them.
+    Returns the trials, as `simbias.mlflow.results` describes them.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from simbias.markdown import text
+from simbias.core.markdown import text
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
 

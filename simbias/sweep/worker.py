@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 from simbias.config import Composition
 from simbias.config.build import build
-from simbias.interfaces import SlowWarning
-from simbias.messages import with_type
-from simbias.records import Iteration
-from simbias.tracking.journal import Journal
-from simbias.trial import Outcome, Recorder, TrialRecord, run_trial
+from simbias.core import SlowWarning
+from simbias.core.messages import with_type
+from simbias.core.records import Iteration
+from simbias.trial.journal import Journal
+from simbias.trial.run import Outcome, Recorder, TrialRecord, run_trial
 
 
 class Plan(NamedTuple):
@@ -40,6 +40,10 @@ def run_plan(plan: Plan) -> TrialRecord:
         except BaseException as error:
             return lost(with_type(error))
         record = run_trial(study, recorder)
+        if plan.pictures:
+            from simbias.pictures.trial.gallery import illustrated  # lazily: most trials have none
+
+            record = illustrated(study, record, recorder)
     return replace(record, iterations=tuple(map(_light, record.iterations)))
 
 

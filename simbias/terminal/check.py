@@ -9,7 +9,7 @@ from rich.console import Console
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.config.composition import overridden
-from simbias.messages import counted, with_trace
+from simbias.core.messages import counted, with_trace
 from simbias.terminal.trial import temporary_traceback
 from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from simbias.commands import python
-from simbias.config.errors import ConfigError
-from simbias.messages import quote
+from simbias.core.commands import python
+from simbias.core.errors import ConfigError
+from simbias.core.messages import quote
 
 TEMPLATE = Path(__file__).resolve().parent.parent / "templates" / "robot"
 NAME = "my_robot"  # of the template

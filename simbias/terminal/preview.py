@@ -11,13 +11,13 @@ from rich.console import Console
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
+from simbias.lab.safety import Bounds
+from simbias.pictures.elements.style import save
 from simbias.pictures.preview import preview as picture
-from simbias.pictures.style import save
-from simbias.prediction import DRAWS, Prediction, predict
-from simbias.safety import Bounds
-from simbias.study import Study
 from simbias.terminal.trial import preparing, slowness_in_one_line
 from simbias.testing.rehearsal import rehearse
+from simbias.trial.prediction import DRAWS, Prediction, predict
+from simbias.trial.study import Study
 
 FILE = "preview.png"
 

@@ -18,16 +18,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from simbias import remarks
+from simbias.core.messages import brief, counted
 from simbias.engine.contract import Engine
-from simbias.messages import brief, counted
-from simbias.study import Study
 from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
 from simbias.terminal.trial import traceback_file
-from simbias.trial import Outcome, TrialRecord
+from simbias.trial import diagnostics as remarks
+from simbias.trial.run import Outcome, TrialRecord
+from simbias.trial.study import Study
 
 SHOWN_ERRORS = 5
 

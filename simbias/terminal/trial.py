@@ -15,15 +15,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from simbias import remarks
-from simbias.evidence import WINDOW
-from simbias.experiments import ask
-from simbias.interfaces import SlowWarning
-from simbias.messages import brief, counted
-from simbias.prediction import predict
-from simbias.records import Array, Iteration, Rollout, Search
-from simbias.study import Observer, Study
-from simbias.trial import Outcome, TrialRecord
+from simbias.core import SlowWarning
+from simbias.core.messages import brief, counted
+from simbias.core.records import Array, Iteration, Rollout, Search
+from simbias.lab.checked_hardware import ask
+from simbias.trial import diagnostics as remarks
+from simbias.trial.model_selection import WINDOW
+from simbias.trial.prediction import predict
+from simbias.trial.run import Outcome, TrialRecord
+from simbias.trial.study import Observer, Study
 
 TRACEBACK = "simbias-error-"  # of files that are kept for a person
 COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from simbias.study import Study
+from simbias.trial.study import Study
 
 
 @dataclass(frozen=True)

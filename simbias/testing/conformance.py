@@ -15,12 +15,12 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from simbias.blame import told
-from simbias.messages import brief
-from simbias.study import Study
+from simbias.core.error_origin import told
+from simbias.core.messages import brief
 from simbias.testing import learners, robots, searches  # noqa: F401  they register their checks
 from simbias.testing.check import CHECKS, Check
 from simbias.testing.expectations import ConformanceError
+from simbias.trial.study import Study
 
 __all__ = ["CHECKS", "Check", "ConformanceError", "Verdict", "verdicts"]
 

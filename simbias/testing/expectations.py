@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from simbias.interfaces import Kernel
-from simbias.records import Array, Rollout, Transitions
-from simbias.study import Study
+from simbias.core import Kernel
+from simbias.core.records import Array, Rollout, Transitions
+from simbias.trial.study import Study
 
 POINTS = 12  # states and inputs at which methods are tried
 DATA = 20  # transitions from which a bias is fitted

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.study import Study
 from simbias.testing.check import check
 from simbias.testing.expectations import (
     equal,
@@ -19,6 +18,7 @@ from simbias.testing.expectations import (
     states,
     transitions,
 )
+from simbias.trial.study import Study
 
 
 @check("bias", "without data nothing is corrected")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from simbias.blame import is_own, told
-from simbias.config.errors import ConfigError
-from simbias.study import Study
+from simbias.core.error_origin import is_own, told
+from simbias.core.errors import ConfigError
 from simbias.testing.conformance import verdicts
+from simbias.trial.study import Study
 
 LEAST_SECONDS = 0.01  # of an experiment: in less nothing can fail, and every policy would succeed
 GROUPS = ("task", "nominal", "policy")  # whose checks take milliseconds

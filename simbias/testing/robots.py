@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simbias.interfaces import Nominal
-from simbias.records import Array
-from simbias.study import Study
+from simbias.core import Nominal
+from simbias.core.records import Array
 from simbias.testing.check import check
 from simbias.testing.expectations import (
     POINTS,
@@ -19,6 +18,7 @@ from simbias.testing.expectations import (
     policies,
     states,
 )
+from simbias.trial.study import Study
 
 
 @check("task", "shapes and names")

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from simbias.records import Array, Iteration, Rollout
-from simbias.study import Observer, Study
+from simbias.core.records import Array, Iteration, Rollout
 from simbias.testing.check import check
 from simbias.testing.expectations import (
     ConformanceError,
     equal,
     expect,
 )
-from simbias.tracking.journal import Journal
-from simbias.trial import Outcome, run_trial
+from simbias.trial.journal import Journal
+from simbias.trial.run import Outcome, run_trial
+from simbias.trial.study import Observer, Study
 
 
 @check("optimizer", "a known minimum in the box, within the evaluations, the same each time")

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from simbias.interfaces import FittedBias, Nominal
-from simbias.study import Study
+from simbias.core import FittedBias, Nominal
 from simbias.testing.expectations import expect
+from simbias.trial.study import Study
 
 Shape = tuple[str, ...]  # axes after the leading ones, by their names in the contracts; a ray of them
 

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 CLASS = """
 from pathlib import Path
-from simbias.bias.none import NoBias
+from simbias.learning.bias.none import NoBias
 
 Path("imported").touch()
 

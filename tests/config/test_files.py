@@ -10,8 +10,8 @@ import pytest
 
 import simbias
 from simbias.config import ConfigError, compose, resources
-from simbias.config.errors import LONGEST_KEY
-from simbias.messages import LONGEST
+from simbias.core.errors import LONGEST_KEY
+from simbias.core.messages import LONGEST
 from simbias.sweep.grid import expand
 
 pytestmark = pytest.mark.slow
@@ -38,7 +38,7 @@ BROKEN: dict[str, Callable[[Path], object]] = {
 @pytest.fixture
 def conf(tmp_path: Path) -> Path:
     """A folder of configs, among them a good one in each group."""
-    good = {"bias": "_target_: simbias.bias.none.NoBias", "sweeps": "sweep: {trials: 1, axes: {}}"}
+    good = {"bias": "_target_: simbias.learning.bias.none.NoBias", "sweeps": "sweep: {trials: 1, axes: {}}"}
     for group, text in good.items():
         (tmp_path / group).mkdir()
         for name, make in BROKEN.items():
@@ -82,7 +82,7 @@ def test_a_long_name_is_a_short_line(form: str, length: int) -> None:
 @pytest.mark.parametrize("name", ["a,b", "a=b", "a b", "a'b", "a\\b", "a[b}", "ü"])
 def test_a_folder_may_have_any_name(tmp_path: Path, name: str) -> None:
     (tmp_path / name / "bias").mkdir(parents=True)
-    (tmp_path / name / "bias" / "mine.yaml").write_text("_target_: simbias.bias.none.NoBias")
+    (tmp_path / name / "bias" / "mine.yaml").write_text("_target_: simbias.learning.bias.none.NoBias")
     assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
 
 
@@ -110,7 +110,7 @@ def test_components_that_nobody_can_read_are_named(tmp_path: Path) -> None:
 
 
 def test_an_error_that_cannot_speak_is_one_line() -> None:
-    from simbias.messages import quote, words
+    from simbias.core.messages import quote, words
 
     class Mute(Exception):  # noqa: N818
         def __str__(self) -> str:

@@ -14,7 +14,7 @@ from simbias.config.build import build
 from simbias.sweep.grid import expand
 
 OWN_BIAS = """
-from simbias.bias.none import NoBias
+from simbias.learning.bias.none import NoBias
 
 class Mine(NoBias):
     {version}

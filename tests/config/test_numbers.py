@@ -9,14 +9,14 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
 from conftest import rest_slow
-from robots import shipped
+from shipped import shipped
 
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError, compose, memory, options, sweeps
 from simbias.config.components import component_class, constructor_parameters
-from simbias.config.errors import LONGEST_KEY
-from simbias.messages import LONGEST
+from simbias.core.errors import LONGEST_KEY
+from simbias.core.messages import LONGEST
 
 GROUPS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 

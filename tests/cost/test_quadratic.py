@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simbias.core.records import Rollout
 from simbias.cost.quadratic import Quadratic
-from simbias.records import Rollout
-from simbias.study import Study
+from simbias.trial.study import Study
 
 R = np.diag([10, 10, 10, 0.1, 0.1, 0.1])  # Table I
 Q = np.diag([1e-6])

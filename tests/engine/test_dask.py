@@ -16,9 +16,9 @@ import psutil
 import pytest
 
 from simbias.config import ConfigError, compose
-from simbias.config.services import engine
 from simbias.engine import dask as module
 from simbias.engine.dask import Dask
+from simbias.sweep.services import engine
 
 pytestmark = pytest.mark.slow
 

@@ -20,11 +20,11 @@ from engine_tasks import Task, Trap, examine, hand_over, hand_over_a_view, set_t
 from threadpoolctl import threadpool_limits
 
 from simbias.config import compose
-from simbias.config.services import engine
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky, RoundBrokenError, run_rounds
 from simbias.engine.sequential import Sequential
+from simbias.sweep.services import engine
 
 pytestmark = pytest.mark.slow
 
@@ -171,7 +171,7 @@ def busy(name: str, folder: Path) -> Iterator[Any]:
     """A process with two workers that have nothing to do and one that has, and their ids."""
     (folder / "busy.py").write_text(BUSY)
     process = subprocess.Popen(
-        [sys.executable, folder / "busy.py", ROOT / "tests", name, folder / "begun"],
+        [sys.executable, folder / "busy.py", ROOT / "tests" / "support", name, folder / "begun"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

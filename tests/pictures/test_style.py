@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from simbias.pictures import style
+from simbias.pictures.elements import style
 
 
 @pytest.mark.parametrize("label", ["\U0001f916", 300 * "x", "<b>&amp;", "one $"])

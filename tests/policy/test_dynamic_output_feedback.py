@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import simbias
-from simbias.bias.none import ZeroBias
-from simbias.interfaces import Quantity, Task
+from simbias.core import Quantity, Task
+from simbias.core.records import Array, Disturbance
+from simbias.learning.bias.none import ZeroBias
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.records import Array, Disturbance
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.plain import PlainSimulator
+from simbias.simulation.numpy_loop import PlainSimulator
 
 DT = 0.001  # s
 

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simbias.interfaces import Quantity
+from simbias.core import Quantity
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.study import Study
+from simbias.trial.study import Study
 
 H_HATS = st.lists(st.floats(-10, 10), min_size=5, max_size=5).map(np.array)
 OUTPUTS_AT_THE_REFERENCE = [-0.07885799, -0.30512553, 0.08, 0.5, 0.05]  # shared definitions of the bongoboard

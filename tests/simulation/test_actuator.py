@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import simbias
-from simbias.interfaces import Nominal
-from simbias.records import Array
+from simbias.core import Nominal
+from simbias.core.records import Array
 from simbias.simulation.actuator import Actuator, Actuators, Drive, taps_of
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.plain import PlainSimulator
-from simbias.study import Study
+from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.testing import conformance
+from simbias.trial.study import Study
 
 DT = 0.001
 actuators = st.builds(

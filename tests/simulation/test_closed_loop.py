@@ -16,13 +16,13 @@ from in_numpy import by_value
 from numba import get_num_threads, set_num_threads
 
 import simbias
-from simbias.bias.none import ZeroBias
-from simbias.interfaces import FittedBias, Kernel, Nominal, Policy, SlowWarning
-from simbias.records import Array, Disturbance, Transitions
+from simbias.core import FittedBias, Kernel, Nominal, Policy, SlowWarning
+from simbias.core.records import Array, Disturbance, Transitions
+from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import Apart, join, simulator
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.plain import PlainSimulator
-from simbias.study import Study
+from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.trial.study import Study
 
 STATE_SCALE = np.array([0.3, 0.1, 0.3, 1.0, 1.0, 1.0])
 
@@ -336,8 +336,8 @@ def test_memories_of_twenty_frames_stay_in_the_lanes() -> None:
 
 NUMBERS = """
 import hashlib, numpy as np, simbias
-from simbias.bias.none import ZeroBias
-from simbias.records import Transitions
+from simbias.learning.bias.none import ZeroBias
+from simbias.core.records import Transitions
 study = simbias.load(["tracking=none", "task.horizon=300"])
 rng = np.random.default_rng(0)
 scale = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])

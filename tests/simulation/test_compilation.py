@@ -14,7 +14,7 @@ import pytest
 from in_lanes import from_python
 from numba import njit
 
-from simbias.simulation.compilation import OPTIONS, Compilation
+from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +33,7 @@ def half(x):
 RUN = """
 from numba import njit
 from own import own
-from simbias.simulation.compilation import OPTIONS, Compilation
+from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 
 compilation = Compilation()
 function = compilation.compiled(own)
@@ -113,8 +113,8 @@ def test_the_hash_is_of_what_a_function_does() -> None:
 @pytest.mark.parametrize("where", ["beside", "elsewhere"])
 def test_without_a_folder_to_write_to_it_is_kept_elsewhere(where: str, tmp_path: Path, monkeypatch) -> None:
     """As of a package that an administrator has installed."""
-    from simbias import cache
-    from simbias.simulation import compilation
+    from simbias.core import cache
+    from simbias.simulation.compiler import compilation
 
     if where == "elsewhere":
         monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")
@@ -129,8 +129,8 @@ def test_without_a_folder_to_write_to_it_is_kept_elsewhere(where: str, tmp_path:
 @pytest.mark.skipif(sys.platform == "win32", reason="temporary folders are a user's own")
 def test_nothing_is_read_from_a_temporary_folder_of_another_user(tmp_path: Path, monkeypatch) -> None:
     """Numba runs what it finds in its cache."""
-    from simbias import cache
-    from simbias.simulation import compilation
+    from simbias.core import cache
+    from simbias.simulation.compiler import compilation
 
     monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")

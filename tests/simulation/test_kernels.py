@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from simbias.simulation.kernels import elementwise
-from simbias.simulation.trigonometry import sincos
+from simbias.simulation.compiler.kernels import elementwise
+from simbias.simulation.compiler.trigonometry import sincos
 
 
 def law(x, parameters):

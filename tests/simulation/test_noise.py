@@ -9,9 +9,9 @@ import pytest
 
 import simbias
 from simbias.config.composition import ConfigError
-from simbias.records import Disturbance
+from simbias.core.records import Disturbance
 from simbias.simulation.noise import Noise
-from simbias.study import Study
+from simbias.trial.study import Study
 
 FRAMES, N = 5000, 6
 VARIANCES = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import simbias
-from simbias.interfaces import Kernel, Nominal
-from simbias.records import Array, Rollout
+from simbias.core import Kernel, Nominal
+from simbias.core.records import Array, Rollout
 from simbias.simulation.open_loop import Windows, World, plain, predict
-from simbias.study import Study
+from simbias.trial.study import Study
 
 
 def experiments(study: Study, lengths: tuple[int, ...] = (37, 8, 64, 3)) -> list[Rollout]:

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from numba import get_num_threads, set_num_threads
 
 import simbias
-from simbias.bias.none import ZeroBias
-from simbias.evaluation.nominal_start import CostOfOneRollout
-from simbias.records import Array, Transitions
+from simbias.core.records import Array, Transitions
+from simbias.learning.bias.none import ZeroBias
+from simbias.search.evaluation.nominal_start import CostOfOneRollout
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.plain import PlainSimulator
+from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.simulation.stream import NEEDED, Stream
-from simbias.study import Study
+from simbias.trial.study import Study
 
 COUNT = 60
 REMEMBERS = ["policy=dynamic_output_feedback", "policy.delay_seconds=0.005", "policy.constant=1.0"]

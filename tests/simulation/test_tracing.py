@@ -14,19 +14,19 @@ from in_numpy import CartPole, Feedback
 from scipy.interpolate import CubicSpline
 
 import simbias
-from simbias.bias.none import ZeroBias
-from simbias.identification.posterior import Identified
-from simbias.interfaces import FittedBias, Kernel, Model, Nominal
-from simbias.records import Array
+from simbias.core import FittedBias, Kernel, Model, Nominal
+from simbias.core.records import Array
+from simbias.learning.bias.none import ZeroBias
+from simbias.learning.identification.posterior import Identified
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.compiler.points import Points
+from simbias.simulation.compiler.symbolic_arrays import Symbols
+from simbias.simulation.compiler.symbols import MOST, TraceError
+from simbias.simulation.compiler.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy
+from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.simulation.open_loop import Windows, World, plain, predict
-from simbias.simulation.plain import PlainSimulator
-from simbias.simulation.points import Points
-from simbias.simulation.symbolic_arrays import Symbols
-from simbias.simulation.symbols import MOST, TraceError
-from simbias.simulation.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy
-from simbias.study import Study
+from simbias.trial.study import Study
 
 RNG = np.random.default_rng(0)
 POINTS = Points(lambda: (RNG.normal(size=(32, 3)), RNG.normal(size=(32, 3))))

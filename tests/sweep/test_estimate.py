@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from simbias.interfaces import Cost, Evaluation, Model, Objective
-from simbias.records import Array
-from simbias.study import Study
+from simbias.core import Cost, Evaluation, Model, Objective
+from simbias.core.records import Array
 from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, expand
+from simbias.trial.study import Study
 
 SECONDS = 2e-3
 NOTHING = pd.DataFrame({"hash": []})  # is finished

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from sweeping import write_sweep
 
 from simbias.config import ConfigError, Variations, compose, sweeps
+from simbias.mlflow.results import COLUMNS
 from simbias.sweep.axes import RESERVED
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.tables import MEASURES
-from simbias.tracking.results import COLUMNS
 
 VALUES = [0.0, 0.001, 0.1, 0.2, 0.35, 1.5]
 axis_values = st.lists(st.sampled_from(VALUES), min_size=1, max_size=4, unique=True)

@@ -20,7 +20,7 @@ from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky
 from simbias.engine.sequential import Sequential
 from simbias.sweep.worker import Plan, run_plan
-from simbias.trial import TrialRecord
+from simbias.trial.run import TrialRecord
 
 pytestmark = pytest.mark.slow
 

@@ -26,19 +26,19 @@ import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError, compose, sweeps
 from simbias.config.build import build
-from simbias.config.services import tracking
 from simbias.engine.contract import Engine
+from simbias.mlflow import fields, results
+from simbias.mlflow.mlflow_sweep import MlflowSweep
+from simbias.mlflow.mlflow_trial import MlflowTrial
 from simbias.sweep.axes import read_axis
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.running import SweepObserver
+from simbias.sweep.services import tracking
 from simbias.sweep.tables import cells, interval, layout, legend, markdown
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.sweep import SweepConsole
 from simbias.terminal.trial import COMPILING
-from simbias.tracking import fields, results
-from simbias.tracking.mlflow_sweep import MlflowSweep
-from simbias.tracking.mlflow_trial import MlflowTrial
-from simbias.trial import Outcome, TrialRecord
+from simbias.trial.run import Outcome, TrialRecord
 
 pytestmark = pytest.mark.slow
 
@@ -274,7 +274,7 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 RAISING = """
-from simbias.hardware.pymunk import PymunkBongoboard
+from simbias.robots.bongoboard.pymunk import PymunkBongoboard
 
 class Hot(PymunkBongoboard):
     def run(self, policy, theta, start, rng):

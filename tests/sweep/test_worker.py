@@ -13,10 +13,10 @@ from records import assert_equal, timeless
 
 import simbias
 from simbias.config import Composition, compose
-from simbias.interfaces import SlowWarning
+from simbias.core import SlowWarning
 from simbias.sweep import worker
 from simbias.sweep.worker import Plan, run_plan
-from simbias.trial import Outcome, run_trial
+from simbias.trial.run import Outcome, run_trial
 
 SHORT = [
     *("task.horizon=400", "optimizer.max_evaluations=30", "method.max_iterations=2"),
@@ -73,7 +73,7 @@ def test_a_worker_goes_on_with_what_its_journal_holds(trial: Composition, tmp_pa
 
 
 def test_a_trial_that_cannot_begin_is_a_record_too(trial: Composition, tmp_path: Path) -> None:
-    bad = {**trial.config, "bias": {"_target_": "simbias.bias.gp.Nothing"}}
+    bad = {**trial.config, "bias": {"_target_": "simbias.learning.bias.gp.Nothing"}}
     record = run_plan(Plan(bad, trial.choices))
     assert (record.outcome, record.iterations, record.experiments) == (Outcome.ERROR, (), 0)
     assert record.reason.startswith("ConfigError: bias._target_: cannot import")
@@ -90,8 +90,8 @@ def test_a_component_that_ends_the_process_as_it_is_built_ends_its_trial_only(
     def leave(*_: object, task: object) -> None:
         raise SystemExit("no licence")
 
-    monkeypatch.setattr("simbias.bias.gp.GaussianProcess.__init__", leave)
-    config = {**trial.config, "bias": {"_target_": "simbias.bias.gp.GaussianProcess"}}
+    monkeypatch.setattr("simbias.learning.bias.gp.GaussianProcess.__init__", leave)
+    config = {**trial.config, "bias": {"_target_": "simbias.learning.bias.gp.GaussianProcess"}}
     assert run_plan(Plan(config, trial.choices)).reason == "ConfigError: bias: no licence"
 
 

@@ -1,1 +1,1 @@
-"""Pictures of one trial: its study and iterations in, Matplotlib figures out."""
+"""The pictures of a trial."""

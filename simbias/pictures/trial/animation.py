@@ -16,9 +16,10 @@ from matplotlib.patches import Patch
 from matplotlib.text import Text
 from PIL import Image
 
-from simbias.interfaces import Task
-from simbias.pictures.drawing import Movement, NoPictureError, drawing_of, movement_of, share_view
-from simbias.pictures.style import HARDWARE, NOMINAL, SIMULATION, SMALL, seconds
+from simbias.core import Task
+from simbias.core.records import Iteration, Rollout
+from simbias.pictures.elements.drawing import Movement, NoPictureError, drawing_of, movement_of, share_view
+from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, SMALL, seconds
 from simbias.pictures.trial.comparison import (
     hardware_words,
     on_hardware,
@@ -29,8 +30,7 @@ from simbias.pictures.trial.comparison import (
     search_samples,
     worst_experiment,
 )
-from simbias.records import Iteration, Rollout
-from simbias.study import Study
+from simbias.trial.study import Study
 
 WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture and of each drawing
 HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings

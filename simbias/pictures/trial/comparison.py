@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.interfaces import FittedBias, Nominal
-from simbias.messages import counted
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.style import seconds
-from simbias.records import Iteration, Rollout
-from simbias.study import Study
+from simbias.core import FittedBias, Nominal
+from simbias.core.messages import counted
+from simbias.core.records import Iteration, Rollout
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.style import seconds
+from simbias.trial.study import Study
 
 
 def simulate(

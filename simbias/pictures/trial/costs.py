@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.panels import headline, legend, panels
-from simbias.pictures.style import (
+from simbias.core.records import Iteration
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.style import (
     BEYOND,
     HARDWARE,
     LIMIT,
@@ -23,8 +24,7 @@ from simbias.pictures.style import (
     shade_beyond,
 )
 from simbias.pictures.trial.comparison import search_bias, search_nominal, simulate
-from simbias.records import Iteration
-from simbias.study import Study
+from simbias.trial.study import Study
 
 HEIGHT, APART = 2.4, 0.16  # in, of a panel; iterations, between experiments
 

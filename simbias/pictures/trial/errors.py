@@ -12,14 +12,14 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from threadpoolctl import threadpool_limits
 
-from simbias.interfaces import FittedBias, Nominal, Task
-from simbias.messages import counted
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.panels import headline, legend, panels
-from simbias.pictures.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
+from simbias.core import FittedBias, Nominal, Task
+from simbias.core.messages import counted
+from simbias.core.records import Array, Iteration
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
 from simbias.pictures.trial.comparison import search_bias, search_nominal, search_samples
-from simbias.records import Array, Iteration
-from simbias.study import Study
+from simbias.trial.study import Study
 
 HORIZONS = (1, 5, 20, 100)  # frames
 WINDOWS = 40  # at most, in the experiments of an iteration

@@ -12,9 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from threadpoolctl import threadpool_limits
 
-from simbias.interfaces import FittedBias, Nominal
-from simbias.pictures.panels import headline, legend, panels
-from simbias.pictures.style import HARDWARE, NOMINAL, SIMULATION, label, plain
+from simbias.core import FittedBias, Nominal
+from simbias.core.records import Array, Iteration, Rollout
+from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, label, plain
 from simbias.pictures.trial.comparison import (
     on_hardware,
     outcome_words,
@@ -24,8 +25,7 @@ from simbias.pictures.trial.comparison import (
     search_samples,
     worst_experiment,
 )
-from simbias.records import Array, Iteration, Rollout
-from simbias.study import Study
+from simbias.trial.study import Study
 
 HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
 DRAWS, SEED = 20, 0

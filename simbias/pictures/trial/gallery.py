@@ -6,14 +6,17 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from threadpoolctl import threadpool_limits
 
-from simbias.config import ConfigError
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.style import png, save
+from simbias.core.errors import ConfigError
+from simbias.core.records import Iteration
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.style import png, save
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.costs import costs
 from simbias.pictures.trial.errors import prediction_errors
@@ -21,8 +24,8 @@ from simbias.pictures.trial.forecast import forecast
 from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
 from simbias.pictures.trial.rejections import rejections
-from simbias.records import Iteration
-from simbias.study import Study
+from simbias.trial.run import Recorder, TrialRecord
+from simbias.trial.study import Study
 
 FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
     "overview": overview,
@@ -58,6 +61,16 @@ def pictures(
             warnings.warn(f"picture {name}: {type(error).__name__}: {error}", RuntimeWarning, stacklevel=2)
             files[f"{name}.txt"] = traceback.format_exc().encode()
     return files
+
+
+def illustrated(study: Study, record: TrialRecord, recorder: Recorder) -> TrialRecord:
+    """The record with the pictures that the recorder asks for, which keeps them; once the trial has ended."""
+    if not record.outcome.final or not recorder.pictures:
+        return record
+    with threadpool_limits(1, user_api="blas"):  # as when the trial ran
+        record = replace(record, pictures=pictures(study, record.iterations, recorder.pictures))
+    recorder.illustrated(record.pictures)
+    return record
 
 
 def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> list[str]:

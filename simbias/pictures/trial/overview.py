@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpecBase
 from matplotlib.ticker import MaxNLocator
 
-from simbias.interfaces import Task
-from simbias.pictures.drawing import Drawing, drawing_of, share_view
-from simbias.pictures.style import (
+from simbias.core import Task
+from simbias.core.records import Array, Iteration, Rollout
+from simbias.pictures.elements.drawing import Drawing, drawing_of, share_view
+from simbias.pictures.elements.style import (
     HARDWARE,
     SIMULATION,
     SMALL,
@@ -38,8 +39,7 @@ from simbias.pictures.trial.comparison import (
     worst_experiment,
 )
 from simbias.pictures.trial.snapshots import draw_strip
-from simbias.records import Array, Iteration, Rollout
-from simbias.study import Study
+from simbias.trial.study import Study
 
 COLUMNS = 6  # of snapshots
 WIDTH, TITLE, SNAPSHOTS, MEASURE, TIME_AXIS = 9.0, 0.4, 1.2, 1.3, 0.42  # in

@@ -10,10 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from simbias.interfaces import Task
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.panels import headline, legend, panels
-from simbias.pictures.style import BEYOND, HARDWARE, LIMIT, SIMULATION, label, plain
+from simbias.core import Task
+from simbias.core.records import Array, Iteration, Rollout
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.style import BEYOND, HARDWARE, LIMIT, SIMULATION, label, plain
 from simbias.pictures.trial.comparison import (
     first_and_last,
     on_hardware,
@@ -25,8 +26,7 @@ from simbias.pictures.trial.comparison import (
     simulate,
     worst_experiment,
 )
-from simbias.records import Array, Iteration, Rollout
-from simbias.study import Study
+from simbias.trial.study import Study
 
 HEIGHT = 2.3  # in, of a panel
 NEAR = 0.5  # of a limit: what comes so close to it is shown together with it

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from simbias.pictures.drawing import NoPictureError
-from simbias.pictures.panels import headline, panels
-from simbias.pictures.style import HARDWARE, NOMINAL, OTHERS, SIMULATION, SMALL, plain
-from simbias.records import Iteration, Selection
-from simbias.study import Study
+from simbias.core.records import Iteration, Selection
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.panels import headline, panels
+from simbias.pictures.elements.style import HARDWARE, NOMINAL, OTHERS, SIMULATION, SMALL, plain
+from simbias.trial.study import Study
 
 BAR, MARGIN = 0.3, 0.2  # in, for each iteration and beside them
 COLORS = (*OTHERS, HARDWARE, NOMINAL)

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from simbias.interfaces import Task
-from simbias.pictures.drawing import Drawing, NoPictureError, drawing_of, share_view
-from simbias.pictures.style import HARDWARE, SMALL, seconds
-from simbias.records import Array, Rollout
+from simbias.core import Task
+from simbias.core.records import Array, Rollout
+from simbias.pictures.elements.drawing import Drawing, NoPictureError, drawing_of, share_view
+from simbias.pictures.elements.style import HARDWARE, SMALL, seconds
 
 
 def snapshots(

@@ -1,7 +1,7 @@
 """A robot of your own: what is to be done, what you believe of it, and the robot itself.
 
 It is a pole on a motor, to be held upright: replace it by yours, piece by piece. `python -m simbias check`
-says what does not fit yet. simbias/interfaces/ holds every contract; all arrays are in the task's units.
+says what does not fit yet. simbias/core/ holds every contract; all arrays are in the task's units.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from simbias.config.numbers import Frames, Length, Mass, TimeStep
-from simbias.interfaces import Criterion, Hardware, Nominal, Policy, Quantity, Task
-from simbias.parameters import Parameter
-from simbias.records import Array, Rollout
+from simbias.core import Criterion, Hardware, Nominal, Policy, Quantity, Task
+from simbias.core.parameters import Parameter
+from simbias.core.ranges import Frames, Length, Mass, TimeStep
+from simbias.core.records import Array, Rollout
 
 GRAVITY = 9.81  # m/s^2
 
@@ -46,7 +46,8 @@ class Upright(Task):
 class Belief(Nominal):
     """Your simulation model f'. Parameters are what you don't know exactly, and by how much.
 
-    It is compiled as long as it is ordinary NumPy, np.where in place of `if` (simbias/simulation/kernels.py).
+    It is compiled as long as it is ordinary NumPy, np.where in place of `if`
+    (simbias/simulation/compiler/kernels.py).
     """
 
     def __init__(self, task: Upright, mass: Mass = 1.0, length: Length = 0.5) -> None:

@@ -1,1 +1,0 @@
-"""Learners of the dynamics bias g_D (Section IV)."""

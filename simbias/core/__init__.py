@@ -1,0 +1,65 @@
+"""The contract of every component: what the author of one reads.
+
+| author of | reads |
+| --- | --- |
+| a task, hardware | `robot.py` |
+| a policy | `policy.py` |
+| a nominal model, identification, samples, a bias | `model.py` |
+| a cost, an evaluation, an optimizer | `search.py` |
+| what runs compiled | `speed.py`, and `simbias.simulation.compiler.kernels` |
+| a method | `simbias.trial.study`, beside the study that it runs |
+
+All names are imported from here.
+
+n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's memory; T frames of
+`time_step` seconds. Units are the task's. Components are built from YAML: the keys of
+`conf/<group>/<name>.yaml` are the constructor's arguments, checked against its annotations; an argument named
+`task` receives the task. State is passed, never hidden; randomness comes only from a passed NumPy generator.
+
+Where a shape begins with `...`, any leading axes may stand, as in NumPy's own functions: a policy search
+simulates all its candidates together. Methods in ordinary vectorised NumPy are compiled for that, with the
+same numbers but for rounding; a component may offer a `kernel` in their place
+(`simbias.simulation.compiler.kernels`).
+"""
+
+from simbias.core.kernel import Kernel, SlowWarning
+from simbias.core.model import Bias, FittedBias, Identification, Nominal, Samples
+from simbias.core.policy import Controller, Law, Policy
+from simbias.core.robot import (
+    NOT_A_NUMBER,
+    Criterion,
+    Hardware,
+    HardwareError,
+    Quantity,
+    Task,
+    Waiting,
+    failure_name,
+)
+from simbias.core.search import Cost, Evaluation, Model, Objective, Optimizer, Simulator
+
+__all__ = [
+    "NOT_A_NUMBER",
+    "Bias",
+    "Controller",
+    "Cost",
+    "Criterion",
+    "Evaluation",
+    "FittedBias",
+    "Hardware",
+    "HardwareError",
+    "Identification",
+    "Kernel",
+    "Law",
+    "Model",
+    "Nominal",
+    "Objective",
+    "Optimizer",
+    "Policy",
+    "Quantity",
+    "Samples",
+    "Simulator",
+    "SlowWarning",
+    "Task",
+    "Waiting",
+    "failure_name",
+]

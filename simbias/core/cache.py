@@ -1,0 +1,55 @@
+"""Where things are kept that take long to make and may be deleted at any time."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def cache_folder(name: str, *first: str) -> Path:
+    """A folder that can be written: in one of the `first`, in the package, or in the user's cache.
+
+    Raises
+    ------
+    OSError
+        If there is none.
+    """
+    for parent in _parents(first):
+        folder = parent / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    raise OSError(f"there is no folder for {name} that can be written; XDG_CACHE_HOME names one")
+
+
+def _parents(first: tuple[str, ...]) -> Iterator[Path]:
+    """Where such folders may be, the best place first."""
+    yield from map(Path, first)
+    yield Path(__file__).parent.parent / "__pycache__"
+    yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"
+    yield _private()
+
+
+def _private() -> Path:
+    """A folder of this user's among the temporary ones.
+
+    Another user may have made one of that name, and what Numba finds in its cache it runs.
+
+    Raises
+    ------
+    OSError
+        Then.
+    """
+    user = os.getuid() if sys.platform != "win32" else 0  # where temporary folders are a user's own
+    folder = Path(tempfile.gettempdir()) / f"simbias-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if sys.platform != "win32" and (found.st_uid != user or found.st_mode & 0o022 or folder.is_symlink()):
+        raise OSError(f"{folder} is another user's; XDG_CACHE_HOME names a folder for compiled code")
+    return folder

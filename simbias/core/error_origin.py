@@ -1,0 +1,69 @@
+"""In whose code an error arose: told by class and method, so that its author knows where to look."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from simbias import core as interfaces
+from simbias.core.messages import LONGEST_REASON, with_type
+
+CONTRACTS = tuple(
+    getattr(interfaces, name)
+    for name in (
+        *("Task", "Nominal", "Hardware", "Policy", "Samples", "Cost"),
+        *("Identification", "Bias", "FittedBias", "Evaluation", "Optimizer"),
+    )
+)
+PACKAGE = __name__.partition(".")[0]
+
+
+def is_own(component: Any) -> bool:
+    """Whether a component is the user's own, and none of simbias's."""
+    return type(component).__module__.partition(".")[0] != PACKAGE
+
+
+def raised_by(error: BaseException) -> str:
+    """`Class.method` of the user's component in which an error arose; "" if it arose in none."""
+    blamed, name = None, ""
+    for frame in _frames(error):
+        component = frame.f_locals.get("self")
+        if isinstance(component, CONTRACTS) and is_own(component) and component is not blamed:
+            blamed, name = component, f"{type(component).__name__}.{frame.f_code.co_name}"
+    return name
+
+
+def told(error: BaseException, longest: int = LONGEST_REASON) -> str:
+    """What an error says, and in which component it arose if that is the user's."""
+    source = raised_by(error)
+    if not source or isinstance(error, interfaces.HardwareError):
+        return with_type(error, longest)
+    *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+    place = f"{Path(frame.f_code.co_filename).name}:{line}"
+    return f"{source}: expected a result, got {with_type(error, longest)} ({place})"
+
+
+def has_own_code(error: BaseException) -> bool:
+    """Whether an error, or one that it came from, passed through code that is no installed library's."""
+    causes = [error]
+    while (cause := causes[-1].__cause__) is not None and cause not in causes:
+        causes.append(cause)
+    return any(is_users(frame.f_code.co_filename) for each in causes for frame in _frames(each))
+
+
+def is_users(file: str) -> bool:
+    """Whether a file belongs neither to simbias nor to Python or an installed library."""
+    path = Path(file)
+    if not path.is_absolute():  # code without a file
+        return False
+    roots = (Path(__file__).parent.parent, *map(Path, {sys.base_prefix, sys.prefix}))
+    return not any(path.is_relative_to(root) for root in roots)
+
+
+def _frames(error: BaseException) -> Iterator[FrameType]:
+    """The frames that an error passed through, the outermost first."""
+    return (frame for frame, _ in traceback.walk_tb(error.__traceback__))

@@ -1,0 +1,30 @@
+"""What is wrong with an override, a key or a value, in one line."""
+
+from __future__ import annotations
+
+from simbias.core.messages import LONGEST, brief, words
+
+LONGEST_KEY = 160  # characters of the key or file that a message names
+
+
+class ConfigError(ValueError):
+    """A bad override, key or value; its message is one line, not too long."""
+
+    def __init__(self, key: str, problem: str) -> None:
+        self.key, self.problem = brief(key, LONGEST_KEY), brief(problem, LONGEST)
+        super().__init__(f"{self.key}: {self.problem}" if key else self.problem)
+
+    def __reduce__(self) -> tuple[type[ConfigError], tuple[str, str]]:
+        """So that it comes back from a worker as what it is."""
+        return ConfigError, (self.key, self.problem)
+
+
+def reason(error: Exception) -> str:
+    """What is wrong with a file or a value, in words."""
+    if isinstance(error, RecursionError):
+        return "values nested too deeply, or a defaults list that leads back to itself"
+    return (
+        f"{error.strerror}: {error.filename}"
+        if isinstance(error, OSError) and error.strerror
+        else words(error)
+    )

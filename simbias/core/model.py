@@ -1,0 +1,128 @@
+"""What is known of a robot: the simulation model, its parameters, the data, and the bias learned from it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from simbias.core.kernel import Kernel
+from simbias.core.parameters import Estimate, Parameter, values_at
+from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
+
+
+class Nominal(ABC):
+    """The simulation model f' (Section IV-A).
+
+    A model of what the state does not show, as an actuator's lag or a delay, keeps it in its memory, which is
+    zero at the start (`simbias.simulation.actuator`).
+    """
+
+    kernel: Kernel | None = None
+    batched: bool = False  # whether an engine steps many states at once, about as fast as compiled code
+    parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
+    memory_size: int = 0  # s
+    estimates: Sequence[Estimate] = ()  # what has been identified
+    diagnostics: Mapping[str, float] = MappingProxyType({})  # what the identification says of its fit
+
+    @abstractmethod
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1).
+
+        Of a model with memory: as if u had acted for long.
+        """
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the memory (..., s) for the next frame; only models with memory need it."""
+        return self.step(x, u), memory
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on, of states (k, n) and inputs (k, m)."""
+        kept, memory = np.zeros((len(inputs), self.memory_size)), np.zeros(self.memory_size)
+        for t in range(len(inputs) if self.memory_size else 0):
+            kept[t] = memory
+            _, memory = self.advance(states[t], inputs[t], memory)
+        return kept
+
+    def along(self, states: Array, inputs: Array) -> Array:
+        """x_next (k, n) predicted from each state (k, n) of a recorded rollout under its inputs (k, m).
+
+        What the states do not show is simulated from the inputs that came before.
+        """
+        if not self.memory_size:
+            return self.step(states, inputs)
+        return self.advance(states, inputs, self.memories(states, inputs))[0]
+
+    def step_in_worlds(self, models: Sequence[Nominal], x: Array, u: Array, worlds: Indices) -> Array:
+        """x_next (k, n), each row after x (k, n) under u (k, m) with the model of its world of (k,).
+
+        Only batched models need it; all of them are of one class.
+        """
+        raise NotImplementedError(f"{type(self).__name__} is batched, but has no `step_in_worlds`")
+
+    def with_parameters(self, values: Array) -> Nominal:
+        """The model with other values (k,) of its `parameters`, in their units."""
+        raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
+
+    def draw(self, rng: np.random.Generator) -> Nominal:
+        """A model that might be the right one, as far as its parameters are known; this one if they are."""
+        if not self.parameters:
+            return self
+        return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
+
+    def narrowed(self, share: float) -> Nominal:
+        """The same model, whose draws deviate this share as much; itself if it cannot narrow them."""
+        return self
+
+
+class Identification(ABC):
+    """What is learned of the nominal model's parameters, before a bias is learned of what they leave."""
+
+    @abstractmethod
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        """The model at the parameters' most probable values, whose `draw` draws from their posterior.
+
+        `nominal.parameters` are the prior, the rollouts all hardware experiments of a trial, also those that
+        failed. Without rollouts or parameters it is the nominal model itself.
+        """
+
+
+class Samples(ABC):
+    """The choice of training data (Section IV-C)."""
+
+    @abstractmethod
+    def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
+        """Transitions worth learning from, with their residuals against the nominal model (Eq. 6)."""
+
+
+class Bias(ABC):
+    """A learner of the dynamics bias."""
+
+    @abstractmethod
+    def fit(self, transitions: Transitions) -> FittedBias:
+        """Learn from the data; without data the bias is zero everywhere."""
+
+    def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
+        """Learn from the data, or from the rollouts and the (identified) nominal model that it comes from."""
+        return self.fit(transitions)
+
+
+class FittedBias(ABC):
+    """The learned dynamics bias g_D."""
+
+    kernel: Kernel | None = None
+    diagnostics: Mapping[str, float] = MappingProxyType({})  # what the learner says of its fit
+
+    @abstractmethod
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        """Mean (k, n) and variance (k, n) of the residual at raw inputs (k, n+m) (Eq. 4, 5)."""
+
+    @abstractmethod
+    def correction(self, x: Array, u: Array) -> Array:
+        """What is added to the nominal step at x (..., n), u (..., m): the last term (..., n) of Eq. 7."""
+
+    def draw(self, rng: np.random.Generator) -> FittedBias:
+        """A bias that might be the right one, as far as the data tells; this one if it does not say."""
+        return self

@@ -1,0 +1,63 @@
+"""Physical parameters that are not known exactly, and what is known of them: independent priors.
+
+Each prior is a monotonic function of a standard normal variable, its coordinate. So a prior is drawn from by
+drawing coordinates, and a posterior that is normal in the coordinates respects every bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from simbias.core.records import Array
+
+LARGEST = 100.0  # exponent: a search for the mode may come by where a parameter would overflow
+
+Prior = Literal["normal", "log_normal", "half_normal", "uniform"]
+
+
+class Parameter(NamedTuple):
+    """A physical parameter and its prior.
+
+    The declared value is the median of `normal` and `log_normal`, and the lower end of `half_normal` and
+    `uniform`. The spread is a standard deviation (of the logarithm, if `log_normal`; of the whole normal
+    whose upper half it is, if `half_normal`), or the width if `uniform`.
+    """
+
+    name: str
+    unit: str
+    value: float
+    spread: float
+    prior: Prior = "normal"
+
+    def at(self, coordinate: Array | float) -> Array:
+        """Values (...) at coordinates (...)."""
+        z = np.asarray(coordinate, dtype=np.float64)
+        if self.prior == "normal":
+            return self.value + self.spread * z
+        if self.prior == "log_normal":
+            return self.value * np.exp(np.clip(self.spread * z, -LARGEST, LARGEST))
+        from scipy.special import ndtr, ndtri  # lazily: most trials need none
+
+        if self.prior == "half_normal":
+            return self.value - self.spread * ndtri(ndtr(-z) / 2)
+        return self.value + self.spread * ndtr(z)
+
+
+def values_at(parameters: Sequence[Parameter], coordinates: Array) -> Array:
+    """Values (..., k) of k parameters at coordinates (..., k)."""
+    columns = [parameter.at(coordinates[..., i]) for i, parameter in enumerate(parameters)]
+    return np.stack(columns, axis=-1) if columns else np.asarray(coordinates, dtype=np.float64)
+
+
+class Estimate(NamedTuple):
+    """What is known of a parameter once it has been identified."""
+
+    name: str
+    unit: str
+    declared: float
+    value: float  # the most probable one
+    low: float  # 5% quantile
+    high: float  # 95% quantile

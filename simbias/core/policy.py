@@ -1,0 +1,76 @@
+"""What is searched: a feedback law, and how a control loop runs it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core.kernel import Kernel
+from simbias.core.records import Array
+
+
+class Law(NamedTuple):
+    """A policy in words and numbers, as an order to a lab says it."""
+
+    words: str  # as u = H z
+    numbers: Mapping[str, Array]  # what the words name, in the task's units
+
+
+class Policy(ABC):
+    """The feedback law whose parameters theta are searched.
+
+    A law with a filter, an integral or a delay keeps what it needs in its memory, which is zero at the start.
+    """
+
+    n_parameters: int
+    bounds: tuple[Array, Array]  # lower (p,), upper (p,)
+    memory_size: int = 0  # s
+    kernel: Callable[[Array], Kernel] | None = None  # of thetas (k, p): its parameters (k, r) are theirs
+
+    @abstractmethod
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) within the task's limits, and the memory (..., s) for the next frame.
+
+        theta (..., p), (measured) states x (..., n), time t in s since the start, memory (..., s). Most laws
+        ignore the time, and return the memory as it came.
+        """
+
+    @abstractmethod
+    def outputs(self, x: Array) -> Array:
+        """What the policy feeds back: z (..., q) at states x (..., n)."""
+
+    def imitating(self, states: Array, inputs: Array) -> Array | None:
+        """The parameters (p,) that come nearest to inputs (k, T, m) at states (k, T, n); None: not known.
+
+        These are k records of T frames, of inputs that know more than the policy may.
+        """
+        return None
+
+    def law(self, theta: Array) -> Law:
+        """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
+        return Law(f"u = {type(self).__name__}.act(theta, x, t, memory)", {"theta": theta})
+
+    def controller(self, theta: Array, time_step: float) -> Controller:
+        """The policy theta (p,) as a robot's control loop runs it: once a frame of `time_step` s."""
+        return Controller(self, theta, time_step)
+
+
+class Controller:
+    """A policy in a control loop: u (m,) = controller(x), called once a frame; it keeps time and memory."""
+
+    def __init__(self, policy: Policy, theta: Array, time_step: float) -> None:
+        self._policy = policy
+        self._theta = theta
+        self._time_step = time_step
+        self._frame = 0
+        self._memory = np.zeros(policy.memory_size)
+
+    def __call__(self, x: Array) -> Array:
+        """Input u (m,) at the (measured) state x (n,) of the next frame."""
+        time = self._frame * self._time_step
+        u, self._memory = self._policy.act(self._theta, x, time, self._memory)
+        self._frame += 1
+        return u

@@ -1,0 +1,129 @@
+"""The records that flow through a study: frozen, with the shape of every array."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from simbias.core.model import FittedBias, Nominal
+    from simbias.core.parameters import Estimate
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """One run of a policy, in simulation or on hardware, up to its failure or to the horizon T."""
+
+    states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the failing frame
+    inputs: Array  # (k, m) commanded inputs u_0 .. u_{k-1}
+    failed_at: int | None = None  # t_fail of Eq. 8: the frame whose state failed
+    failure: str | None = None  # name of the criterion of Section IV-C that failed
+    cost: float = math.nan  # Z of Eq. 8; nan until a cost has judged the rollout
+    measured: Array | None = None  # (k+1, n) what the sensors said; None where nothing was sensed
+    sensed: bool = False  # whether the recorded states are these, as on a real robot; else the true ones
+    parameters: Array = field(default_factory=lambda: np.empty(0))  # (p,); set by the study that ran it
+
+    @property
+    def frames(self) -> int:
+        """How many frames k the robot was controlled."""
+        return len(self.inputs)
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbance:
+    """Noise on one simulated rollout, frame by frame."""
+
+    inputs: Array  # (T, m) added to what acts on the model
+    sensors: Array  # (T+1, n) added to what the policy sees
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """Training data D of the dynamics bias (Section IV-C), in the task's units."""
+
+    inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1})
+    residuals: Array  # (N, n) Delta_t of Eq. 6
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    def __or__(self, other: Transitions) -> Transitions:
+        """D union D_i (line 13 of Algorithm 1)."""
+        return Transitions(
+            inputs=np.concatenate([self.inputs, other.inputs]),
+            residuals=np.concatenate([self.residuals, other.residuals]),
+        )
+
+    @staticmethod
+    def empty(n: int, m: int) -> Transitions:
+        """D = {} (line 1 of Algorithm 1), for n states and m inputs."""
+        return Transitions(inputs=np.empty((0, n + m)), residuals=np.empty((0, n)))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What became training data of some rollouts, and what did not, and why (Section IV-C)."""
+
+    transitions: Transitions
+    frames: int  # transitions that the rollouts hold
+    sampled: int  # those left after downsampling
+    rejected: Mapping[str, int]  # criterion -> how many of the sampled ones it rejected
+    note: str = ""  # what else a person should know where nothing was sampled
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """What a policy search found."""
+
+    parameters: Array  # (p,)
+    cost: float
+    evaluations: int
+    stopped_by: str  # why the search ended, in words
+    flat: bool = False  # whether all policies that it evaluated cost the same
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A policy search in simulation, and what it was made on (lines 4 and 5 of Algorithm 1)."""
+
+    optimum: Optimum
+    predicted_cost: float  # Z_g
+    fitted_bias: FittedBias | None  # g; None once the record came from a worker
+    diagnostics: Mapping[str, float] = field(default_factory=dict)  # what the learner says of g
+    nominal: Nominal | None = None  # as far as identified; None likewise
+    estimates: Sequence[Estimate] = ()  # of its parameters
+    identification: Mapping[str, float] = field(default_factory=dict)  # what is said of that fit
+
+
+@dataclass(frozen=True, eq=False)
+class Learning:
+    """What was learned from an iteration's experiments (lines 6-8 and 13)."""
+
+    selection: Selection  # D_i
+    data: Transitions  # D afterwards
+    reset: bool = False  # whether D was cleared before
+    evidence: Mapping[str, float] = field(default_factory=dict)  # for each way to learn, if weighed, nats
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One pass through the loop of a method, with those parts that the method has."""
+
+    index: int  # i, from 0
+    parameters: Array  # (p,) the policy that it arrived at
+    experiments: tuple[Rollout, ...]  # line 9; of several policies, where a method tries several
+    hardware_cost: float  # Z_r of that policy: the maximum over its experiments
+    succeeded: bool  # line 10
+    total_experiments: int  # hardware experiments of the trial so far
+    search: Search | None = None
+    learning: Learning | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)  # wall time of each phase

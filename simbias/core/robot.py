@@ -1,0 +1,142 @@
+"""What a robot is asked and answers: the task, and the hardware that makes experiments."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from copy import copy
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core.kernel import Kernel
+from simbias.core.policy import Policy
+from simbias.core.records import Array, Indices, Rollout
+
+NOT_A_NUMBER = "not_a_number"  # the failure of a state that violates no criterion
+
+
+class HardwareError(RuntimeError):
+    """The hardware could not carry out an experiment; a robot that falls is no error but a failure."""
+
+
+class Waiting(Exception):  # noqa: N818 (no error: a lab takes its time)
+    """The result of an experiment is not there yet; the message says in one sentence what to do meanwhile."""
+
+
+class Quantity(NamedTuple):
+    """A component of a state, input or output vector."""
+
+    name: str
+    unit: str
+    kind: str = ""  # what it shares with others, so that noise can be declared of all at once: "angle"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it can be called by, its own name first."""
+        return (self.name, self.kind) if self.kind else (self.name,)
+
+
+class Criterion(NamedTuple):
+    """A failure criterion of Section IV-C: x fails where its measure is above the limit."""
+
+    name: str
+    words: str
+    limit: float
+    unit: str
+    bounds: Mapping[str, float] = MappingProxyType({})  # state -> |state| that it allows, whatever the others
+
+
+def failure_name(criteria: Sequence[Criterion], index: int) -> str:
+    """The name of a violated criterion, or of a state that is no number and violates none."""
+    return criteria[index].name if index < len(criteria) else NOT_A_NUMBER
+
+
+class Task(ABC):
+    """What is to be done: quantities, time, limits, starts and failure; no dynamics."""
+
+    states: tuple[Quantity, ...]
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    criteria: tuple[Criterion, ...]
+    time_step: float  # s
+    horizon: int  # T, frames
+    input_limit: Array  # (m,) |u| <= input_limit
+    start_mean: Array  # (n,)
+    start_deviation: Array  # (n,)
+    measure_kernel: Kernel | None = None
+    output_kernel: Kernel | None = None
+
+    @abstractmethod
+    def measure(self, x: Array) -> Array:
+        """Measures (..., c) of states x (..., n), to be held against the limits of the criteria."""
+
+    @abstractmethod
+    def output(self, x: Array) -> Array:
+        """Outputs z (..., q) of states x (..., n), from which a policy computes its input."""
+
+    def violated(self, x: Array) -> Indices:
+        """Index (...) of the first criterion that each state x (..., n) violates, -1 where it violates none.
+
+        What is not a number violates: it has the index after all criteria where it violates none of them.
+        """
+        within = self.measure(x) <= np.array([criterion.limit for criterion in self.criteria])
+        within = np.concatenate([within, np.isfinite(x).all(axis=-1, keepdims=True)], axis=-1)
+        return np.where(within.all(axis=-1), -1, np.argmin(within, axis=-1))
+
+    def failure(self, x: Array) -> str | None:
+        """Name of the first criterion that the state x (n,) violates, or None."""
+        index = int(self.violated(x))
+        return None if index < 0 else failure_name(self.criteria, index)
+
+    def words(self, failure: str) -> str:
+        """A failure in words: those of its criterion, or the name that a hardware gave it."""
+        words = {criterion.name: criterion.words for criterion in self.criteria}
+        return words.get(failure, failure.replace("_", " "))
+
+    def with_horizon(self, horizon: int) -> Task:
+        """The task, which now takes so many frames."""
+        longer = copy(self)
+        longer.horizon = horizon
+        return longer
+
+    def frames(self, seconds: float) -> int:
+        """How many frames so many seconds take, at least one."""
+        return max(1, round(seconds / self.time_step))
+
+    def draw_start(self, rng: np.random.Generator) -> Array:
+        """A random start (n,): start_mean + N(0, start_deviation^2) (Section VI-A)."""
+        return self.start_mean + self.start_deviation * rng.standard_normal(len(self.states))
+
+
+class Hardware(ABC):
+    """The expensive system."""
+
+    sets_start: bool = True  # whether an experiment begins where it is asked to; else where the robot stands
+
+    @abstractmethod
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment with theta (p,); cost and parameters of the rollout are not set.
+
+        It begins at the start (n,), or as near to it as the robot can: the rollout's first state says where.
+        `policy.controller(theta, time_step)` computes the input of each frame. Whatever else than the errors
+        below it raises, and whatever it returns that is no rollout of the task, ends the trial in one line,
+        and what it returned is kept; the same command goes on once it is mended
+        (`simbias.lab.checked_hardware`).
+
+        Raises
+        ------
+        HardwareError
+            If the experiment could not be carried out.
+        Waiting
+            If its result is not there yet. The same experiment is asked for again at the next start.
+        """
+
+    def stop(self) -> None:  # noqa: B027  (few need it)
+        """Bring the system to rest: an experiment took too long, was interrupted or went beyond a limit.
+
+        With `experiment_timeout` it is called from another thread while `run` still runs; `run` should end
+        soon afterwards, what it returns or raises is of no interest. Beyond a limit of `hardware.safety`,
+        `run` has ended by what the controller raised. By default nothing happens.
+        """

@@ -1,0 +1,148 @@
+"""How a policy is searched in simulation: what it costs there, and what minimises that."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from simbias.core.evaluations import Evaluations
+from simbias.core.kernel import Kernel
+from simbias.core.model import FittedBias, Nominal
+from simbias.core.policy import Policy
+from simbias.core.records import Array, Indices, Optimum, Rollout
+from simbias.core.robot import Task
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The corrected simulation model of Eq. 7, and the task and policy that close its loop."""
+
+    task: Task
+    policy: Policy
+    nominal: Nominal
+    bias: FittedBias
+
+
+class Simulator(Protocol):
+    """The closed loop of policy, nominal model and bias (Eq. 7, 9), with or without noise."""
+
+    def rollout(self, theta: Array, start: Array) -> Rollout:
+        """Run theta (p,) from start (n,) to failure or horizon; the rollout's cost is not set."""
+
+    def rollouts(self, thetas: Array, starts: Array) -> Sequence[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n); much faster together than one by one."""
+
+    def costs(self, cost: Cost, thetas: Array, starts: Array) -> tuple[Array, Indices]:
+        """Costs (k,) of these rollouts, and how many frames (k,) they have; faster than the rollouts."""
+
+
+class Cost(ABC):
+    """What a rollout costs, and above which cost a policy has failed."""
+
+    max_cost: float  # Z_max
+    kernel: Kernel | None = None
+    totals: int = 0  # s, how many numbers the kernel sums up
+
+    @abstractmethod
+    def of(self, rollout: Rollout) -> float:
+        """Z of a rollout: finite."""
+
+    def of_totals(self, totals: Array, lost: Indices) -> Array:
+        """Z (k,) of rollouts that the kernel summed up as totals (k, s), of frames (k,) lost by failure."""
+        raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
+
+    def with_horizon(self, horizon: int) -> Cost:
+        """The cost of rollouts that may take so many frames; only what simulates for longer needs it."""
+        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`")
+
+    def passes(self, rollout: Rollout) -> bool:
+        """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""
+        return rollout.failed_at is None and rollout.cost < self.max_cost
+
+
+class Objective(Protocol):
+    """What a policy search minimises; deterministic. A plain function will do, `together` is faster.
+
+    Some offer `speculate(thetas)` besides, for searches that guess what they will ask for: costs (k,) of
+    thetas (k, p), and which are known yet (k,), one at least. Those in front are known sooner.
+    """
+
+    steps: int  # simulated so far, for searches that are limited by them
+
+    def __call__(self, theta: Array) -> float:
+        """Cost of theta (p,)."""
+
+    def together(self, thetas: Array) -> Array:
+        """Costs (k,) of thetas (k, p)."""
+
+
+class Evaluation(ABC):
+    """How the cost of a policy is predicted in simulation."""
+
+    rollouts: int = 1  # of each policy
+    noisy_rollouts: int = 0  # those whose noise is kept as long as a search goes on
+    horizon: int | None = None  # frames of its rollouts; None is the task's
+
+    @abstractmethod
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
+        """The predicted cost as a function of theta; what it samples is drawn once, from rng."""
+
+
+class Optimizer(ABC):
+    """A minimiser over a box."""
+
+    max_evaluations: int  # N_in
+    relative_tolerance: float  # epsilon
+    max_steps: int | None = None  # of simulation, after which a search ends
+    max_seconds: float | None = None  # likewise
+
+    @abstractmethod
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """Evaluate points of a box until it is no longer worth it; why, in words.
+
+        Raises
+        ------
+        SearchEnded
+            From `evaluations`, once they are used up or their costs have converged.
+        """
+
+    def minimize(
+        self,
+        objective: Callable[[Array], float],
+        lower: Array,
+        upper: Array,
+        rng: np.random.Generator,
+        satisfactory: float = np.inf,
+        candidates: Sequence[Array] = (),
+    ) -> Optimum:
+        """Best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions pass through.
+
+        It ends at the latest after `max_evaluations`, or once `max_steps` or `max_seconds` are used up. Only
+        a search whose best cost is below `satisfactory` may end earlier because it converges: among
+        policies that fail, costs of Eq. 8 lie on plateaus that look like convergence.
+        The candidates (p,) are evaluated first, and a search that starts from a point starts from the best.
+
+        Raises
+        ------
+        ValueError
+            If the box is empty or not finite, a cost is not finite, or the algorithm cannot take so many
+            parameters.
+        """
+        first = list(candidates)  # before the time limit counts: they may take a while to make
+        evaluations = Evaluations(
+            objective,
+            lower,
+            upper,
+            self.max_evaluations,
+            self.relative_tolerance,
+            satisfactory,
+            self.max_steps,
+            self.max_seconds,
+        )
+        evaluations.try_first(first)
+        stopped_by = evaluations.run(lambda running: self.search(running, rng))
+        return evaluations.optimum(stopped_by)

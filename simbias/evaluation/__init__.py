@@ -1,1 +1,0 @@
-"""How a policy's cost is predicted in simulation."""

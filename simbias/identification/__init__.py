@@ -1,1 +1,0 @@
-"""What is learned of the nominal model's parameters."""

@@ -1,0 +1,1 @@
+"""Experiments on hardware: checked, limited in time and by safety limits."""

@@ -1,0 +1,97 @@
+"""What enters from a hardware is checked once, here: shapes, numbers, length."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Hardware, HardwareError, Task
+from simbias.core.messages import LONGEST_VALUE, brief, quote
+from simbias.core.records import Array, Rollout
+
+LARGEST = 1e15  # of a state or input, in any unit: no sensor says more, and single precision holds its square
+
+
+def check_rollout(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
+    """A hardware's rollout, its arrays as float64 and copies of its own; without cost and parameters.
+
+    Raises
+    ------
+    HardwareError
+        In one line that names the component, the field, what was expected and what came.
+    """
+    source = f"{type(hardware).__name__}.run"
+    if not isinstance(rollout, Rollout):
+        raise HardwareError(f"{source}: expected a Rollout, got {type(rollout).__name__}")
+    n, m, T = len(task.states), len(task.inputs), task.horizon
+    inputs = _array(rollout.inputs, f"{source}: inputs", (None, m))
+    k = len(inputs)
+    states = _array(rollout.states, f"{source}: states", (k + 1, n))
+    measured = rollout.measured
+    if measured is not None:
+        measured = _array(measured, f"{source}: measured", (k + 1, n))
+    if not isinstance(rollout.sensed, bool | np.bool_):
+        raise HardwareError(f"{source}: sensed: expected true or false, got {quote(rollout.sensed)}")
+    if k > T:
+        raise HardwareError(
+            f"{source}: inputs: expected at most {T} frames of {task.time_step:g} s, got {k}; "
+            f"is its rate another?"
+        )
+    failed_at = _frame(rollout.failed_at, f"{source}: failed_at")
+    if failed_at is None and k < T:
+        raise HardwareError(
+            f"{source}: ended after {k} of {T} frames without a failure; failed_at and failure say of one"
+        )
+    if failed_at not in (None, k):
+        raise HardwareError(f"{source}: failed_at: expected {k}, the last frame, got {failed_at}")
+    failure = _failure(rollout.failure, failed_at, f"{source}: failure")
+    return Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
+
+
+def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
+    """An array of finite numbers of this shape; None is any length."""
+    words = f"({', '.join('k' if length is None else str(length) for length in shape)})"
+    try:
+        masked = isinstance(given, np.ma.MaskedArray)
+        array = given.astype(np.float64).filled(np.nan) if masked else np.asarray(given)
+    except Exception as error:  # rows of several lengths, or whatever an object of its own raises
+        raise HardwareError(f"{name}: expected the shape {words}, got {quote(given)}") from error
+    if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):
+        kind = quote(given) if array.ndim == 0 else array.dtype
+        raise HardwareError(f"{name}: expected real numbers, got {kind}")
+    if array.shape == (0,):  # of an empty list, which has no columns
+        array = array.reshape(0, shape[1])
+    if array.ndim != 2 or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise HardwareError(f"{name}: expected the shape {words}, got {array.shape}")
+    with np.errstate(over="ignore"):  # what float64 cannot hold is refused as not finite
+        own = np.array(array, dtype=np.float64, order="C")
+    wrong = np.flatnonzero(~(np.abs(own) <= LARGEST).all(axis=1))
+    if len(wrong):
+        expected = f"numbers up to {LARGEST:g}" if np.isfinite(own).all() else "finite numbers"
+        raise HardwareError(
+            f"{name}: expected {expected}, got {quote(own[wrong[0]].tolist())} in frame {wrong[0]}"
+        )
+    return own
+
+
+def _frame(given: Any, name: str) -> int | None:
+    """The number of a frame, or None."""
+    if given is None:
+        return None
+    if isinstance(given, float | np.floating) and float(given).is_integer():
+        return int(given)
+    try:
+        return operator.index(given)
+    except Exception as error:
+        raise HardwareError(f"{name}: expected a frame or None, got {quote(given)}") from error
+
+
+def _failure(given: Any, failed_at: int | None, name: str) -> str | None:
+    """What failed, of a rollout that did."""
+    if given is not None and not isinstance(given, str):
+        raise HardwareError(f"{name}: expected a name or None, got {quote(given)}")
+    if failed_at is None and given is not None:
+        raise HardwareError(f"{name}: expected None without failed_at, got {quote(given)}")
+    return None if failed_at is None else brief(given or "", LONGEST_VALUE) or "failed"

@@ -1,0 +1,96 @@
+"""Recorded experiments in place of the robot: what was measured before is handed back, no policy runs."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.records import Array, Rollout
+
+ENDS = "recording_ends"
+
+
+@final
+class Recorded(Hardware):
+    """Experiment i of a trial is recording i, again from the first one after the last.
+
+    A recording is a CSV file with a line of names, also compressed (.csv.gz). Between its lines, states and
+    inputs change linearly; they are read off in each frame of the task, up to its horizon. One that is
+    shorter counts as failed in its last frame.
+
+    Parameters
+    ----------
+    folder
+        Where the recordings are.
+    files
+        Their names, in order; by default all of the folder, by name.
+    columns
+        The name of the column of `time` (s), and of each state and input; by default its own.
+    """
+
+    sets_start = False
+
+    def __init__(
+        self,
+        task: Task,
+        folder: str,
+        files: list[str] | None = None,
+        columns: Mapping[str, str] | None = None,
+    ) -> None:
+        names = [quantity.name for quantity in (*task.states, *task.inputs)]
+        unknown = sorted(set(columns or {}) - {"time", *names})
+        if unknown:
+            raise ValueError(f"columns names what the task has not: {', '.join(unknown)}")
+        self._task = task
+        self._folder = Path(folder)
+        self._files = files
+        self._columns = [(columns or {}).get(name, name) for name in ("time", *names)]
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """The next recording. Which one that is, the generator tells: it was spawned from the trial's."""
+        files = self.files
+        spawned = getattr(rng.bit_generator.seed_seq, "spawn_key", ())
+        return self.rollout(files[(spawned[-1] if spawned else 0) % len(files)])
+
+    @property
+    def files(self) -> list[str]:
+        """The recordings, in order."""
+        files = self._files or sorted(path.name for path in self._folder.glob("*.csv*"))
+        if not files:
+            raise HardwareError(f"no recording (.csv, .csv.gz) is in {self._folder}")
+        return files
+
+    def rollout(self, file: str) -> Rollout:
+        """A recording in the task's frames."""
+        columns = self._read(self._folder / file)
+        time, n = columns[0], len(self._task.states)
+        if len(time) < 2 or not (np.diff(time) > 0).all():
+            raise HardwareError(f"{file}: its times do not increase")
+        frames = min(int((time[-1] - time[0]) / self._task.time_step + 1e-9), self._task.horizon)
+        at = time[0] + self._task.time_step * np.arange(frames + 1)
+        states, inputs = (
+            np.array([np.interp(at, time, column) for column in some]).T
+            for some in (columns[1 : n + 1], columns[n + 1 :])
+        )
+        rollout = Rollout(states, inputs[:-1], measured=states, sensed=True)
+        return rollout if frames == self._task.horizon else replace(rollout, failed_at=frames, failure=ENDS)
+
+    def _read(self, path: Path) -> Array:
+        """The columns."""
+        try:
+            opened = gzip.open(path, "rt") if path.suffix == ".gz" else open(path)  # noqa: SIM115
+            with opened as file:
+                rows = csv.DictReader(file)
+                lacking = [name for name in self._columns if name not in (rows.fieldnames or ())]
+                if lacking:
+                    raise HardwareError(f"{path.name} has no column {', '.join(lacking)}")
+                return np.array([[float(row[name]) for name in self._columns] for row in rows]).T
+        except (OSError, ValueError, TypeError) as error:
+            raise HardwareError(f"{path}: no recording can be read ({error})") from error

@@ -1,0 +1,1 @@
+"""Experiments that a person or a program makes, requested in files."""

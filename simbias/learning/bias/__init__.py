@@ -1,0 +1,1 @@
+"""The dynamics bias g(x, u): Gaussian processes, or none."""

@@ -1,0 +1,91 @@
+"""What a Gaussian process is made of: hyper-parameters, covariance and factorisation (Section IV-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky
+
+from simbias.core import Task
+from simbias.core.records import Array
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """theta of Section IV-B, and d of Eq. 7; variances are of residuals over their root mean square."""
+
+    input_scale: Array  # (r,) in the task's units
+    length_scale: Array  # (r,) of the scaled inputs; the diagonal of Lambda is its square
+    signal_variance: float  # alpha^2
+    noise_variance: float  # sigma^2
+    d: float
+
+    @property
+    def prior_variance(self) -> float:
+        """k(x, x) with its noise (Eq. 3)."""
+        return self.signal_variance + self.noise_variance
+
+    def scale(self, inputs: Array) -> Array:
+        """Inputs (k, r) in units of the length scales."""
+        return inputs / (self.input_scale * self.length_scale)
+
+    def covariance(self, a: Array, b: Array) -> Array:
+        """Latent covariance (k, l) of scaled inputs (k, r) and (l, r): Eq. 3 without its noise."""
+        return self.signal_variance * correlation(a, b)
+
+
+def correlation(a: Array, b: Array) -> Array:
+    """exp(-|a - b|^2 / 2) (k, l) of the rows of a (k, r) and b (l, r)."""
+    squared = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2 * a @ b.T
+    return np.exp(-0.5 * np.maximum(squared, 0.0))
+
+
+def hyperparameters(
+    task: Task,
+    length_scale: float | Sequence[float],
+    signal_variance: float,
+    noise_variance: float,
+    d: float,
+    input_scale: Sequence[float] | None,
+) -> Hyperparameters:
+    """Hyper-parameters for a task; inputs are scaled by their limits, states by 1, unless told otherwise.
+
+    Raises
+    ------
+    ValueError
+        If a list has not one value for each state and input.
+    """
+    r = len(task.states) + len(task.inputs)
+    if input_scale is None:
+        input_scale = [1.0] * len(task.states) + list(task.input_limit)
+    for name, values in (("length_scale", length_scale), ("input_scale", input_scale)):
+        if not isinstance(values, float | int) and len(values) != r:
+            raise ValueError(f"{name} has {len(values)} values; the task has {r} states and inputs")
+    lengths = np.broadcast_to(np.array(length_scale, dtype=np.float64), r)
+    return Hyperparameters(np.array(input_scale), lengths, signal_variance, noise_variance, d)
+
+
+def output_scale(residuals: Array) -> Array:
+    """Root mean square (n,) of residuals (N, n), the unit of their variances; 1 without data."""
+    return np.sqrt(np.mean(residuals**2, axis=0)) if len(residuals) else np.ones(residuals.shape[1])
+
+
+def stable_cholesky(K: Array) -> Array:
+    """Lower Cholesky factor of K (N, N), with the least jitter of 0, 1e-12, 1e-10, ... that makes it exist.
+
+    Raises
+    ------
+    LinAlgError
+        If K is far from positive definite.
+    """
+    if not len(K):
+        return K
+    scale = np.mean(np.diag(K))
+    for jitter in (0.0, *10.0 ** np.arange(-12, -1, 2)):
+        try:
+            return cholesky(K + jitter * scale * np.eye(len(K)), lower=True)
+        except LinAlgError:
+            continue
+    raise LinAlgError("the covariance of the training data is not positive definite")

@@ -1,0 +1,85 @@
+"""Gaussian-process regression of the dynamics bias."""
+
+from __future__ import annotations
+
+import warnings
+
+from simbias.core import Bias, FittedBias, SlowWarning, Task
+from simbias.core.ranges import Positive, Scale
+from simbias.core.records import Transitions
+from simbias.learning.bias.covariance import Hyperparameters, hyperparameters
+from simbias.learning.bias.inducing import Inducing
+from simbias.learning.bias.likelihood import Learning, learn
+from simbias.learning.bias.posterior import exact, sparse
+
+# By sweeps/benchmarks/gp.py, in step and on one thread: 11 us at N = 1000, more than N^2 of that beyond.
+SECONDS_PER_STEP = 11e-6 / 1000**2
+STEPS_OF_A_SEARCH = 3.8e6  # of 1000 policies, some of which fall early
+PATIENCE = 60.0  # s of a search, up to which the exact posterior is sensible: N = 1200
+
+
+class GaussianProcess(Bias):
+    """One Gaussian process for each state, all with the same hyper-parameters (Section IV-B, Table I).
+
+    Parameters
+    ----------
+    task
+        Names and limits of the inputs.
+    length_scale
+        Of the scaled inputs; one number, or one for each state and input.
+    signal_variance, noise_variance
+        alpha^2 and sigma^2 of Eq. 3, of residuals over their root mean square.
+    d
+        Weight of the variance in Eq. 7.
+    input_scale
+        One number for each state and input; by default 1 for states, its limit for an input.
+    learning
+        Learn the hyper-parameters, but d, by marginal likelihood; the given ones are the medians of priors.
+    inducing
+        See all data through few of its points, so that a search gets no slower with more data.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        length_scale: Scale | list[Scale] = 1.0,
+        signal_variance: Scale = 1.0,
+        noise_variance: Scale = 0.018315638888734182,  # e^-4
+        d: Positive = 1.0,
+        input_scale: list[Scale] | None = None,
+        learning: Learning | None = None,
+        inducing: Inducing | None = None,
+    ) -> None:
+        self._names = [quantity.name for quantity in (*task.states, *task.inputs)]
+        self._hyper = hyperparameters(task, length_scale, signal_variance, noise_variance, d, input_scale)
+        self._learning = learning
+        self._inducing = inducing
+
+    def fit(self, transitions: Transitions) -> FittedBias:
+        """Condition on the data; without data the mean is zero everywhere."""
+        if not self._inducing:
+            self._warn_of_a_slow_search(len(transitions))
+        hyper = learn(self._hyper, transitions, self._learning) if self._learning else self._hyper
+        posterior = (
+            sparse(hyper, transitions, self._inducing) if self._inducing else exact(hyper, transitions)
+        )
+        if self._learning:
+            posterior.diagnostics = {**posterior.diagnostics, **self._values(hyper)}
+        return posterior
+
+    def _values(self, hyper: Hyperparameters) -> dict[str, float]:
+        """What has been learned, by name."""
+        lengths = zip(self._names, hyper.length_scale.tolist(), strict=True)
+        return {
+            **{f"length_scale_{name}": value for name, value in lengths},
+            "signal_variance": hyper.signal_variance,
+            "noise_variance": hyper.noise_variance,
+        }
+
+    def _warn_of_a_slow_search(self, N: int) -> None:
+        """Say so where the exact posterior stops being sensible."""
+        seconds = STEPS_OF_A_SEARCH * SECONDS_PER_STEP * N**2
+        if seconds > PATIENCE:
+            better = "sparse_gp_learned" if self._learning else "sparse_gp"
+            message = f"exact GP, {N} samples: a search takes about {seconds / 60:.0f} min; use bias={better}"
+            warnings.warn(message, SlowWarning, stacklevel=3)

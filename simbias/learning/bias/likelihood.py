@@ -1,0 +1,84 @@
+"""Hyper-parameters that are learned: the mode of the marginal likelihood times log-normal priors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+
+from simbias.core.ranges import Count, Spread
+from simbias.core.records import Array, Transitions
+from simbias.learning.bias.covariance import Hyperparameters, correlation, output_scale
+
+LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Standard deviations of the priors of the hyper-parameters' logarithms; 0 keeps the median."""
+
+    length_scale: Spread = 1.0  # 1 takes a factor e for one standard deviation
+    signal_variance: Spread = 1.0
+    noise_ratio: Spread = 1.0  # of noise to signal variance
+    points: Count = 200  # at most, evenly spaced in the data
+
+
+def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> Hyperparameters:
+    """The most probable length scales, signal variance and ratio of noise to signal, given the data.
+
+    All outputs share them, each over its root mean square. Deterministic; without data, the medians.
+    """
+    from scipy.optimize import Bounds, minimize  # lazily: most trials learn none
+
+    N = len(transitions)
+    chosen = np.linspace(0, N - 1, min(N, learning.points)).astype(int)
+    scale = output_scale(transitions.residuals)
+    varying = scale > 0
+    x = transitions.inputs[chosen] / medians.input_scale
+    y = transitions.residuals[chosen][:, varying] / scale[varying]
+    noise_ratio = medians.noise_variance / medians.signal_variance
+    centre = np.log([*medians.length_scale, medians.signal_variance, noise_ratio])
+    deviation = np.append(
+        np.full(x.shape[1], learning.length_scale), [learning.signal_variance, learning.noise_ratio]
+    )
+    kept = deviation == 0
+    precision = 1 / np.where(kept, np.inf, deviation)
+    lower = np.append(np.full(len(centre) - 1, -np.inf), np.log(LEAST_NOISE))
+    bounds = Bounds(np.where(kept, centre, lower), np.where(kept, centre, np.inf))
+
+    def loss(theta: Array) -> tuple[float, Array]:
+        log_likelihood, gradient = log_marginal_likelihood(theta, x, y)
+        z = (theta - centre) * precision
+        return float(0.5 * z @ z) - log_likelihood, z * precision - gradient
+
+    mode = np.exp(minimize(loss, centre, jac=True, method="L-BFGS-B", bounds=bounds).x)
+    *length_scale, signal_variance, noise_ratio = mode
+    return replace(
+        medians,
+        length_scale=np.array(length_scale),
+        signal_variance=float(signal_variance),
+        noise_variance=float(signal_variance * noise_ratio),
+    )
+
+
+def log_marginal_likelihood(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
+    """ln p(y | x, theta) of outputs y (N, n) at inputs x (N, r), and its gradient (r+2,).
+
+    theta (r+2,) are the logarithms of the length scales, of alpha^2 and of sigma^2 / alpha^2
+    (Rasmussen and Williams, Gaussian Processes for Machine Learning, Eq. 5.8 and 5.9).
+    """
+    *length_scale, signal_variance, noise_ratio = np.exp(theta)
+    noise_variance = signal_variance * noise_ratio
+    z = x / length_scale
+    K_latent = signal_variance * correlation(z, z)
+    N, n = y.shape
+    L = cholesky(K_latent + noise_variance * np.eye(N), lower=True)
+    K_inverse = cho_solve((L, True), np.eye(N))
+    weights = K_inverse @ y
+    value = -0.5 * np.sum(y * weights) - n * np.sum(np.log(np.diag(L))) - 0.5 * n * N * np.log(2 * np.pi)
+    dK = 0.5 * (weights @ weights.T - n * K_inverse)  # d value / d K
+    from_signal = dK * K_latent
+    from_noise = noise_variance * np.trace(dK)
+    from_lengths = 2 * (from_signal.sum(axis=1) @ z**2 - np.sum(z * (from_signal @ z), axis=0))
+    return float(value), np.array([*from_lengths, from_signal.sum() + from_noise, from_noise])

@@ -1,0 +1,42 @@
+"""No bias learning: g = 0."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.core import Bias, FittedBias, Kernel
+from simbias.core.records import Array, Transitions
+
+
+def _constant(x, u, parameters):
+    """The same everywhere."""
+    return parameters
+
+
+def zero(n: int) -> Kernel:
+    """No correction of n states."""
+    return Kernel(_constant, np.zeros(n))
+
+
+class ZeroBias(FittedBias):
+    """g = 0, known for sure."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self.kernel = zero(n)
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        """Mean (k, n) and variance (k, n): zeros."""
+        return np.zeros((len(inputs), self._n)), np.zeros((len(inputs), self._n))
+
+    def correction(self, x: Array, u: Array) -> Array:
+        """Zeros (..., n)."""
+        return np.zeros_like(x)
+
+
+class NoBias(Bias):
+    """Trusts the nominal model: the baseline that learns nothing."""
+
+    def fit(self, transitions: Transitions) -> FittedBias:
+        """g = 0, whatever the data."""
+        return ZeroBias(transitions.residuals.shape[1])

@@ -1,0 +1,196 @@
+"""Gaussian-process posteriors (Section IV-B to IV-D): exact, through inducing points, and drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from simbias.core import FittedBias, Kernel
+from simbias.core.records import Array, Transitions
+from simbias.learning.bias.covariance import Hyperparameters, output_scale, stable_cholesky
+from simbias.learning.bias.gp_kernel import correct, pack, pack_triangle
+from simbias.learning.bias.inducing import Inducing, choose, view
+from simbias.learning.bias.none import zero
+
+ROWS = 32
+MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, which takes N^3
+
+
+@final
+class Posterior(FittedBias):
+    """A posterior for each state; all share inputs and hyper-parameters, so also one factorisation.
+
+    With k the covariance of a new input and the N points, the means are k^T W (Eq. 4), and the variance is
+    k(x, x) - |U k|^2 (Eq. 5), in units of each output's mean square; U is a lower triangle, of all points or
+    of the first ones.
+    """
+
+    def __init__(
+        self,
+        hyper: Hyperparameters,
+        scale: Array,
+        points: Array,
+        U: Array,
+        W: Array,
+        R: Array,
+        diagnostics: Mapping[str, float],
+    ) -> None:
+        self._hyper = hyper
+        self._scale = scale  # (n,) of the outputs
+        self._points = points  # (N, r), scaled
+        self._U = U  # (M, M), M <= N
+        self._W = W  # (N, n)
+        self._R = R  # (m, N), R^T R the covariance of the weights W
+        self.diagnostics = diagnostics
+        self.kernel = _compiled(hyper, points, W, U, hyper.d * W.shape[1])
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        """Mean (k, n) (Eq. 4) and variance (k, n), noise included (Eq. 5), at raw inputs (k, n+m)."""
+        mean, variance = self.relative(inputs)
+        return mean, variance[:, None] * self._scale**2
+
+    def relative(self, inputs: Array) -> tuple[Array, Array]:
+        """Mean (k, n), and variance (k,) over each output's mean square."""
+        k_star = self._hyper.covariance(self._hyper.scale(inputs), self._points)
+        return k_star @ self._W, self._hyper.prior_variance - np.sum(
+            (k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1
+        )
+
+    def weight(self, variance: Array) -> Array:
+        """The weight of the mean in Eq. 7; |sigma_t|^2 sums the relative variances of the n outputs."""
+        return np.exp(-self._hyper.d * self._W.shape[1] * variance)
+
+    def correction(self, x: Array, u: Array) -> Array:
+        """The last term (..., n) of Eq. 7 at x (..., n), u (..., m)."""
+        return _row_by_row(self._weighted, x, u)
+
+    def _weighted(self, inputs: Array) -> Array:
+        """The mean (k, n) at raw inputs (k, n+m), as far as it is trusted."""
+        mean, variance = self.relative(inputs)
+        return self.weight(variance)[:, None] * mean
+
+    def draw(self, rng: np.random.Generator) -> Drawn:
+        """A function from the posterior of the latent values at the inducing points.
+
+        Beyond these points it returns to zero as the mean does: what they leave open,
+        k(x, x) - k^T K_ZZ^-1 k, is not drawn, nor is the noise. It is as good as the hyper-parameters: the
+        learned ones know how large the error of the mean is, Table I's only how far the data is.
+        """
+        e = rng.standard_normal((len(self._R), len(self._scale)))
+        return Drawn(self._hyper, self._points, self._W + self._scale * (self._R.T @ e))
+
+
+@final
+class Drawn(FittedBias):
+    """A function k^T W that a posterior was drawn to be, known for sure.
+
+    Its weight in Eq. 7 is one: many draws differ where the data says little, so to trust each of them less
+    there would count the same uncertainty twice.
+    """
+
+    def __init__(self, hyper: Hyperparameters, points: Array, W: Array) -> None:
+        self._hyper = hyper
+        self._points = points  # (N, r), scaled
+        self._W = W  # (N, n)
+        self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0)
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        """The function's values (k, n), and variances (k, n): zeros."""
+        values = self._hyper.covariance(self._hyper.scale(inputs), self._points) @ self._W
+        return values, np.zeros_like(values)
+
+    def correction(self, x: Array, u: Array) -> Array:
+        """The function's value (..., n) at x (..., n), u (..., m)."""
+        return _row_by_row(lambda inputs: self.predict(inputs)[0], x, u)
+
+
+def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array:
+    """A function of inputs (k, n+m), at x (..., n) and u (..., m); no row depends on the others.
+
+    Linear algebra libraries choose how they add up by the size of a matrix: here all have ROWS rows.
+    """
+    inputs = np.concatenate([x, u], axis=-1)
+    rows = inputs.reshape(-1, inputs.shape[-1])
+    if not len(rows):
+        return np.empty_like(x)
+    padded = np.pad(rows, ((0, -len(rows) % ROWS), (0, 0)), mode="edge")
+    values = np.concatenate([function(padded[first : first + ROWS]) for first in range(0, len(padded), ROWS)])
+    return values[: len(rows)].reshape(*x.shape[:-1], -1)
+
+
+def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
+    """The correction in single precision; without points there is none, which takes no time."""
+    if not len(points):
+        return zero(W.shape[1])
+    data = (
+        points.astype(np.float32),
+        pack_triangle(U),
+        pack(W.T),
+        len(U),
+        1.0 / (hyper.input_scale * hyper.length_scale),
+        np.array([hyper.signal_variance, hyper.prior_variance, d_n]),
+    )
+    return Kernel(correct, data)
+
+
+def exact(hyper: Hyperparameters, transitions: Transitions) -> Posterior:
+    """The posterior given all data: U = L^-1 and W = K^-1 y, with K = L L^T."""
+    points = hyper.scale(transitions.inputs)
+    K = hyper.covariance(points, points)
+    K[np.diag_indices_from(K)] += hyper.noise_variance
+    L = stable_cholesky(K)
+    L_inverse = solve_triangular(L, np.eye(len(L)), lower=True)
+    W = solve_triangular(L, solve_triangular(L, transitions.residuals, lower=True), lower=True, trans="T")
+    chosen, _ = choose(hyper, points, Inducing())
+    R = np.zeros((len(chosen), len(points)))
+    R[:, chosen] = view(hyper, points, chosen).R
+    return Posterior(hyper, output_scale(transitions.residuals), points, L_inverse, W, R, {})
+
+
+def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing) -> Posterior:
+    """The posterior of Titsias (AISTATS 2009, Eq. 6): all data, seen through the inducing points Z.
+
+    With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S, for which Z is
+    fewer points. Its diagnostics are the greatest differences from the exact posterior, at training inputs,
+    of the mean (in units of the residuals' root mean square) and of the weight of Eq. 7.
+    """
+    points = hyper.scale(transitions.inputs)
+    chosen, for_variance = choose(hyper, points, inducing)
+    seen = view(hyper, points, chosen)
+    W = seen.R.T @ (seen.R @ (seen.K_ZX @ transitions.residuals)) / hyper.noise_variance
+    coarsely = view(hyper, points, chosen[:for_variance])
+    U = _lower_root(coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R)
+    scale = output_scale(transitions.residuals)
+    posterior = Posterior(
+        hyper,
+        scale,
+        seen.Z,
+        U,
+        W,
+        seen.R,
+        {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance},
+    )
+    if 0 < len(transitions) <= MOST_COMPARED:
+        errors = _errors(posterior, exact(hyper, transitions), transitions)
+        posterior.diagnostics = {**posterior.diagnostics, **errors}
+    return posterior
+
+
+def _lower_root(C: Array) -> Array:
+    """The lower triangle U (m, m) with U^T U = C: a Cholesky factor in reversed order."""
+    return stable_cholesky(C[::-1, ::-1]).T[::-1, ::-1]
+
+
+def _errors(approximate: Posterior, reference: Posterior, transitions: Transitions) -> dict[str, float]:
+    """Greatest differences of two posteriors at up to 200 of the training inputs."""
+    inputs = transitions.inputs[:: max(1, len(transitions) // 200)]
+    (mean, variance), (exact_mean, exact_variance) = (p.relative(inputs) for p in (approximate, reference))
+    scale = np.sqrt(np.mean(transitions.residuals**2)) or 1.0
+    weights = approximate.weight(variance) - reference.weight(exact_variance)
+    return {
+        "mean_error": float(np.abs(mean - exact_mean).max() / scale),
+        "weight_error": float(np.abs(weights).max()),
+    }

@@ -1,0 +1,76 @@
+"""How predictions over windows change with a bias along them, to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from simbias.core import Nominal
+from simbias.core.records import Array, Indices
+from simbias.learning.prediction_errors import Errors
+from simbias.simulation.open_loop import Windows, memories
+
+STEP = 1e-5  # of a state, for derivatives by differences
+TOGETHER = 64  # windows: their derivatives take memory
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives (w, J, n, n R) of chunks' means by weights of R functions in each of n states."""
+
+    parts: list[Array]
+
+    @staticmethod
+    def of(nominal: Nominal, windows: Windows, features: Callable[[Array], Array]) -> Sensitivity:
+        """Of features (k, R) of inputs (k, n+m), along the nominal model's own predictions."""
+        starts, memory = windows.starts, memories(nominal, windows)
+        cuts = range(0, len(starts), TOGETHER)
+        return Sensitivity(
+            [
+                _of(
+                    nominal,
+                    windows,
+                    features,
+                    starts[first : first + TOGETHER],
+                    memory[first : first + TOGETHER],
+                )
+                for first in cuts
+            ]
+        )
+
+    def whiten(self, errors: Errors) -> Array:
+        """Derivatives (w, J n, n R) of whitened errors."""
+        inverse = errors.inverse
+        each = [part.reshape(len(part), len(inverse), -1) for part in self.parts]
+        return np.concatenate([inverse @ part for part in each])
+
+
+def _of(
+    nominal: Nominal, windows: Windows, features: Callable[[Array], Array], starts: Indices, memory: Array
+) -> Array:
+    """Of some windows."""
+    x = windows.states[starts]
+    w, n = x.shape
+    diagonal = np.arange(n)
+    S = total = np.zeros((w, n, n, 0))
+    means = []
+    for t in range(windows.window):
+        u = windows.inputs[starts + t]
+        phi = features(np.concatenate([x, u], axis=1))
+        shifted = x[:, None] + STEP * np.eye(n)
+        advanced, _ = nominal.advance(
+            shifted, np.repeat(u[:, None], n, axis=1), np.repeat(memory[:, None], n, axis=1)
+        )
+        x_next, memory = nominal.advance(x, u, memory)
+        A = (advanced - x_next[:, None]).transpose(0, 2, 1) / STEP
+        if not t:
+            S = total = np.zeros((w, n, n, phi.shape[1]))
+        S = (A @ S.reshape(w, n, -1)).reshape(S.shape)
+        S[:, diagonal, diagonal] += phi[:, None]
+        x, total = x_next, total + S
+        if (t + 1) % windows.chunk == 0:
+            means.append(total / windows.chunk)
+            total = np.zeros_like(S)
+    return np.stack(means, axis=1).reshape(w, len(means), n, -1)

@@ -1,0 +1,1 @@
+"""The parameters of a nominal model, identified from experiments."""

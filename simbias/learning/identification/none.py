@@ -1,0 +1,16 @@
+"""The nominal model as it was declared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from simbias.core import Identification, Nominal
+from simbias.core.records import Rollout
+
+
+class NoIdentification(Identification):
+    """Nothing is learned of the parameters."""
+
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        """The nominal model itself."""
+        return nominal

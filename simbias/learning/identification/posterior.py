@@ -1,0 +1,235 @@
+"""The nominal model's parameters, given hardware experiments: the mode, and a normal around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+from scipy.optimize import least_squares
+
+from simbias.core import Identification, Nominal, Task
+from simbias.core.parameters import Estimate, values_at
+from simbias.core.ranges import Count, Seconds
+from simbias.core.records import Array, Rollout
+from simbias.learning.measurement import Linearised
+from simbias.learning.prediction_errors import FREEDOM, Errors
+from simbias.simulation.open_loop import Windows, World, predict
+
+STEP = 1e-4  # of a coordinate, or of what a state varies, for derivatives by differences
+TINY = 1e-9  # added to what a state varies
+ROBUST = 0.1  # nu / d at first: the mode is found whatever happens in some windows
+COVARIANCES = 2  # times that the errors' covariance is estimated, with what the parameters hide of it
+TOLERANCE = 0.05  # in standard deviations of the posterior: a round that moves the mode by less is the last
+QUANTILE = 1.6449  # 95% of a standard normal
+
+
+class Posterior(Identification):
+    """Errors of predictions over short windows, from recorded states under recorded inputs, are made small.
+
+    In the coordinates of the parameters' priors, the mode minimises
+
+        |z|^2 + share * sum over windows of (nu + d) ln(1 + |whitened errors|^2 / nu).
+
+    The d errors of a window are whitened by their own covariance over all windows, which is estimated in turn
+    with the mode (`simbias.learning.prediction_errors`). So it need not be known where errors come from:
+    noise of the sensors, noise that acts on the robot, or what the model lacks. The share makes windows count
+    less where successive ones err alike, as they do where the model lacks something.
+
+    Around the mode the posterior is normal, and as wide as errors of that size scatter the mode. Of few
+    windows, what noise in the measured states does to errors, also in the one that a window begins with, is
+    better known by the model than from the windows (`simbias.learning.measurement`).
+
+    Parameters
+    ----------
+    window
+        Duration of a prediction in s.
+    chunks
+        Means over so many parts of it are compared.
+    starts
+        So many draws from the prior, its median the first, are tried; the search begins at the likeliest.
+    rounds
+        At most so many times, covariance and mode are estimated in turn; first with outliers that count next
+        to nothing, then with the distribution that errors have.
+    evaluations
+        Steps of the search for the mode in each of them, at most.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        window: Seconds = 0.1,
+        chunks: Count = 10,
+        starts: Count = 32,
+        rounds: Count = 4,
+        evaluations: Count = 12,
+    ) -> None:
+        frames = window / task.time_step
+        self._chunk = max(1, round(frames / chunks))
+        self._window = max(1, round(frames / self._chunk)) * self._chunk
+        self._starts = starts
+        self._rounds = rounds
+        self._evaluations = evaluations
+
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        """The model at the mode, which draws from the posterior; without a whole window, the model itself."""
+        windows = Windows.of(rollouts, self._window, self._chunk) if rollouts else None
+        if not nominal.parameters or not windows:
+            return nominal
+        z = self._start(nominal, windows)
+        for freedom in (ROBUST, FREEDOM):
+            for _ in range(self._rounds):
+                problem = Problem.at(nominal, windows, z, freedom)
+                before, z = z, problem.mode(z, self._evaluations)
+                precision = problem.precision(z)
+                if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
+                    break
+        diagnostics = {"windows": len(windows), "share": problem.errors.share}
+        return Identified(nominal, z, problem.spread(z), diagnostics)
+
+    def _start(self, nominal: Nominal, windows: Windows) -> Array:
+        """The likeliest coordinates (p,) among the prior's median and draws from it."""
+        z = np.random.default_rng(0).standard_normal((self._starts, len(nominal.parameters)))
+        z[0] = 0.0
+        errors = predict([_world(nominal, each) for each in z], windows) - windows.means
+        fits = [Errors.of(each, windows, ROBUST).log_likelihoods(each).sum() for each in errors]
+        return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
+
+
+def _world(nominal: Nominal, z: Array, offset: Array | None = None) -> World:
+    """With the parameters at coordinates z (p,)."""
+    return World(nominal.with_parameters(values_at(nominal.parameters, z)), offset=offset)
+
+
+class Problem:
+    """Nonlinear least squares for the mode, with the errors' covariance given."""
+
+    def __init__(self, nominal: Nominal, windows: Windows, errors: Errors) -> None:
+        self._nominal = nominal
+        self._windows = windows
+        self._observed = windows.means
+        self.errors = errors
+        self._last: tuple[bytes, Array, Array] | None = None
+
+    @staticmethod
+    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Problem:
+        """The errors' covariance estimated at coordinates z (p,)."""
+        problem = Problem(nominal, windows, Errors(np.empty((0, 0))))
+        problem.errors = Errors.of(problem._errors(z[None])[0], windows, freedom)
+        return problem
+
+    def mode(self, z: Array, evaluations: int) -> Array:
+        """The most probable coordinates, searched from z."""
+        return least_squares(
+            lambda at: self._at(at)[0],
+            z,
+            lambda at: self._at(at)[1],
+            ftol=1e-5,
+            xtol=1e-4,
+            max_nfev=evaluations,
+        ).x
+
+    def precision(self, z: Array) -> Array:
+        """Curvature (p, p) of the negative logarithm of the density at z."""
+        J = self._at(z)[1]
+        return J.T @ J
+
+    def spread(self, z: Array) -> Array:
+        """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
+
+        G is the covariance of the density's slope, if the errors' is as noise and windows say, where H only
+        has the one by which errors are weighted (V. P. Godambe, Annals of Mathematical Statistics 31, 1960).
+        """
+        p, windows = len(z), self._windows
+        steps = STEP * (np.std(windows.states, axis=0) + TINY)
+        worlds = [_world(self._nominal, each) for each in z + STEP * np.eye(p + 1, p, -1)]
+        worlds += [_world(self._nominal, z, offset) for offset in np.diag(steps)]
+        each = predict(worlds, windows)
+        by_start = np.moveaxis((each[p + 1 :] - each[0]) / steps[:, None, None, None], 0, -1)
+        errors = each[0] - self._observed
+        white = self.errors.whiten(errors)
+        J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
+        by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
+        spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
+        H, weights = spread @ spread.T, self.errors.share * self.errors.weights(white)
+        for _ in range(COVARIANCES):
+            linearised = Linearised.of(by_start, by_parameters @ spread)
+            ratio = np.linalg.solve(
+                self.errors.factor, Errors.of(errors, windows, FREEDOM, linearised).factor
+            )
+            across = (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
+            scattered = H @ np.hstack([np.eye(p), across])
+            spread = qr(scattered.T, mode="economic")[1].T
+        return spread
+
+    def log_densities(self, z: Array) -> Array:
+        """Logarithms (k,) of the posterior's density at coordinates z (k, p), but for a constant."""
+        white = self.errors.whiten(self._errors(z))
+        return -0.5 * (np.sum(z**2, axis=1) + self.errors.share * self.errors.losses(white).sum(axis=1))
+
+    def _errors(self, z: Array) -> Array:
+        """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
+        return predict([_world(self._nominal, each) for each in z], self._windows) - self._observed
+
+    def _at(self, z: Array) -> tuple[Array, Array]:
+        """Residuals, the prior's last, and their derivatives by z."""
+        if self._last is None or self._last[0] != z.tobytes():
+            p = len(z)
+            white = self.errors.whiten(self._errors(z + STEP * np.eye(p + 1, p, -1)))
+            J = (white[1:] - white[0]) / STEP
+            size = np.sum(white[0] ** 2, axis=1) + 1e-300
+            flatter = np.sqrt(
+                self.errors.share * self.errors.losses(white[0]) / size
+            )  # squares sum to the loss
+            slope = self.errors.share * self.errors.weights(white[0]) / flatter
+            r, J = flatter[:, None] * white[0], slope[:, None] * J
+            residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
+            self._last = z.tobytes(), residuals, derivatives
+        return self._last[1], self._last[2]
+
+
+@final
+class Identified(Nominal):
+    """A nominal model at the most probable parameters; it draws from their posterior."""
+
+    def __init__(self, prior: Nominal, mode: Array, spread: Array, diagnostics: dict[str, float]) -> None:
+        self._prior = prior
+        self.mode = mode  # (p,) coordinates
+        self.model = prior.with_parameters(values_at(prior.parameters, mode))
+        self.kernel = self.model.kernel
+        self.parameters = prior.parameters
+        self.memory_size = self.model.memory_size
+        self.diagnostics = diagnostics
+        self._spread = spread  # (p, p)
+        self.covariance = spread @ spread.T  # (p, p) of them
+        deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
+        self.estimates = tuple(
+            Estimate(p.name, p.unit, p.value, float(p.at(z)), float(p.at(z - d)), float(p.at(z + d)))
+            for p, z, d in zip(prior.parameters, mode, deviations, strict=True)
+        )
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., n) of the most probable model."""
+        return self.model.step(x, u)
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the memory (..., s), of the most probable model."""
+        return self.model.advance(x, u, memory)
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on."""
+        return self.model.memories(states, inputs)
+
+    def with_parameters(self, values: Array) -> Nominal:
+        """The model with other values (k,) of its parameters."""
+        return self._prior.with_parameters(values)
+
+    def narrowed(self, share: float) -> Identified:
+        """The model at the same parameters, with this share of the posterior's deviations."""
+        return Identified(self._prior, self.mode, share * self._spread, dict(self.diagnostics))
+
+    def draw(self, rng: np.random.Generator) -> Nominal:
+        """A model from the posterior."""
+        e = self._spread @ rng.standard_normal(len(self.mode))
+        return self._prior.with_parameters(values_at(self._prior.parameters, self.mode + e))

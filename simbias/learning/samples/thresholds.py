@@ -1,0 +1,178 @@
+"""Downsampling and the seven criteria of Section IV-C."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from simbias.core import Nominal, Samples, Task
+from simbias.core.ranges import Positive, Span, frames_in
+from simbias.core.records import Array, Rollout, Selection, Transitions
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Of how many frames, or how long a time (`70 ms`), a sample is the weighted mean."""
+
+    true_state: Span = 1
+    measured: Span = 71
+
+
+_WINDOWS = Windows()
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """Transitions of a rollout, or weighted means of successive ones, and what rejects each."""
+
+    inputs: Array  # (k, n+m)
+    residuals: Array  # (k, n)
+    verdicts: list[str | None]  # k names of criteria
+
+    def every(self, stride: int) -> _Candidates:
+        """The first of each `stride`."""
+        return _Candidates(self.inputs[::stride], self.residuals[::stride], self.verdicts[::stride])
+
+    def accepted(self) -> Transitions:
+        """Those that nothing rejects."""
+        rows = np.array([verdict is None for verdict in self.verdicts], dtype=bool)
+        return Transitions(self.inputs[rows], self.residuals[rows])
+
+
+class Thresholds(Samples):
+    """Every `stride`-th transition whose two states keep the limits and whose residual is no outlier.
+
+    Residuals of a millisecond drown in the sensors' noise. Over a few frames the bias is nearly affine, so
+    the mean of residuals is the residual at the mean state and input. The model's part of each is computed
+    with the input that acted, which jumps from frame to frame when a policy feeds noise back: a smoother of
+    the states alone would take these jumps for noise. See `line_weights` for the weights.
+
+    Parameters
+    ----------
+    stride
+        Between samples: frames, or a duration as `40 ms`, which is rounded to whole frames.
+    limits
+        Those of the task's criteria by name; a criterion that is not named keeps the task's own.
+    residual
+        Limit of criterion 7; None rejects no outlier.
+    window
+        Length of a sample, for either kind of recorded states: frames, or a duration.
+    selection
+        "stride", or "information": as many samples, and as many rejected, but among all that keep the limits
+        those that lie farthest from each other.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        stride: Span = 35,
+        limits: Mapping[str, Positive] | None = None,
+        residual: Positive | None = 0.01,
+        window: Windows = _WINDOWS,
+        selection: Literal["stride", "information"] = "stride",
+    ) -> None:
+        names = [criterion.name for criterion in task.criteria]
+        unknown = sorted(set(limits or {}) - set(names))
+        if unknown:
+            raise ValueError(f"limits names no criterion of the task: {', '.join(unknown)}; it has {names}")
+        self._task = task
+        self._stride = frames_in(stride, task.time_step)
+        self._limits = {c.name: c.limit for c in task.criteria} | dict(limits or {})
+        self._residual = np.inf if residual is None else residual
+        self._true_state = frames_in(window.true_state, task.time_step)
+        self._measured = frames_in(window.measured, task.time_step)
+        self._selection = selection
+
+    def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
+        """Downsample; judge states and residuals (Eq. 6) by the criteria; count what each rejects first."""
+        candidates = [self._candidates(rollout, nominal) for rollout in rollouts]
+        sampled = [candidate.every(self._stride) for candidate in candidates]
+        verdicts = [verdict for candidate in sampled for verdict in candidate.verdicts]
+        transitions = self._union(sampled)
+        if self._selection == "information":
+            transitions = self._spread(self._union(candidates), len(transitions))
+        frames = sum(rollout.frames for rollout in rollouts)
+        rejected = {name: verdicts.count(name) for name in (*self._limits, "residual")}
+        return Selection(transitions, frames, len(verdicts), rejected, self._why_none(rollouts))
+
+    def _window_of(self, rollout: Rollout) -> int:
+        """Frames of its samples."""
+        return self._measured if rollout.sensed else self._true_state
+
+    def _why_none(self, rollouts: Sequence[Rollout]) -> str:
+        """That no rollout is as long as one sample, if so."""
+        if not rollouts or any(rollout.frames >= self._window_of(rollout) for rollout in rollouts):
+            return ""
+        longest = max(rollouts, key=lambda rollout: rollout.frames)
+        key = "measured" if longest.sensed else "true_state"
+        window = self._window_of(longest)
+        return (
+            f"the longest experiment has {longest.frames} frames, fewer than the {window} of one sample "
+            f"({window * self._task.time_step:g} s, samples.window.{key})"
+        )
+
+    def _candidates(self, rollout: Rollout, nominal: Nominal) -> _Candidates:
+        """The samples that begin at each frame."""
+        states, inputs = rollout.states, rollout.inputs
+        window = self._window_of(rollout)
+        if rollout.frames < window:
+            nothing = Transitions.empty(states.shape[1], inputs.shape[1])
+            return _Candidates(nothing.inputs, nothing.residuals, [])
+        residuals = states[1:] - nominal.along(states[:-1], inputs)  # Eq. 6
+        weights = line_weights(window)
+        columns = (states[:-1], inputs, states[1:], residuals)
+        x, u, x_next, residuals = (
+            sliding_window_view(column, window, axis=0) @ weights for column in columns
+        )
+        verdicts = self._verdicts(x, x_next, residuals)
+        if rollout.failed_at is not None:
+            ends = range(window, rollout.frames + 1)
+            verdicts = [
+                rollout.failure if end >= rollout.failed_at else verdict
+                for end, verdict in zip(ends, verdicts, strict=True)
+            ]
+        return _Candidates(np.concatenate([x, u], axis=1), residuals, verdicts)
+
+    def _verdicts(self, x: Array, x_next: Array, residuals: Array) -> list[str | None]:
+        """The first of the criteria 1-7 that rejects each sample from x (k, n) to x_next (k, n)."""
+        measures = np.maximum(self._task.measure(x), self._task.measure(x_next))
+        sizes = np.linalg.norm(residuals, axis=1, keepdims=True)
+        names = [*self._limits, "residual"]
+        within = np.hstack([measures, sizes]) <= [*self._limits.values(), self._residual]
+        first = np.where(within.all(axis=1), -1, np.argmin(within, axis=1))
+        return [None if index < 0 else names[index] for index in first]
+
+    def _spread(self, transitions: Transitions, count: int) -> Transitions:
+        """So many of them, each the farthest from those before it; inputs count in units of their limits."""
+        if not count:
+            return transitions
+        places = transitions.inputs.copy()
+        places[:, len(self._task.states) :] /= self._task.input_limit
+        chosen, distance = [0], np.linalg.norm(places - places[0], axis=1)
+        while len(chosen) < count:
+            chosen.append(int(np.argmax(distance)))
+            distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
+        rows = sorted(chosen)
+        return Transitions(transitions.inputs[rows], transitions.residuals[rows])
+
+    def _union(self, candidates: Sequence[_Candidates]) -> Transitions:
+        """The accepted ones of all rollouts."""
+        union = Transitions.empty(len(self._task.states), len(self._task.inputs))
+        for candidate in candidates:
+            union |= candidate.accepted()
+        return union
+
+
+def line_weights(window: int) -> Array:
+    """Weights (window,) of steps of measured states, whose mean is the slope of the least-squares line.
+
+    With independent errors of variance s^2 in the states, no other weights give less variance to the mean:
+    12 s^2 / (w (w+1) (w+2)), so 2 s^2 for a single step (w = 1).
+    """
+    frame = np.arange(1, window + 1)
+    parabola = frame * (window + 1.0 - frame)
+    return parabola / parabola.sum()

@@ -1,1 +1,0 @@
-"""Algorithms that learn and optimise."""

@@ -1,1 +1,0 @@
-"""Simulation models f' (Section IV-A)."""

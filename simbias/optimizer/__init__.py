@@ -1,1 +1,0 @@
-"""Minimisers over a box."""

@@ -1,0 +1,83 @@
+"""How a task looks at a state, as told by the module that stands beside it.
+
+For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
+
+    def draw(axes, task, state, *, color="0.4", muted=False):
+        arm = Polygon(corners(task, state), facecolor=color, alpha=0.4 if muted else 1.0)
+        return {"arm": axes.add_patch(arm)}
+
+    def move(artists, task, state, *, muted=False):
+        artists["arm"].set_xy(corners(task, state))
+        artists["arm"].set_alpha(0.4 if muted else 1.0)
+
+`draw` is all that snapshots need; animations need `move` too; `draws(task)`, if there is one, says whether
+this task can be drawn at all. All lengths are in one unit, so that all pictures of a trial have one scale. A
+task that is declared in YAML declares its drawing there (`simbias.robots.declared.task`). A task without a
+drawing has all other pictures; its overview lacks the snapshots.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import numpy as np
+
+from simbias.core import Task
+from simbias.core.records import Array
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+
+class NoPictureError(LookupError):
+    """A picture that a task or a trial cannot have."""
+
+
+class Drawing(Protocol):
+    """Draws a task's state (n,) into axes and returns the artists by name; muted where it has failed."""
+
+    def __call__(
+        self, axes: Axes, task: Any, state: Array, *, color: str = ..., muted: bool = ...
+    ) -> Mapping[str, Artist]:
+        """Draw; the view is set by who calls, the same for all states."""
+
+
+class Movement(Protocol):
+    """Moves the artists that a drawing returned to another state (n,); muted where it has failed."""
+
+    def __call__(self, artists: Mapping[str, Artist], task: Any, state: Array, *, muted: bool = ...) -> None:
+        """Move; nothing is drawn anew."""
+
+
+def drawing_of(task: Task) -> Drawing | None:
+    """The function `draw` of the module `<the task's module>_drawing`, if there is such a module."""
+    return cast(Drawing | None, _function(task, "draw"))
+
+
+def movement_of(task: Task) -> Movement | None:
+    """The function `move` of that module, if there is one."""
+    return cast(Movement | None, _function(task, "move"))
+
+
+def _function(task: Task, name: str) -> Any:
+    """A function of the module that draws a task; None where there is none."""
+    module = f"{type(task).__module__}_drawing"
+    if importlib.util.find_spec(module) is None:
+        return None
+    found = importlib.import_module(module)
+    draws = getattr(found, "draws", None)
+    return getattr(found, name, None) if draws is None or draws(task) else None
+
+
+def share_view(all_axes: Sequence[Axes], margin: float = 0.03) -> None:
+    """Give axes of one shape, some of them empty, the view of one scale that holds all their drawings."""
+    if all_axes:
+        corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes if axes.has_data()])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        low, high = low - margin * (high - low), high + margin * (high - low)
+        for axes in all_axes:
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")

@@ -1,0 +1,1 @@
+"""Robots and physics engines: task, nominal model, hardware and drawing of each in one place."""

@@ -1,0 +1,1 @@
+"""A legged robot on a bongoboard (Section VI)."""

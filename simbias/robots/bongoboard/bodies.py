@@ -1,0 +1,127 @@
+"""What the bongoboard is in any physics engine: its bodies, where they begin, and which of them touch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from simbias.core.records import Array
+from simbias.robots.bongoboard.gaps import NO_GAPS, Gaps
+from simbias.robots.bongoboard.task import Bongoboard, Robot
+
+Feet = Literal["plate", "separate", "fixed"]
+Place = Sequence[float]  # x, y in m and global angle in rad
+
+SETTLING_STEPS = 20  # of the first frame, repeated: a solver goes on from the forces it last found
+FLOOR_END = 10.0  # m, on either side
+ROTORS = "left rotor", "right rotor"  # of the motors, where there is play between them and the legs
+ROTOR_MASS = 1e-3  # kg; what the motors weigh is in the legs
+
+# What touches what; legs and pelvis have no shape.
+FLOOR, WHEEL, BOARD, FOOT = 1, 2, 4, 8
+TOUCHES = {FLOOR: WHEEL | BOARD, WHEEL: FLOOR | BOARD, BOARD: FLOOR | WHEEL | FOOT, FOOT: BOARD}
+
+
+def inertias(
+    robot: Robot, feet: Feet, scale: float = 1.0, gaps: Gaps = NO_GAPS
+) -> dict[str, tuple[float, float]]:
+    """Mass (kg) and moment of inertia about the centre (kg m^2) of every body.
+
+    Those of the robot are multiplied by the scale. A payload is one body with the pelvis.
+    """
+    leg = _bar(robot.leg_mass, robot.leg_length, 0.0)
+    bodies = {
+        "wheel": (robot.wheel_mass, robot.wheel_mass * robot.wheel_radius**2 / 2),
+        "board": _bar(robot.board_mass, robot.board_length, robot.board_thickness),
+        "left leg": leg,
+        "right leg": leg,
+        "pelvis": (robot.pelvis_mass, robot.pelvis_inertia),
+    }
+    if feet == "separate":
+        foot = _bar(robot.foot_mass / 2, robot.foot_length / 2, robot.ankle_height)
+        bodies |= {"left foot": foot, "right foot": foot}
+    else:
+        bodies["foot"] = _bar(robot.foot_mass, robot.foot_length, robot.ankle_height)
+    scaled = {name: (scale * mass, scale * inertia) for name, (mass, inertia) in bodies.items()}
+    if gaps.payload_mass:
+        mass, inertia = scaled["pelvis"]
+        both = mass + gaps.payload_mass
+        apart = gaps.payload_x**2 + gaps.payload_y**2
+        scaled["pelvis"] = both, inertia + mass * gaps.payload_mass / both * apart
+    if gaps.backlash:
+        scaled |= dict.fromkeys(ROTORS, (ROTOR_MASS, gaps.rotor_inertia / 2))
+    return scaled
+
+
+def places(
+    task: Bongoboard,
+    angles: Array,
+    feet: Feet,
+    overlap: float = 0.0,
+    gaps: Gaps = NO_GAPS,
+    scale: float = 1.0,
+) -> dict[str, Array]:
+    """Centre (x, y) and global angle of every body, (3,), at (alpha_w, alpha_b, theta), real or complex.
+
+    Bodies in contact overlap by half of what they may, so that they touch from the first frame on.
+    """
+    robot, pose = task.robot, task.pose(angles)
+    phi = pose.board_angle
+    spacing = robot.foot_length / 2 if feet == "separate" else robot.ankle_spacing
+    aside = spacing / 2 * np.array([np.cos(phi), np.sin(phi)])
+    foot = pose.ankles - robot.ankle_height / 2 * np.array([-np.sin(phi), np.cos(phi)])
+    leg = (pose.ankles + pose.pelvis) / 2
+    share = gaps.payload_mass / (gaps.payload_mass + scale * robot.pelvis_mass)
+    x, y = share * gaps.payload_x, share * gaps.payload_y
+    pelvis = pose.pelvis + np.array([x * np.cos(phi) - y * np.sin(phi), x * np.sin(phi) + y * np.cos(phi)])
+    bodies = {  # centre, angle, contacts below
+        "wheel": (pose.wheel, pose.wheel_angle, 1),
+        "board": (pose.board, phi, 2),
+        "foot": (foot, phi, 3),
+        "left foot": (foot - aside, phi, 3),
+        "right foot": (foot + aside, phi, 3),
+        "left leg": (leg - aside, pose.leg_angle, 3),
+        "right leg": (leg + aside, pose.leg_angle, 3),
+        "pelvis": (pelvis, phi, 3),
+        "left rotor": (leg - aside, pose.leg_angle, 3),
+        "right rotor": (leg + aside, pose.leg_angle, 3),
+    }
+    return {
+        name: np.array([x, y - contacts * overlap / 2, angle])
+        for name, ((x, y), angle, contacts) in bodies.items()
+    }
+
+
+def motion(
+    task: Bongoboard,
+    start: Array,
+    feet: Feet,
+    overlap: float = 0.0,
+    gaps: Gaps = NO_GAPS,
+    scale: float = 1.0,
+) -> dict[str, tuple[Array, Array]]:
+    """Place x, y, angle and velocity of every body, (3,) each, at a start (6,)."""
+    h = 1e-30  # complex step: the velocities are exact
+    placed = places(task, start[:3] + 1j * h * start[3:], feet, overlap, gaps, scale)
+    return {name: (place.real, place.imag / h) for name, place in placed.items()}
+
+
+def contact(robot: Robot, wheel: Place, board: Place) -> tuple[float, float]:
+    """Depth (m) of the board's lowest corner in the floor, and gap (m) between wheel and board."""
+    half_length, half_thickness = robot.board_length / 2, robot.board_thickness / 2
+    wheel_x, wheel_y, _ = wheel
+    x, y, angle = board
+    c, s = math.cos(angle), math.sin(angle)
+    depth = half_length * abs(s) + half_thickness * c - y
+    along = abs((wheel_x - x) * c + (wheel_y - y) * s)
+    across = abs((wheel_y - y) * c - (wheel_x - x) * s)
+    distance = math.hypot(max(along - half_length, 0.0), max(across - half_thickness, 0.0))
+    return depth, distance - robot.wheel_radius
+
+
+def _bar(mass: float, length: float, thickness: float) -> tuple[float, float]:
+    """Mass and moment of inertia of a solid bar about its centre."""
+    return mass, mass * (length**2 + thickness**2) / 12

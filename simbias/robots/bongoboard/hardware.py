@@ -1,0 +1,141 @@
+"""The bongoboard in a physics engine, whichever: experiments on it, and when they have failed."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Annotated, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Hardware, HardwareError, Policy
+from simbias.core.records import Array, Rollout
+from simbias.robots.bongoboard.bodies import Place, contact
+from simbias.robots.bongoboard.gaps import NO_GAPS, Gaps
+from simbias.robots.bongoboard.task import Bongoboard, deviations
+from simbias.simulation.actuator import Actuators, Drive
+from simbias.simulation.control_loop import Record, Robot, experiment
+from simbias.simulation.noise import Noise, Variances
+from simbias.simulation.sensor import Sensor
+
+InertiaError = Annotated[float, Field(ge=-0.99, le=100)]
+Depth = Annotated[float, Field(ge=1e-9, le=1.0)]  # m
+
+ABSURD = 1e3  # rad, rad/s: no body gets there within a frame but by numerical instability
+
+
+class World(Protocol):
+    """An engine's world, set to a start."""
+
+    def step(self, torque: float) -> None:
+        """One frame under an ankle torque (N m), half on each leg."""
+
+    def state(self) -> Sequence[float] | Array:
+        """The task's state (6,), of the bodies' angles and rates."""
+
+    def wheel_and_board(self) -> tuple[Place, Place]:
+        """Centre x, y (m) and global angle of wheel and board."""
+
+
+class EngineBongoboard(Hardware):
+    """A bongoboard that an engine moves.
+
+    Parameters
+    ----------
+    task
+        Geometry, masses, time step and failure.
+    inertia_error
+        Every mass and moment of inertia is multiplied by 1 + inertia_error.
+    noise
+        Variances on the torque and on what the policy sees, by name (`Noise`).
+    record
+        What cost and learning get to see: the true states, or the measured ones, as of a real robot. Failure
+        is judged by the true states all the same: someone sees the robot fall.
+    detachment
+        Gap, in m, above which the board has left the wheel; contacts flicker below it.
+    gaps
+        Of which motor and sensors are here; the rest is the world's.
+    """
+
+    def __init__(
+        self,
+        task: Bongoboard,
+        inertia_error: float,
+        noise: Variances,
+        record: Record,
+        detachment: float,
+        gaps: Gaps = NO_GAPS,
+    ) -> None:
+        self._task = task
+        self._scale = 1.0 + inertia_error
+        self._noise = Noise(task, noise)
+        self._record = record
+        self._detachment = detachment
+        self._motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
+        self._sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
+
+    @abstractmethod
+    def build(self, start: Array) -> World:
+        """The engine's world at a start (6,), as an experiment begins with it."""
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment with theta (p,) from start (6,); its cost is not set."""
+        if not np.isfinite(start).all():
+            raise HardwareError(f"the robot cannot start at {start}")
+        robot = _Running(self._task, self.build, start, self._detachment, Drive(self._motor), self._sensor)
+        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
+
+
+class _Running(Robot):
+    """The robot under way; its world is built by the first frame."""
+
+    def __init__(
+        self,
+        task: Bongoboard,
+        build: Callable[[Array], World],
+        start: Array,
+        detachment: float,
+        drive: Drive,
+        sensor: Sensor,
+    ) -> None:
+        self._task = task
+        self._build = build
+        self._detachment = detachment
+        self._drive = drive
+        self._sensor = sensor
+        self._states = [np.asarray(start, dtype=np.float64)]
+        self._limits = [criterion.limit for criterion in task.criteria]
+        self._world: World | None = None
+
+    def state(self) -> Array:
+        """The true state (6,)."""
+        return self._states[-1]
+
+    def reading(self) -> Array:
+        """What the sensors say of it."""
+        return self._sensor.read(self._states, len(self._states) - 1)
+
+    def step(self, u: Array) -> None:
+        """One frame."""
+        if self._world is None:
+            self._world = self._build(self._states[0])
+        (torque,) = self._drive(u.tolist())
+        self._world.step(torque)
+        x = self._world.state()
+        stable = all(abs(value) <= ABSURD for value in x)
+        self._states.append(np.array(x if stable else [math.nan] * 6))
+
+    def failure(self) -> str | None:
+        """The criterion of Section IV-C that it violates; the contacts (1, 2) are the engine's."""
+        x = self._states[-1]
+        if self._world is None:
+            measures = self._task.measure(x).tolist()
+        else:
+            depth, gap = contact(self._task.robot, *self._world.wheel_and_board())
+            measures = (depth, gap - self._detachment, *deviations(x.tolist()))
+        for i, limit in enumerate(self._limits):  # quicker than in NumPy
+            if not measures[i] <= limit:
+                return self._task.criteria[i].name
+        return None

@@ -1,0 +1,152 @@
+"""The nominal model of the bongoboard (Section VI-A): Lagrangian equations of motion, Euler steps."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from copy import copy
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+
+from simbias.core import Kernel, Nominal
+from simbias.core.parameters import values_at
+from simbias.core.ranges import MassOrZero
+from simbias.core.records import Array
+from simbias.robots.bongoboard import equations, losses
+from simbias.robots.bongoboard.task import Bongoboard
+from simbias.robots.bongoboard.uncertainty import (
+    MASSES,
+    MECHANICAL,
+    MOTOR,
+    Uncertainty,
+    declared,
+    only,
+    priors,
+)
+from simbias.simulation.actuator import Actuator, Actuators, taps_of
+from simbias.simulation.compiler.kernels import elementwise
+
+_CERTAIN = Uncertainty()
+
+
+@final
+class LagrangianBongoboard(Nominal):
+    """f' of Eq. 1: perfect rolling, perfect joints, feet of `foot_mass` kg glued to the board.
+
+    The kernel's parameters are the time step and the lumped coefficients of the robot, so that a robot with
+    other masses needs other parameters only. Slope, losses, payload and motor are as if they were not there,
+    and cost nothing, unless they are uncertain.
+
+    Parameters
+    ----------
+    sampled
+        Names of the uncertainties that `draw` samples; None is all of them. The others stay as declared until
+        they are identified: no policy may hold on all that a wide prior allows.
+
+    Raises
+    ------
+    ValueError
+        If the delay may be too many frames to remember, or no uncertainty has a name.
+    """
+
+    kernel: Kernel
+
+    def __init__(
+        self,
+        task: Bongoboard,
+        foot_mass: MassOrZero = 0.0,
+        uncertainty: Uncertainty = _CERTAIN,
+        sampled: list[str] | None = None,
+    ) -> None:
+        self._time_step = task.time_step
+        self._robot = task.robot
+        self._drawn = uncertainty if sampled is None else only(sampled, uncertainty)
+        self._taps = taps_of(uncertainty.delay, task.time_step)
+        self._declared = declared(task.robot, foot_mass)
+        self.parameters = tuple(priors(task.robot, float(task.input_limit[0]), uncertainty))
+        self._names = [parameter.name for parameter in self.parameters]
+        self._build({}, self._names if sampled is None else sampled)
+
+    def _build(self, values: Mapping[str, float], present: Collection[str]) -> None:
+        """Take values of some parameters, the others as declared, for the kernel.
+
+        Of losses, payload and motor, it has those that are present, or none if none of a kind is.
+        """
+        known = {**self._declared, **values}
+        robot = replace(self._robot, **{name: known[name] for name in MASSES})
+        self._is_disturbed = not MECHANICAL.keys().isdisjoint(present)
+        if self._is_disturbed:
+            parameters = losses.parameters(robot, self._time_step, known)
+            mechanics = Kernel(losses.step, parameters)
+        else:
+            lumped = equations.coefficients(robot, known["foot_mass"])
+            mechanics = Kernel(equations.step, np.concatenate(([self._time_step], lumped)))
+        self._mechanics = self.kernel = mechanics
+        self._actuators: Actuators | None = None
+        self.memory_size = 0
+        if not MOTOR.keys().isdisjoint(present):
+            self._actuators = Actuators(
+                [Actuator(*(known[name] for name in MOTOR))], self._time_step, self._taps
+            )
+            self.kernel = self._actuators.before(mechanics)
+            self.memory_size = self._actuators.memory_size
+
+    def with_parameters(self, values: Array) -> LagrangianBongoboard:
+        """The model with other values (k,) of its `parameters`."""
+        return self._with(dict(zip(self._names, values.tolist(), strict=True)), self._names)
+
+    def _with(self, values: Mapping[str, float], present: Collection[str]) -> LagrangianBongoboard:
+        """Another model, as `_build` makes it."""
+        changed = copy(self)
+        changed._build(values, present)
+        return changed
+
+    def draw(self, rng: np.random.Generator) -> LagrangianBongoboard:
+        """A model as uncertain as declared: masses and inertias, each on its own, the feet's, and the rest.
+
+        What is added to the uncertainty changes nothing in what was drawn before.
+        """
+        uncertainty = self._drawn
+        masses = [*MASSES[:2], "foot_mass", *MASSES[2:]]  # a draw for the feet, too, though another is used
+        factors = np.exp(uncertainty.masses * rng.standard_normal(len(masses)))
+        drawn = dict(zip(masses, (factors * [self._declared[name] for name in masses]).tolist(), strict=True))
+        foot_mass = rng.uniform(0.0, uncertainty.foot_mass)
+        drawn["foot_mass"] = foot_mass if uncertainty.foot_mass else self._declared["foot_mass"]
+        others = [
+            each for each in self.parameters if each.name not in drawn and getattr(uncertainty, each.name)
+        ]
+        values = values_at(others, rng.standard_normal(len(others))).tolist()
+        drawn |= {parameter.name: value for parameter, value in zip(others, values, strict=True)}
+        return self._with(
+            drawn, [each.name for each in self.parameters if getattr(uncertainty, each.name, 0)]
+        )
+
+    def step(self, x: Array, u: Array) -> Array:
+        """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""
+        return self._stepped(x, u if self._actuators is None else self._actuators.settled(u))
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., 6) under what the motor makes of u (..., 1), and its memory (..., s)."""
+        if self._actuators is None:
+            return self._stepped(x, u), memory
+        acting, memory = self._actuators.acting(u, memory)
+        return self._stepped(x, acting), memory
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on: what the motor makes of the inputs."""
+        return np.empty((len(inputs), 0)) if self._actuators is None else self._actuators.memories(inputs)
+
+    def _stepped(self, x: Array, torque: Array) -> Array:
+        """x_next (..., 6) under a torque (..., 1) that acts."""
+        return elementwise(self._mechanics.function, x, torque, parameters=self._mechanics.parameters)
+
+    def accelerations(self, x: Array, u: Array) -> Array:
+        """Accelerations (..., 3) of alpha_w, alpha_b, theta in rad/s^2 at x (..., 6), acting u (..., 1)."""
+        mechanics = losses if self._is_disturbed else equations
+        return elementwise(mechanics.accelerations, x, u, parameters=self._mechanics.parameters)
+
+    def energy(self, x: Array) -> Array:
+        """Kinetic and potential energy (...) in J at x (..., 6), heights counted from the wheel's centre."""
+        mechanics = losses if self._is_disturbed else equations
+        return mechanics.energy(np.moveaxis(x, -1, 0), self._mechanics.parameters)

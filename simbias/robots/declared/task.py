@@ -1,0 +1,209 @@
+"""A task that is declared in YAML: no Python to write."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from simbias.core import Criterion, Kernel, Quantity, Task
+from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, TimeStep
+from simbias.core.records import Array
+from simbias.robots.mujoco.figure import Figure, FigureFile
+from simbias.robots.mujoco.rendering import Image
+from simbias.simulation.compiler.expressions import Expression, Expressions
+
+
+@dataclass(frozen=True)
+class State:
+    """A state, and where it starts: mean + N(0, deviation^2)."""
+
+    unit: str
+    kind: str = ""  # shared with others, so that noise can be declared of all at once
+    mean: Coordinate = 0.0
+    deviation: NonNegative = 0.0  # of hardware starts
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input u: |u| <= limit."""
+
+    unit: str
+    limit: Force
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a policy may feed back."""
+
+    value: Expression
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failure criterion: the value is above a bound or, where it is bounded below, below it."""
+
+    value: Expression
+    unit: str = ""
+    above: Coordinate | None = None
+    below: Coordinate | None = None
+    words: str = ""  # "the pole falls"; by default its name
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a drawing. One point is the centre of a disc, two are the ends of a bar, more are corners."""
+
+    points: Annotated[
+        list[Annotated[list[Expression], Field(min_length=2, max_length=2)]], Field(min_length=1)
+    ]
+    thickness: NonNegative = 0.02  # of a disc and a bar, in the points' unit
+    grey: Annotated[float, Field(ge=0, le=1)] | None = None  # 0 black, 1 white; null: as the picture's key
+
+
+_Value = TypeVar("_Value")
+
+
+def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
+    """What a mapping holds, so that its order counts in a trial's identity."""
+    return tuple(values.items())
+
+
+def _names(values: dict[str, _Value]) -> dict[str, _Value]:
+    """Names that expressions can use."""
+    for name in values:
+        if not name.isidentifier():
+            raise ValueError(f"{name!r} is no name: letters, digits and _ make one, as in d_angle")
+    return values
+
+
+Named = Annotated[dict[str, _Value], AfterValidator(_names), AfterValidator(_in_order)]
+
+
+class Declared(Task):
+    """Hold, for `horizon` frames of `time_step` seconds, states within what the failure criteria allow.
+
+    Expressions are those of `simbias.simulation.compiler.expressions`, of the states and of what `constants`
+    and `where` give a name.
+
+    Parameters
+    ----------
+    states, inputs
+        By name, in the order of x and u.
+    outputs
+        What a policy feeds back, in the order of z; by default all states.
+    failure
+        Criteria by name; where several are violated, the first one counts.
+    constants
+        Numbers by name.
+    where
+        Expressions by name; each may use those before it.
+    drawing
+        Parts by name, from back to front, all lengths in one unit, y upwards.
+    figure
+        In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
+    """
+
+    measure_kernel: Kernel
+    output_kernel: Kernel
+
+    def __init__(
+        self,
+        states: Named[State],
+        inputs: Named[Input],
+        failure: Named[Failure],
+        time_step: TimeStep,
+        horizon: Frames,
+        outputs: Named[Output] | None = None,
+        constants: Named[Coordinate] | None = None,
+        where: Named[Expression] | None = None,
+        drawing: Named[Part] | None = None,
+        figure: FigureFile | None = None,
+    ) -> None:
+        states, inputs, failure = dict(states), dict(inputs), dict(failure)
+        for name, some in (("states", states), ("inputs", inputs), ("failure", failure)):
+            if not some:
+                raise ValueError(f"{name} is empty: there has to be one at least")
+        self.time_step = time_step
+        self.horizon = horizon
+        self.states = tuple(Quantity(name, state.unit, state.kind) for name, state in states.items())
+        self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
+        self.input_limit = np.array([each.limit for each in inputs.values()])
+        self.start_mean = np.array([state.mean for state in states.values()])
+        self.start_deviation = np.array([state.deviation for state in states.values()])
+        self._known: dict[str, Any] = {
+            "variables": tuple(states),
+            "constants": dict(constants or {}),
+            "where": dict(where or {}),
+        }
+        given = dict(outputs or {}) or {name: Output(name, state.unit) for name, state in states.items()}
+        self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
+        self.criteria = tuple(_criterion(name, each, tuple(states)) for name, each in failure.items())
+        self._measure = self.expressions({name: _measure(name, each) for name, each in failure.items()})
+        self._output = self.expressions({name: output.value for name, output in given.items()})
+        self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
+        self._figure = None if figure is None else Figure(self, figure)
+        self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
+        self._points = self.expressions(
+            {
+                f"drawing.{name}.{index}.{axis}": expression
+                for name, part in self.drawing.items()
+                for index, point in enumerate(part.points)
+                for axis, expression in zip("xy", point, strict=True)
+            }
+        )
+
+    def measure(self, x: Array) -> Array:
+        """Measures (..., c) of the failure criteria at states x (..., n)."""
+        return self._measure(x)
+
+    def output(self, x: Array) -> Array:
+        """Outputs z (..., q) at states x (..., n)."""
+        return self._output(x)
+
+    def points(self, x: Array) -> dict[str, Array]:
+        """The points (k, 2) of every part of the drawing at the state x (n,)."""
+        if self._figure:
+            return self._figure.points(x)
+        points = self._points(x).reshape(-1, 2)
+        ends = np.cumsum([len(part.points) for part in self.drawing.values()])
+        return dict(zip(self.drawing, np.split(points, ends), strict=False))
+
+    def image(self, x: Array) -> Image | None:
+        """How MuJoCo renders the state x (n,); None if the drawing is of parts."""
+        return self._figure.image(x) if self._figure else None
+
+    def expressions(self, expressions: Mapping[str, str]) -> Expressions:
+        """Expressions of the states and of what else has a name here.
+
+        Raises
+        ------
+        ValueError
+            If one is not allowed; in one line that names it.
+        """
+        return Expressions(expressions, **self._known)
+
+
+def _parts(figure: Figure) -> dict[str, Part]:
+    """The parts of a figure, whose points it knows itself."""
+    return {name: Part([], thickness) for name, thickness in figure.thickness.items()}
+
+
+def _measure(name: str, failure: Failure) -> str:
+    """The expression whose value is above the criterion's limit where x fails."""
+    if (failure.above is None) == (failure.below is None):
+        raise ValueError(f"failure.{name}: one of above and below is to be given")
+    return failure.value if failure.below is None else f"-({failure.value})"
+
+
+def _criterion(name: str, failure: Failure, states: Collection[str]) -> Criterion:
+    """The criterion; of |state| it is known what it allows to the state, whatever the others are."""
+    limit = failure.above if failure.above is not None else -(failure.below or 0.0)
+    value = failure.value.replace(" ", "")
+    bounds = {state: limit for state in states if value == f"abs({state})"}
+    return Criterion(name, failure.words or name.replace("_", " "), limit, failure.unit, bounds)

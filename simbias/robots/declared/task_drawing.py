@@ -1,0 +1,98 @@
+"""A drawing of a declared task, to scale: discs, bars and polygons, or an image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.image import AxesImage
+from matplotlib.patches import Circle, Polygon
+
+from simbias.core.records import Array
+from simbias.robots.declared.task import Declared, Part
+
+LINE = "0.2"  # grey
+IMAGE = "rendered"  # its artist's name
+PALE = 0.4  # opacity of what has failed
+
+
+def draws(task: Declared) -> bool:
+    """Whether there is anything to draw."""
+    return bool(task.drawing) or task.image(task.start_mean) is not None
+
+
+def draw(
+    axes: Axes, task: Declared, state: Array, *, color: str = "0.4", muted: bool = False
+) -> dict[str, Artist]:
+    """Draw the task's parts at the state (n,); return the artists by name.
+
+    Parts that have no grey of their own are of the given colour, and an image is tinted with it; a muted
+    drawing is pale.
+    """
+    axes.set_aspect("equal")
+    axes.axis("off")
+    artists: dict[str, Artist] = {}
+    if (image := task.image(state)) is not None:
+        picture = AxesImage(axes, origin="upper", extent=image.extent)
+        picture.set_data(_tinted(image.pixels, color))
+        picture.set_alpha(PALE if muted else 1.0)
+        picture.set_gid(color)  # for `move`
+        axes.add_image(picture)
+        axes.update_datalim(np.reshape(image.extent, (2, 2)).T)
+        return {IMAGE: picture}
+    for order, (name, points) in enumerate(task.points(state).items()):
+        part = task.drawing[name]
+        patch = _disc(points[0], part) if len(points) == 1 else Polygon(_corners(points, part.thickness))
+        patch.set_facecolor(color if part.grey is None else str(part.grey))
+        patch.set_edgecolor(LINE)
+        patch.set_linewidth(0.5)
+        patch.set_alpha(PALE if muted else 1.0)
+        patch.set_zorder(order)
+        artists[name] = axes.add_patch(patch)
+    return artists
+
+
+def move(artists: Mapping[str, Artist], task: Declared, state: Array, *, muted: bool = False) -> None:
+    """Move what `draw` has drawn to another state (n,)."""
+    picture = artists.get(IMAGE)
+    if isinstance(picture, AxesImage) and (image := task.image(state)) is not None:
+        picture.set_data(_tinted(image.pixels, picture.get_gid() or "0.4"))
+        picture.set_extent(image.extent)
+        picture.set_alpha(PALE if muted else 1.0)
+        return
+    for name, points in task.points(state).items():
+        artist = artists[name]
+        if isinstance(artist, Polygon):
+            artist.set_xy(_corners(points, task.drawing[name].thickness))
+        elif isinstance(artist, Circle):
+            artist.set_center(_pair(points[0]))
+        artist.set_alpha(PALE if muted else 1.0)
+
+
+def _tinted(pixels: Array, color: str) -> Array:
+    """An image (k, k, 4), half its own colour and half another in its brightness."""
+    brightness = pixels[..., :3].mean(axis=-1, keepdims=True)
+    shade = np.clip(2.0 * brightness * np.array(to_rgb(color)), 0.0, 1.0)
+    return np.concatenate([(pixels[..., :3] + shade) / 2, pixels[..., 3:]], axis=-1)
+
+
+def _disc(centre: Array, part: Part) -> Circle:
+    """A disc about the centre (2,)."""
+    return Circle(_pair(centre), part.thickness / 2)
+
+
+def _corners(points: Array, thickness: float) -> Array:
+    """The corners (k, 2) of a polygon, or of a bar (4, 2) between two points."""
+    if len(points) > 2:
+        return points
+    along = points[1] - points[0]
+    across = thickness / 2 * np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-12)
+    return np.array([points[0] + across, points[1] + across, points[1] - across, points[0] - across])
+
+
+def _pair(point: Array) -> tuple[float, float]:
+    """The coordinates of a point (2,)."""
+    return float(point[0]), float(point[1])

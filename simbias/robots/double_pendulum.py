@@ -1,0 +1,253 @@
+"""A planar double pendulum, both joints driven or the second alone (an acrobot), with friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Literal, final
+
+import numpy as np
+
+from simbias.core import Kernel, Nominal, Task
+from simbias.core.parameters import Parameter
+from simbias.core.ranges import (
+    Acceleration,
+    Inertia,
+    Length,
+    Mass,
+    NonNegative,
+    Positive,
+    Spread,
+    TimeStep,
+)
+from simbias.core.records import Array
+from simbias.simulation.compiler.kernels import elementwise
+from simbias.simulation.compiler.trigonometry import arctan, sincos
+
+SHARPNESS = 100.0  # s/rad, of Coulomb friction where the velocity changes its sign
+Driven = Literal["both", "second"]  # joints
+Zero = Literal["hanging", "upright"]  # where the first angle is 0
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid link."""
+
+    mass: Mass  # m, kg
+    length: Length  # l, m
+    centre: Length  # r, m from its joint to its centre of mass
+    inertia: Inertia  # I, kg m^2 about its joint
+
+
+@dataclass(frozen=True)
+class Drives:
+    """What the drives of both joints add."""
+
+    damping_1: NonNegative = 0.0  # b, N m s/rad
+    damping_2: NonNegative = 0.0
+    friction_1: NonNegative = 0.0  # Coulomb's, c_f of c_f arctan(100 v), N m
+    friction_2: NonNegative = 0.0
+    rotor_inertia: NonNegative = 0.0  # I_r, kg m^2
+    gear_ratio: Positive = 1.0
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations: of the logarithm of what a link has, and of half-normals of what drives add."""
+
+    masses: Spread = 0.0
+    centres: Spread = 0.0
+    inertias: Spread = 0.0
+    damping: NonNegative = 0.0  # N m s/rad
+    friction: NonNegative = 0.0  # N m
+    rotor_inertia: NonNegative = 0.0  # kg m^2
+
+
+_NOTHING = Drives()
+_CERTAIN = Uncertainty()
+_OF_LINKS = {"mass": ("masses", "kg"), "centre": ("centres", "m"), "inertia": ("inertias", "kg m^2")}
+_OF_DRIVES = {
+    "damping_1": ("damping", "N m s/rad"),
+    "damping_2": ("damping", "N m s/rad"),
+    "friction_1": ("friction", "N m"),
+    "friction_2": ("friction", "N m"),
+    "rotor_inertia": ("rotor_inertia", "kg m^2"),
+}
+
+
+@final
+class DoublePendulum(Nominal):
+    """States are both angles (rad, the second relative to the first) and their velocities.
+
+    A step is as many midpoint steps as keep below `sub_step` seconds.
+
+    Parameters
+    ----------
+    driven
+        The joints that the task's inputs are torques on: both, or the second alone.
+    zero
+        Where the first angle is 0.
+
+    Raises
+    ------
+    ValueError
+        If the task has not four states, or not as many inputs as joints are driven.
+    """
+
+    kernel: Kernel
+
+    def __init__(
+        self,
+        task: Task,
+        first: Link,
+        second: Link,
+        drives: Drives = _NOTHING,
+        gravity: Acceleration = 9.81,
+        uncertainty: Uncertainty = _CERTAIN,
+        sub_step: TimeStep = 0.001,
+        driven: Driven = "both",
+        zero: Zero = "hanging",
+    ) -> None:
+        wanted = (4, 2 if driven == "both" else 1)
+        if (len(task.states), len(task.inputs)) != wanted:
+            raise ValueError(
+                f"driven={driven}: expected a task with {wanted[0]} states and {wanted[1]} inputs; "
+                f"it has {len(task.states)} and {len(task.inputs)}"
+            )
+        self._sub_steps = math.ceil(task.time_step / sub_step - 1e-9)
+        self._time_step = task.time_step
+        self._gravity = gravity if zero == "hanging" else -gravity  # to turn the angle by pi turns gravity
+        self._driven: Driven = driven
+        self._values = {
+            **{f"{field.name}_1": getattr(first, field.name) for field in fields(Link)},
+            **{f"{field.name}_2": getattr(second, field.name) for field in fields(Link)},
+            **vars(drives),
+        }
+        declared = [*_of_links(self._values, uncertainty), *_of_drives(self._values, uncertainty)]
+        self.parameters = tuple(parameter for parameter in declared if parameter.spread)
+        self.kernel = self._compiled()
+
+    def _compiled(self) -> Kernel:
+        """The step with the values that the model has."""
+        h = self._time_step / self._sub_steps
+        return Kernel(
+            _steps(self._sub_steps, self._driven), np.array([h, *_lumped(self._values, self._gravity)])
+        )
+
+    def with_parameters(self, values: Array) -> DoublePendulum:
+        """The model with other values (k,) of its parameters."""
+        names = [parameter.name for parameter in self.parameters]
+        other = copy(self)
+        other._values = self._values | dict(zip(names, values.tolist(), strict=True))
+        other.kernel = other._compiled()
+        return other
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., 4), one time step after x (..., 4) under torques u (..., m) in N m."""
+        return elementwise(self.kernel.function, x, u, parameters=self.kernel.parameters)
+
+    def energy(self, x: Array) -> Array:
+        """Kinetic and potential energy (...) in J at x (..., 4), heights counted from the first joint."""
+        q_1, q_2, v_1, v_2 = np.moveaxis(x, -1, 0)
+        _, a_1, a_2, a_3, rotor, gear, g_1, g_2, *_ = self.kernel.parameters
+        m_11, m_12, m_22 = _inertia(np.cos(q_2), a_1, a_2, a_3, rotor, gear)
+        kinetic = 0.5 * m_11 * v_1**2 + m_12 * v_1 * v_2 + 0.5 * m_22 * v_2**2
+        return kinetic - g_1 * np.cos(q_1) - g_2 * np.cos(q_1 + q_2)
+
+
+def _of_links(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
+    """What is not known of the links."""
+    return [
+        Parameter(f"{name}_{i}", unit, values[f"{name}_{i}"], getattr(uncertainty, spread), "log_normal")
+        for name, (spread, unit) in _OF_LINKS.items()
+        for i in (1, 2)
+    ]
+
+
+def _of_drives(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
+    """What is not known of the drives: at least what is declared."""
+    return [
+        Parameter(name, unit, values[name], getattr(uncertainty, spread), "half_normal")
+        for name, (spread, unit) in _OF_DRIVES.items()
+    ]
+
+
+def _lumped(values: dict[str, float], gravity: float) -> list[float]:
+    """What the equations of motion read."""
+    first = values["mass_1"] * values["centre_1"] + values["mass_2"] * values["length_1"]
+    second = values["mass_2"] * values["centre_2"]
+    return [
+        values["inertia_1"] + values["mass_2"] * values["length_1"] ** 2,
+        values["inertia_2"],
+        second * values["length_1"],
+        *(values["rotor_inertia"], values["gear_ratio"]),
+        *(gravity * first, gravity * second),
+        *(values["damping_1"], values["damping_2"], values["friction_1"], values["friction_2"]),
+    ]
+
+
+def _inertia(cos_2, a_1, a_2, a_3, rotor, gear):
+    """The inertia matrix: m_11, m_12, m_22."""
+    m_11 = a_1 + a_2 + 2.0 * a_3 * cos_2 + (gear * gear + 1.0) * rotor
+    m_12 = a_2 + a_3 * cos_2 - gear * rotor
+    return m_11, m_12, a_2 + gear * gear * rotor
+
+
+def _friction(v, damping, coulomb):
+    """Friction torque, and its derivative by the velocity."""
+    s = SHARPNESS * v
+    return damping * v + coulomb * arctan(s), damping + coulomb * SHARPNESS / (1.0 + s * s)
+
+
+def _velocities(v, u, at, h, parameters):
+    """Velocities a time h after v, with the forces of the state `at` but friction, which follows v linearly.
+
+    So the step stays stable where friction is stiff.
+    """
+    _, a_1, a_2, a_3, rotor, gear, g_1, g_2, b_1, b_2, c_1, c_2 = parameters
+    q_1, q_2, w_1, w_2 = at
+    sin_1, cos_1 = sincos(q_1)
+    sin_2, cos_2 = sincos(q_2)
+    sin_12 = sin_1 * cos_2 + cos_1 * sin_2
+    m_11, m_12, m_22 = _inertia(cos_2, a_1, a_2, a_3, rotor, gear)
+    F_1, D_1 = _friction(v[0], b_1, c_1)
+    F_2, D_2 = _friction(v[1], b_2, c_2)
+    m_11 = m_11 + 0.5 * h * D_1
+    m_22 = m_22 + 0.5 * h * D_2
+    f_1 = u[0] - F_1 + a_3 * sin_2 * w_2 * (2.0 * w_1 + w_2) - g_1 * sin_1 - g_2 * sin_12
+    f_2 = u[1] - F_2 - a_3 * sin_2 * w_1 * w_1 - g_2 * sin_12
+    scale = h / (m_11 * m_22 - m_12 * m_12)
+    return v[0] + scale * (m_22 * f_1 - m_12 * f_2), v[1] + scale * (m_11 * f_2 - m_12 * f_1)
+
+
+def _on_both(u):
+    """Torques on both joints."""
+    return u[0], u[1]
+
+
+def _on_second(u):
+    """Torques on both joints, of which the first is free."""
+    return 0.0, u[0]
+
+
+@cache
+def _steps(count: int, driven: Driven) -> Callable:
+    """So many midpoint steps (J. C. Butcher, Numerical Methods for ODEs, 2016, Section 232)."""
+    on_joints = _on_both if driven == "both" else _on_second
+
+    def step(x, u, parameters):
+        """States a frame after x under u."""
+        torques = on_joints(u)
+        q_1, q_2, v_1, v_2 = x
+        h = parameters[0]
+        for _ in range(count):
+            w_1, w_2 = _velocities((v_1, v_2), torques, (q_1, q_2, v_1, v_2), 0.5 * h, parameters)
+            middle = (q_1 + 0.5 * h * v_1, q_2 + 0.5 * h * v_2, w_1, w_2)
+            v_1, v_2 = _velocities((v_1, v_2), torques, middle, h, parameters)
+            q_1, q_2 = q_1 + h * w_1, q_2 + h * w_2
+        return q_1, q_2, v_1, v_2
+
+    return step

@@ -1,0 +1,227 @@
+"""Any environment of Gymnasium in place of the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, final
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.extras import library
+from simbias.core.messages import quote, words
+from simbias.core.records import Array, Rollout
+from simbias.robots.mujoco.parameters import Factors, Values, changes, put_values
+from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.simulation.control_loop import Record, Robot, experiment
+from simbias.simulation.noise import QUIET, Noise, Variances
+
+TERMINATED = "terminated"  # a failure that only the environment knows of
+ExpressionList = Annotated[list[Expression], Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Start:
+    """What sets an environment to a start: expressions of the task's states.
+
+    MuJoCo's environments have positions and velocities, those of classic control a state.
+    """
+
+    qpos: ExpressionList | None = None
+    qvel: ExpressionList | None = None
+    state: ExpressionList | None = None
+
+
+@final
+class Gymnasium(Hardware):
+    """An environment by its id. That it says `terminated` is a failure, besides those of the task.
+
+    Rewards are of no interest, and nothing is truncated: the task's horizon counts.
+
+    Parameters
+    ----------
+    environment
+        Its id, as in `gymnasium.make`.
+    options
+        Further arguments of the environment.
+    states
+        The task's states by name, as expressions of `observation[0]` and so on; by default the observation.
+    action
+        The components of the action, as expressions of the task's inputs; by default the inputs.
+    start
+        What sets the environment to a start. Without it, an experiment begins where `reset` says.
+    values, factors
+        Of an environment in MuJoCo: physical parameters that are set, and that are multiplied, by name
+        (`simbias.robots.mujoco.parameters`).
+    noise
+        Variances on the inputs and on what the policy sees, by name (`Noise`).
+    record
+        What cost and learning get to see: the true states, or the measured ones.
+
+    Raises
+    ------
+    ValueError
+        If Gymnasium is not installed, or the environment does not go with the task.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        environment: str,
+        options: dict[str, Any] | None = None,
+        states: dict[str, Expression] | None = None,
+        action: ExpressionList | None = None,
+        start: Start | None = None,
+        values: Values | None = None,
+        factors: Factors | None = None,
+        noise: Variances = QUIET,
+        record: Record = "true_state",
+    ) -> None:
+        self._task = task
+        self._noise = Noise(task, noise)
+        self._record = record
+        self._environment = _make(environment, options or {})
+        own = self._environment.unwrapped
+        if values or factors:
+            if not hasattr(getattr(own, "model", None), "body_mass"):
+                raise ValueError(f"values and factors: {environment} is no environment in MuJoCo")
+            put_values(own.model, changes(own.model, values or {}, factors or {}))
+        step = getattr(own, "dt", getattr(own, "tau", task.time_step))
+        if not np.isclose(step, task.time_step, rtol=1e-6):
+            raise ValueError(
+                f"a step of {environment} takes {step:g} s; task.time_step is {task.time_step:g} s"
+            )
+        self._states = self._state_expressions(environment, states)
+        self._action = _Action(self._environment.action_space, task, action, environment)
+        self._environment.reset(seed=0)  # some have no state before
+        self._start = _start(own, task, start, environment)
+        self.sets_start = self._start is not None
+
+    def _state_expressions(self, name: str, states: dict[str, str] | None) -> Expressions:
+        """The task's states of an observation."""
+        shape = self._environment.observation_space.shape
+        if shape is None or len(shape) != 1:
+            raise ValueError(
+                f"an observation of {name} is no vector, but {self._environment.observation_space}"
+            )
+        seen = [f"observation[{index}]" for index in range(shape[0])]
+        names = [state.name for state in self._task.states]
+        if states is None:
+            if len(seen) != len(names):
+                raise ValueError(
+                    f"an observation of {name} has {len(seen)} numbers; the task has {len(names)} states"
+                )
+            states = dict(zip(names, seen, strict=True))
+        if set(states) != set(names):
+            raise ValueError(f"states: expected {', '.join(names)}, got {', '.join(states)}")
+        return Expressions({name: states[name] for name in names}, seen)
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment with theta (p,); the rollout's first state says where it began."""
+        noise = self._noise.draw(rng)
+        observation, _ = self._environment.reset(seed=int(rng.integers(2**31)))
+        x = self._states(np.asarray(observation, dtype=np.float64))
+        if self._start is not None:
+            if not np.isfinite(start).all():
+                raise HardwareError(f"the robot cannot start at {start}")
+            self._start(start)
+            x = start
+        robot = _Running(self._task, self._environment, self._states, self._action, x)
+        return experiment(self._task, robot, policy, theta, noise, self._record)
+
+
+class _Action:
+    """The action of an input."""
+
+    def __init__(self, space: Any, task: Task, action: list[str] | None, environment: str) -> None:
+        names = [each.name for each in task.inputs]
+        self._expressions = Expressions(
+            {f"action[{i}]": text for i, text in enumerate(action or names)}, names
+        )
+        self._discrete = hasattr(space, "n")
+        if self._discrete:
+            low, high, size = float(space.start), float(space.start + space.n - 1), 1
+            self._low, self._high = np.array([low]), np.array([high])
+        else:
+            if getattr(space, "shape", None) is None or len(space.shape) != 1:
+                raise ValueError(
+                    f"an action of {environment} is neither a vector nor one of several, but {space}"
+                )
+            size = space.shape[0]
+            self._low, self._high = (np.asarray(b, dtype=np.float64) for b in (space.low, space.high))
+        if len(action or names) != size:
+            raise ValueError(
+                f"an action of {environment} has {size} numbers; {len(action or names)} are given"
+            )
+        for u in (-task.input_limit, task.input_limit):
+            asked = self._expressions(u)
+            if (asked < self._low - 1e-6).any() or (asked > self._high + 1e-6).any():
+                raise ValueError(
+                    f"at the input {u.tolist()} the action is {asked.tolist()}; {environment} takes "
+                    f"{self._low.tolist()} to {self._high.tolist()}"
+                )
+
+    def __call__(self, u: Array) -> Any:
+        """The action; what noise adds beyond the limits is cut off, as the environment's motors do."""
+        action = np.clip(self._expressions(u), self._low, self._high)
+        return round(float(action[0])) if self._discrete else action
+
+
+class _Running(Robot):
+    """The environment under way."""
+
+    def __init__(
+        self, task: Task, environment: Any, states: Expressions, action: _Action, start: Array
+    ) -> None:
+        self._task = task
+        self._environment = environment
+        self._states = states
+        self._action = action
+        self._x = start
+        self._terminated = False
+
+    def state(self) -> Array:
+        """The state (n,)."""
+        return self._x
+
+    def step(self, u: Array) -> None:
+        """One step under the input u (m,)."""
+        observation, _, self._terminated, _, _ = self._environment.step(self._action(u))
+        self._x = self._states(np.asarray(observation, dtype=np.float64))
+
+    def failure(self) -> str | None:
+        """The task's criterion that it violates, or that it says `terminated`."""
+        return self._task.failure(self._x) or (TERMINATED if self._terminated else None)
+
+
+def _make(name: str, options: dict[str, Any]) -> Any:
+    """The environment."""
+    gymnasium = library("gymnasium", "Gymnasium", "gymnasium")
+    if ":" in name:  # whose first part would be imported
+        raise ValueError(f"{quote(name)} names a module; only registered environments are made")
+    try:
+        return gymnasium.make(name, max_episode_steps=-1, disable_env_checker=True, **options)
+    except Exception as error:  # of an environment's own, too
+        raise ValueError(f"{quote(name)}: {words(error)}") from error
+
+
+def _start(own: Any, task: Task, start: Start | None, name: str) -> Any:
+    """What sets the environment to a start (n,); None if nothing does."""
+    if start is None:
+        return None
+    names = [state.name for state in task.states]
+
+    def expressions(name: str, texts: list[str]) -> Expressions:
+        return Expressions({f"start.{name}[{i}]": text for i, text in enumerate(texts)}, names)
+
+    if start.qpos and start.qvel and start.state is None and hasattr(own, "set_state"):
+        qpos, qvel = expressions("qpos", start.qpos), expressions("qvel", start.qvel)
+        sizes = (own.model.nq, own.model.nv)
+        if (len(start.qpos), len(start.qvel)) != sizes:
+            raise ValueError(f"start: {name} has {sizes[0]} positions and {sizes[1]} velocities")
+        return lambda x: own.set_state(qpos(x), qvel(x))
+    if start.state and start.qpos is None and start.qvel is None and hasattr(own, "state"):
+        state = expressions("state", start.state)
+        return lambda x: setattr(own, "state", state(x))
+    raise ValueError(f"start: {name} cannot be set by {', '.join(k for k, v in vars(start).items() if v)}")

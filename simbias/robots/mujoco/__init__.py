@@ -1,0 +1,1 @@
+"""Robots from MJCF and URDF files, in MuJoCo."""

@@ -1,0 +1,93 @@
+"""A robot's MuJoCo model in place of the robot."""
+
+from __future__ import annotations
+
+from typing import Annotated, final
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.records import Array, Rollout
+from simbias.robots.mujoco.mjcf import Mechanism
+from simbias.robots.mujoco.parameters import Factors, Values, changes, mujoco
+from simbias.simulation.control_loop import Record, Robot, experiment
+from simbias.simulation.noise import QUIET, Noise, Variances
+
+Delay = Annotated[int, Field(ge=0, le=1000)]
+
+
+@final
+class Mujoco(Hardware):
+    """The robot of a file, with physical parameters that the nominal model knows wrong, or not at all.
+
+    Parameters
+    ----------
+    file, joints, actuators
+        The robot (`simbias.robots.mujoco.mjcf.Mechanism`).
+    values, factors
+        Physical parameters that are set, and that are multiplied, by name
+        (`simbias.robots.mujoco.parameters`).
+    delay
+        Frames until an input acts; before the first one does, there is none.
+    noise
+        Variances on the inputs and on what the policy sees, by name (`Noise`).
+    record
+        What cost and learning get to see: the true states, or the measured ones.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        file: str,
+        joints: list[str] | None = None,
+        actuators: list[str] | None = None,
+        values: Values | None = None,
+        factors: Factors | None = None,
+        delay: Delay = 0,
+        noise: Variances = QUIET,
+        record: Record = "true_state",
+    ) -> None:
+        robot = Mechanism(task, file, joints, actuators)
+        self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
+        self._task = task
+        self._delay = delay
+        self._noise = Noise(task, noise)
+        self._record = record
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment with theta (p,) from start (n,); its cost is not set."""
+        if not np.isfinite(start).all():
+            raise HardwareError(f"the robot cannot start at {start}")
+        robot = _Running(self._task, self._robot, start, self._delay)
+        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
+
+
+class _Running(Robot):
+    """The engine under way."""
+
+    def __init__(self, task: Task, robot: Mechanism, start: Array, delay: int) -> None:
+        self._task = task
+        self._robot = robot
+        self._engine = mujoco()
+        self._data = self._engine.MjData(robot.model)
+        self._part = self._engine.mjtState.mjSTATE_FULLPHYSICS
+        full = robot.physics(start[None])[0]
+        self._engine.mj_setState(robot.model, self._data, full, self._part)
+        self._waiting = [np.zeros(len(robot.model.actuator_gear))] * delay
+
+    def state(self) -> Array:
+        """The state (n,)."""
+        full = np.empty(self._engine.mj_stateSize(self._robot.model, self._part))
+        self._engine.mj_getState(self._robot.model, self._data, full, self._part)
+        return self._robot.states(full[None])[0]
+
+    def step(self, u: Array) -> None:
+        """One frame under the input u (m,), or under that of some frames ago."""
+        self._waiting.append(self._robot.controls(u[None])[0])
+        self._data.ctrl[:] = self._waiting.pop(0)
+        self._engine.mj_step(self._robot.model, self._data, nstep=self._robot.substeps)
+
+    def failure(self) -> str | None:
+        """The task's criterion that it violates."""
+        return self._task.failure(self.state())

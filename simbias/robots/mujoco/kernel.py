@@ -1,0 +1,157 @@
+"""MuJoCo's step for compiled loops, which call the engine's own functions, without Python between.
+
+A kernel knows numbers alone. So its parameters are addresses: of a model, and of a table of places where the
+engine can work, one for each thread, each with a flag that says whether it is taken.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+from weakref import WeakSet
+
+import llvmlite.binding
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import extending, types
+
+from simbias.core import Kernel
+from simbias.core.records import Array
+from simbias.robots.mujoco.mjcf import Mechanism
+from simbias.robots.mujoco.parameters import mujoco
+from simbias.simulation.compiler.compilation import compiled_as, function_of
+
+ABSURD = 1e4  # m, rad, m/s, rad/s: what gets there has blown up, and the engine would write files about it
+FREE, TAKEN = 0, 1
+WORDS, WORD = 8, 8  # of a place in the table, and their bytes: a line of the cache, so that no thread waits
+_ADDRESS, _FLAGS = types.intp, types.int32
+_SIGNATURES: dict[str, Any] = {
+    "mj_setState": types.void(_ADDRESS, _ADDRESS, _ADDRESS, _FLAGS),
+    "mj_getState": types.void(_ADDRESS, _ADDRESS, _ADDRESS, _FLAGS),
+    "mj_step": types.void(_ADDRESS, _ADDRESS),
+}
+_FUNCTIONS: list[Any] = [types.ExternalFunction(*each) for each in _SIGNATURES.items()]
+_SET_STATE, _GET_STATE, _STEP = _FUNCTIONS
+_SETTINGS: Any = numba.config  # whose attributes no type checker knows
+intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
+
+
+class Places:
+    """Where the engine works on models of one file; a step depends on nothing that was left there."""
+
+    def __init__(self, model: Any) -> None:
+        self.data = [mujoco().MjData(model) for _ in range(_SETTINGS.NUMBA_NUM_THREADS)]
+        self.table = np.full((len(self.data), WORDS), FREE, np.int64)
+        self.table[:, 1] = [data._address for data in self.data]
+        _ALL.add(self)
+
+
+_ALL: WeakSet[Places] = WeakSet()
+
+
+def _free_all() -> None:
+    """Threads that had taken places do not survive a fork."""
+    for places in _ALL:
+        places.table[:, 0] = FREE
+
+
+os.register_at_fork(after_in_child=_free_all)
+
+
+def kernel(robot: Mechanism, places: Places) -> Kernel:
+    """A frame of the robot. What has blown up is not a number.
+
+    Whoever runs it holds on to robot and places: the parameters are their addresses, exact in 53 bits.
+    """
+    engine = _library()
+    for name in _SIGNATURES:
+        llvmlite.binding.add_symbol(name, ctypes.cast(getattr(engine, name), ctypes.c_void_p).value)
+    addresses = robot.model._address, places.table.ctypes.data, len(places.table)
+    return Kernel(_frame(robot), np.array(addresses, dtype=np.float64))
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """The engine's functions, with those that its Python bindings link to."""
+    return ctypes.CDLL(mujoco()._functions.__file__)
+
+
+def _frame(robot: Mechanism) -> Callable:
+    """The kernel of robots whose states and inputs lie where this one's do."""
+    kinds = mujoco().mjtState
+    after = int(kinds.mjSTATE_FULLPHYSICS)
+    before = after | int(kinds.mjSTATE_WARMSTART | kinds.mjSTATE_CTRL)
+    begin = mujoco().mj_stateSize(robot.model, before) - robot.model.nu  # of the controls, which come last
+    states, controls = robot.state_places.tolist(), [begin + place for place in robot.control_places.tolist()]
+    units = robot.units.tolist()
+    possible = [f"abs(x[{i}]) < {ABSURD}" for i in range(len(states))]
+    possible += [f"abs(u[{i}]) < np.inf" for i in range(len(controls))]
+    lines = [
+        "def frame(x, u, parameters):",
+        f"    state = np.zeros({begin + robot.model.nu})",
+        *(f"    state[{place}] = x[{i}]" for i, place in enumerate(states)),
+        *(f"    state[{place}] = u[{i}] / {units[i]!r}" for i, place in enumerate(controls)),
+        f"    if {' and '.join(possible)}:",  # the engine dies of none
+        f"        advance(state, parameters, {before}, {after}, {robot.substeps})",
+        "    else:",
+        "        state[:] = np.nan",
+        f"    return ({''.join(f'state[{place}], ' for place in states)})",
+    ]
+    return function_of("\n".join(lines) + "\n", "frame", np=np, advance=_advance)
+
+
+def _advance_in_place(state, parameters, before, after, steps):
+    """The state after so many steps, in the first free place."""
+    model, table, count = int(parameters[0]), int(parameters[1]), int(parameters[2])
+    i = 0
+    while not _exchanged(table + i * WORDS * WORD, FREE, TAKEN):
+        i = (i + 1) % count
+    place = table + i * WORDS * WORD
+    data = _word(place + WORD)
+    _SET_STATE(model, data, state.ctypes.data, before)
+    for _ in range(steps):
+        _STEP(model, data)
+    _GET_STATE(model, data, state.ctypes.data, after)
+    _exchanged(place, TAKEN, FREE)
+
+
+@compiled_as(_advance_in_place)
+def _advance(state: Array, parameters: Array, before: int, after: int, steps: int) -> None:
+    """The state after so many steps, in a place of its own: as Python does it, to compare."""
+    engine, model = _library(), ctypes.c_void_p(int(parameters[0]))
+    engine.mj_makeData.restype = ctypes.c_void_p
+    data, numbers = ctypes.c_void_p(engine.mj_makeData(model)), state.ctypes.data_as(ctypes.c_void_p)
+    engine.mj_setState(model, data, numbers, before)
+    for _ in range(steps):
+        engine.mj_step(model, data)
+    engine.mj_getState(model, data, numbers, after)
+    engine.mj_deleteData(data)
+
+
+_INTEGER = ir.IntType(64)
+
+
+@intrinsic
+def _word(context, address):
+    """The integer at an address."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.load(builder.inttoptr(arguments[0], _INTEGER.as_pointer()))
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic
+def _exchanged(context, address, expected, value):
+    """Whether the integer at an address was the expected one, and now is the value; threads take turns."""
+
+    def generate(context, builder, signature, arguments):
+        pointer = builder.inttoptr(arguments[0], _INTEGER.as_pointer())
+        result = builder.cmpxchg(pointer, arguments[1], arguments[2], "acq_rel", "acquire")
+        return builder.extract_value(result, 1)
+
+    return types.boolean(types.int64, types.int64, types.int64), generate

@@ -1,0 +1,105 @@
+"""A robot's MuJoCo model as MuJoCo renders it: from the side, without perspective, without a window."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from simbias.core.records import Array
+from simbias.robots.mujoco.mjcf import Mechanism
+from simbias.robots.mujoco.parameters import mujoco
+
+PIXELS = 480  # along each side of an image
+MARGIN = 0.05  # of the robot's size, around it
+LOOKS = {"xz": (90.0, 0.0), "yz": (180.0, 0.0), "xy": (90.0, -90.0)}  # azimuth and elevation in degrees
+
+
+class Image(NamedTuple):
+    """An image to scale."""
+
+    pixels: Array  # (k, l, 4): red, green, blue and opacity, each from 0 to 1, the upper row first
+    extent: tuple[float, float, float, float]  # left, right, bottom and top in m
+
+
+class NoRendererError(RuntimeError):
+    """OpenGL cannot run here without a screen."""
+
+
+class Rendering:
+    """Images of a robot, to scale; planes are left out.
+
+    Parameters
+    ----------
+    robot
+        The model.
+    view
+        The plane that is seen.
+    """
+
+    def __init__(self, robot: Mechanism, view: str) -> None:
+        self._robot = robot.with_values({})  # a copy, as its way to be seen is changed
+        self._axes = ["xyz".index(axis) for axis in view]
+        model, camera = self._robot.model, mujoco().MjvCamera()
+        plane = int(mujoco().mjtGeom.mjGEOM_PLANE)
+        self._solid = np.flatnonzero(model.geom_type != plane)
+        model.geom_rgba[model.geom_type == plane, 3] = 0.0
+        model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.6
+        camera.orthographic, (camera.azimuth, camera.elevation) = 1, LOOKS[view]
+        self._camera, self._data = camera, mujoco().MjData(model)
+
+    @cached_property
+    def _context(self) -> tuple[Any, Any, Any]:
+        """The OpenGL context, what draws in it, and the scene."""
+        try:
+            from mujoco.egl import GLContext  # MuJoCo's own choice is made when it is imported
+
+            context = GLContext(PIXELS, PIXELS)
+            context.make_current()
+            drawing = mujoco().MjrContext(self._robot.model, int(mujoco().mjtFontScale.mjFONTSCALE_100))
+        except Exception as error:  # of EGL, PyOpenGL or MuJoCo, of many types
+            raise NoRendererError("OpenGL cannot run here without a screen (EGL)") from error
+        return context, drawing, mujoco().MjvScene(self._robot.model, maxgeom=10_000)
+
+    def image(self, x: Array) -> Image:
+        """The robot at the state x (n,).
+
+        Raises
+        ------
+        NoRendererError
+            If it cannot be rendered here.
+        """
+        context, drawing, scene = self._context
+        engine, model, data = mujoco(), self._robot.model, self._data
+        data.qpos[:] = self._robot.physics(x[None])[0, 1 : 1 + model.nq]
+        engine.mj_forward(model, data)
+        centres, radii = data.geom_xpos[self._solid], model.geom_rbound[self._solid, None]
+        low, high = (centres - radii).min(axis=0), (centres + radii).max(axis=0)
+        middle, half = (low + high) / 2, (0.5 + MARGIN) * float((high - low)[self._axes].max())
+        self._camera.lookat, self._camera.distance = middle, 10 * float(np.linalg.norm(high - low))
+        model.vis.global_.fovy = 2 * half  # the height that is seen, in m, without perspective
+        context.make_current()
+        category = int(engine.mjtCatBit.mjCAT_ALL)
+        engine.mjv_updateScene(
+            model, data, engine.MjvOption(), engine.MjvPerturb(), self._camera, category, scene
+        )
+        rgb, depth = np.empty((PIXELS, PIXELS, 3), np.uint8), np.empty((PIXELS, PIXELS), np.float32)
+        where = engine.MjrRect(0, 0, PIXELS, PIXELS)
+        engine.mjr_render(where, scene, drawing)
+        engine.mjr_readPixels(rgb, depth, where, drawing)
+        opacity = (depth < depth.max()) if depth.max() > depth.min() else np.ones_like(depth)
+        pixels = np.dstack([rgb / 255.0, opacity])[::-1]  # OpenGL's rows begin at the bottom
+        return _cropped(pixels, middle[self._axes], half)
+
+
+def _cropped(pixels: Array, middle: Array, half: float) -> Image:
+    """What shows something of a square image about a middle (2,), which is twice `half` wide, in m."""
+    rows, columns = (np.flatnonzero(pixels[..., 3].any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        rows = columns = np.arange(len(pixels))
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    metres = 2 * half / len(pixels)
+    x, y = float(middle[0]) - half, float(middle[1]) + half
+    extent = (x + metres * left, x + metres * right, y - metres * bottom, y - metres * top)
+    return Image(pixels[top:bottom, left:right], extent)

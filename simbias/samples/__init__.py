@@ -1,1 +1,0 @@
-"""From rollouts to training data (Section IV-C)."""

@@ -1,0 +1,1 @@
+"""How the cost of a policy is predicted in simulation."""

@@ -1,0 +1,62 @@
+"""Predict a policy's cost as the paper does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from simbias.core import Cost, Evaluation, Model, Objective, Task
+from simbias.core.records import Array, Flags
+from simbias.simulation.closed_loop import Worlds, join, simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.stream import Stream
+
+
+@dataclass(eq=False)
+class CostOfOneRollout:
+    """Z (Eq. 8) of a policy's rollout from one start."""
+
+    simulator: Worlds
+    cost: Cost
+    start: Array  # (n,)
+    steps: int = 0  # simulated so far
+
+    def __call__(self, theta: Array) -> float:
+        """Z of theta (p,)."""
+        return float(self.together(theta[None])[0])
+
+    def together(self, thetas: Array) -> Array:
+        """Z (k,) of thetas (k, p)."""
+        k = len(thetas)
+        starts, worlds = np.tile(self.start, (k, 1)), np.zeros(k, np.int64)
+        costs, frames = self.simulator.costs(self.cost, thetas, starts, worlds)
+        self.steps += int(frames.sum())
+        return costs
+
+    @cached_property
+    def speculate(self) -> Callable[[Array], tuple[Array, Flags]] | None:
+        """Some of the costs Z (k,) of thetas (k, p), and of which (k,); None if all rollouts end together."""
+        if self.cost.kernel is None or not isinstance(self.simulator, CompiledSimulator):
+            return None
+        stream = Stream(self.simulator, self.cost, self.start)
+
+        def speculate(thetas: Array) -> tuple[Array, Flags]:
+            costs, frames = stream.costs(thetas)
+            self.steps += int(frames[frames >= 0].sum())
+            return costs, frames >= 0
+
+        return speculate
+
+
+class NominalStart(Evaluation):
+    """The cost of one rollout from the task's mean start, without noise (Section V)."""
+
+    def __init__(self, task: Task) -> None:
+        self._start = task.start_mean
+
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
+        """Z (Eq. 8) of a policy's rollout in simulation."""
+        return CostOfOneRollout(join([simulator(model)]), cost, self._start)

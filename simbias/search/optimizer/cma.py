@@ -1,0 +1,112 @@
+"""Covariance matrix adaptation evolution strategy."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Optimizer
+from simbias.core.evaluations import Evaluations
+from simbias.core.ranges import Deviation, EvaluationCount, Population, Seconds, Share, Steps
+from simbias.core.records import Array
+
+RESOLUTION = "the resolution"
+UNUSED = ("matplotlib.pyplot", "scipy.stats")  # by the parts of pycma that are used here
+
+
+class Cma(Optimizer):
+    """CMA-ES by pycma (N. Hansen, "The CMA Evolution Strategy: A Tutorial", 2016).
+
+    Parameters
+    ----------
+    initial_deviation
+        Standard deviation of the first generation, in units of the box's width.
+    population
+        Points of a generation; None is pycma's default for the dimension.
+    max_evaluations
+        N_in; the search never makes more.
+    relative_tolerance
+        epsilon: the search ends when the best cost Z improves by less than epsilon |Z|.
+    max_steps, max_seconds
+        Of simulation and of wall time, after which the search ends too.
+    """
+
+    def __init__(
+        self,
+        initial_deviation: Deviation,
+        population: Population | None,
+        max_evaluations: EvaluationCount,
+        relative_tolerance: Share,
+        max_steps: Steps | None = None,
+        max_seconds: Seconds | None = None,
+    ) -> None:
+        self.max_evaluations = max_evaluations
+        self.relative_tolerance = relative_tolerance
+        self.max_steps, self.max_seconds = max_steps, max_seconds
+        self._initial_deviation = initial_deviation
+        self._population = population
+
+    def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """Search from the best point so far, or from the box's centre."""
+        return evolve(evaluations, rng, evaluations.start, self._initial_deviation, self._population)
+
+
+def evolve(
+    evaluations: Evaluations,
+    rng: np.random.Generator,
+    start: Array,
+    deviation: float,
+    population: int | None = None,
+    resolution: float = 0.0,
+    generations: float = np.inf,
+) -> str:
+    """One run of CMA-ES with the mean `start` (p,); why it ended, in words.
+
+    It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
+    keeps it inside. It gives up where no cost of a generation is satisfactory and all deviations are below
+    the resolution. Pycma's own tests on costs are off: they are absolute, or relative to what the cost of a
+    failure in Eq. 8 inflates.
+    """
+    width = evaluations.upper - evaluations.lower
+    options = {
+        "bounds": [0.0, 1.0],
+        "randn": lambda *shape: rng.standard_normal(shape),  # leaves NumPy's global generator alone
+        "seed": np.nan,  # of NumPy's global generator: not touched
+        "maxiter": generations,
+        "tolfun": 0.0,
+        "tolfunhist": 0.0,
+        "verbose": -9,
+        "verb_log": 0,
+        "signals_filename": "",  # a file by which pycma would take commands from the working folder
+    }
+    if len(width) == 1:
+        options["maxstd"] = np.inf  # pycma's limit on it raises in one dimension (its issue 302)
+    if population is not None:
+        options["popsize"] = population
+    strategy = _pycma().CMAEvolutionStrategy((start - evaluations.lower) / width, deviation, options)
+    while not (stop := strategy.stop()):
+        points = strategy.ask()
+        costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
+        strategy.tell(points, costs)
+        if max(strategy.stds) < resolution and min(costs) >= evaluations.satisfactory:
+            return RESOLUTION
+    return f"pycma's {' and '.join(stop)}"
+
+
+@cache
+def _pycma() -> Any:
+    """Pycma without the libraries by which it draws and ranks: they take a second of a process's start."""
+    hidden = [name for name in UNUSED if name not in sys.modules]
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: as if it were not installed
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it cannot draw
+            import cma
+    finally:
+        for name in hidden:
+            del sys.modules[name]
+    return cma

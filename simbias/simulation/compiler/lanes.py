@@ -1,0 +1,206 @@
+"""Numbers of sixteen rollouts that run in step, one in each lane of a vector register.
+
+A type for compiled functions: `load` and `store` move a row of an array, `everywhere` fills all lanes with
+a number, `broadcast` with an element of an array, and `+`, `-`, `*` act lane by lane. What a lane gives does
+not depend on the others. Without it, the compiler keeps sums in memory, or vectorises them over the samples,
+and adds up at the end of each.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import extending, float32, int64, types
+from numba.core import cgutils
+from numba.extending import models, overload, register_model
+
+from simbias.simulation.compiler.kernels import LANES
+
+ROWS = float32[:, ::1]
+LINE = float32[::1]
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_INTEGERS = ir.VectorType(ir.IntType(32), LANES)
+intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
+_UNALIGNED = 4  # bytes; NumPy's arrays are aligned to 16 at least, which gains nothing on current processors
+
+
+class Lanes(types.Type):
+    """The type of them."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes({LANES})")
+
+
+REGISTERS = Lanes()
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    """A vector register."""
+
+    def __init__(self, manager: Any, lanes: Lanes) -> None:
+        super().__init__(manager, lanes, _FLOATS)
+
+
+def _constant(vector: ir.VectorType, value: float) -> ir.Constant:
+    """The same value in every lane."""
+    return ir.Constant(vector, [ir.Constant(vector.element, value)] * LANES)
+
+
+def _binary(instruction: str) -> Callable:
+    """An operation, lane by lane."""
+
+    @intrinsic
+    def operation(context, a, b):
+        def generate(context, builder, signature, arguments):
+            return getattr(builder, instruction)(*arguments)
+
+        return REGISTERS(a, b), generate
+
+    return operation
+
+
+def _overload(function: Callable, instruction: str) -> None:
+    """Let Python's operator be that instruction."""
+    operation = _binary(instruction)
+
+    @overload(function)
+    def operate(a, b):
+        if isinstance(a, Lanes) and isinstance(b, Lanes):
+            return lambda a, b: operation(a, b)
+
+
+for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+    _overload(_function, _instruction)
+
+
+def _address(context, builder, array_type, array, index):
+    """Of the first element of a row of LANES, or of the elements from an index on."""
+    data = context.make_array(array_type)(context, builder, array).data
+    elements = LANES if array_type.ndim == 2 else 1
+    offset = builder.mul(index, ir.Constant(ir.IntType(64), elements))
+    return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
+
+
+@intrinsic
+def load(context, array, index):
+    """A row of an array (k, LANES), or the LANES elements of an array (k,) from an index on."""
+
+    def generate(context, builder, signature, arguments):
+        address = _address(context, builder, signature.args[0], *arguments)
+        return builder.load(address, align=_UNALIGNED)
+
+    return REGISTERS(ROWS if array.ndim == 2 else LINE, int64), generate
+
+
+@intrinsic
+def store(context, array, index, lanes):
+    """Lanes, to where `load` finds them."""
+
+    def generate(context, builder, signature, arguments):
+        address = _address(context, builder, signature.args[0], *arguments[:2])
+        builder.store(arguments[2], address, align=_UNALIGNED)
+        return context.get_dummy_value()
+
+    return types.void(ROWS if array.ndim == 2 else LINE, int64, REGISTERS), generate
+
+
+def _in_every_lane(builder, value):
+    """A register filled with a number."""
+    one = builder.insert_element(_constant(_FLOATS, ir.Undefined), value, ir.IntType(32)(0))
+    return builder.shuffle_vector(one, _constant(_FLOATS, ir.Undefined), _constant(_INTEGERS, 0))
+
+
+@intrinsic
+def everywhere(context, value):
+    """A number in every lane."""
+
+    def generate(context, builder, signature, arguments):
+        return _in_every_lane(builder, arguments[0])
+
+    return REGISTERS(float32), generate
+
+
+@intrinsic
+def broadcast(context, array, index):
+    """An element of an array (k,), in every lane.
+
+    Python's indexing first asks whether the index counts from the end, which takes longer than a product.
+    """
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        value = builder.load(builder.gep(data, [arguments[1]]))
+        return _in_every_lane(builder, value)
+
+    return REGISTERS(LINE, int64), generate
+
+
+@intrinsic
+def fma(context, a, b, c):
+    """a b + c, rounded once where the processor can.
+
+    Where it is for the compiler to pair products with sums, it does so in other ways for other processors.
+    """
+
+    def generate(context, builder, signature, arguments):
+        fma = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
+        name = f"llvm.fmuladd.v{LANES}f32"
+        return builder.call(cgutils.get_or_insert_function(builder.module, fma, name), arguments)
+
+    return REGISTERS(a, b, c), generate
+
+
+@intrinsic
+def _rounded(context, lanes):
+    """To the nearest integers."""
+
+    def generate(context, builder, signature, arguments):
+        rint = ir.FunctionType(_FLOATS, [_FLOATS])
+        name = f"llvm.rint.v{LANES}f32"
+        return builder.call(cgutils.get_or_insert_function(builder.module, rint, name), arguments)
+
+    return REGISTERS(lanes), generate
+
+
+@intrinsic
+def _power_of_two(context, lanes):
+    """2 to the power of integers, by setting the bits of the exponent."""
+
+    def generate(context, builder, signature, arguments):
+        exponent = builder.add(builder.fptosi(arguments[0], _INTEGERS), _constant(_INTEGERS, 127))
+        return builder.bitcast(builder.shl(exponent, _constant(_INTEGERS, 23)), _FLOATS)
+
+    return REGISTERS(lanes), generate
+
+
+@intrinsic
+def _at_least(context, lanes, least):
+    """The greater one, lane by lane."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.select(builder.fcmp_ordered(">", *arguments), *arguments)
+
+    return REGISTERS(lanes, least), generate
+
+
+# exp of it is below single precision's resolution of 1; its square is normal: others are 100 times slower.
+_LEAST = np.float32(-40.0)
+_LN_2 = np.float32(np.log(2.0))
+_LOG2_E = np.float32(1.0 / np.log(2.0))
+_SERIES = tuple(np.float32(1.0 / factorial) for factorial in (720.0, 120.0, 24.0, 6.0, 2.0, 1.0, 1.0))
+
+
+def exp(v):
+    """exp of v <= 0, to 1e-6 relative."""
+    v = _at_least(v, everywhere(_LEAST))
+    n = _rounded(v * everywhere(_LOG2_E))
+    remainder = fma(n, everywhere(-_LN_2), v)
+    series = everywhere(_SERIES[0])
+    for coefficient in _SERIES[1:]:
+        series = fma(series, remainder, everywhere(coefficient))
+    return series * _power_of_two(n)

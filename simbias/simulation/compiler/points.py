@@ -1,0 +1,60 @@
+"""States and inputs at which a traced kernel is held against its method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+
+from simbias.core import Task
+from simbias.core.records import Array
+
+ROWS = 32
+
+
+class Points:
+    """Drawn when they are first looked at, which components with kernels of their own never do."""
+
+    def __init__(self, draw: Callable[[], tuple[Array, Array]]) -> None:
+        self._draw = draw
+
+    @cached_property
+    def _drawn(self) -> tuple[Array, Array]:
+        """All of them."""
+        return self._draw()
+
+    @property
+    def x(self) -> Array:
+        """States (ROWS, n)."""
+        return self._drawn[0]
+
+    @property
+    def u(self) -> Array:
+        """Inputs (ROWS, m)."""
+        return self._drawn[1]
+
+    @staticmethod
+    def of(task: Task) -> Points:
+        """Around the start, and farther away; inputs within the limits and a little beyond."""
+
+        def draw() -> tuple[Array, Array]:
+            rng, n = np.random.default_rng(0), len(task.start_mean)
+            near = task.start_deviation * rng.standard_normal((ROWS, n))
+            far = rng.standard_normal((ROWS, n)) * np.repeat([0.0, 0.1, 1.0, 0.0], ROWS // 4)[:, None]
+            limit = np.where(np.isfinite(task.input_limit), task.input_limit, 1.0)
+            return task.start_mean + near + far, 1.2 * limit * rng.uniform(-1, 1, (ROWS, len(limit)))
+
+        return Points(draw)
+
+    @staticmethod
+    def among(states: Array, inputs: Array) -> Points:
+        """Among those of a record, and a little off them."""
+
+        def draw() -> tuple[Array, Array]:
+            rng = np.random.default_rng(0)
+            rows = rng.integers(0, len(states), ROWS)
+            off = 1.0 + 0.1 * rng.standard_normal((ROWS, 1))
+            return off * states[rows] + 0.01 * (off - 1.0), off * inputs[rows]
+
+        return Points(draw)

@@ -1,0 +1,266 @@
+"""NumPy's arrays of symbols, and NumPy's functions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from simbias.simulation.compiler.symbols import RULES, Symbol, Trace, TraceError, choose, numeric, refusal
+
+
+class Symbols(np.ndarray):
+    """An array whose elements are symbols, or numbers among them."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        return applied(ufunc, method, inputs, options)
+
+    def __array_function__(self, function: Callable, types: Any, arguments: Any, options: Any) -> Any:
+        return called(function, arguments, options)
+
+    def clip(self, min: Any = None, max: Any = None, **_: Any) -> Any:  # type: ignore[override]  # noqa: A002
+        """The elements within bounds."""
+        return _clip(self, min, max)
+
+    def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
+        """A copy, if it is to hold floating-point numbers."""
+        if np.dtype(dtype).kind not in "fO":
+            raise TraceError("it makes whole numbers or conditions of values")
+        return np.fromiter(map(_as_number, self.flat), object, self.size).reshape(self.shape).view(Symbols)
+
+
+for _name in ("ctypes", "data", "__array_interface__", "__array_struct__", "tobytes"):  # it holds no numbers
+    setattr(Symbols, _name, property(refusal("it hands an array to other code than NumPy's")))
+
+
+def array(values: Any) -> Symbols:
+    """An array of symbols."""
+    return np.array(values, object).view(Symbols)
+
+
+def row(trace: Trace, name: str, size: int) -> Symbols:
+    """A vector (1, size) that is given to what is written."""
+    return array([[trace.given(f"{name}[{index}]") for index in range(size)]])
+
+
+def symbols_in(values: Any, trace: Trace) -> np.ndarray:
+    """A plain array of symbols: numbers become parameters, conditions 1 or 0."""
+    return _ALL_NUMERIC(_known(np.asarray(values), trace))
+
+
+def _as_number(value: Any) -> Any:
+    """An element of an array as a number."""
+    return numeric(value) if isinstance(value, Symbol) else value
+
+
+def _folding(ufunc: np.ufunc, rule: Callable) -> Callable:
+    """A rule that computes where all numbers are known."""
+
+    def folded(*values: Symbol) -> Symbol:
+        if all(value.name == "number" for value in values):
+            return values[0].trace.number(ufunc(*(value.value for value in values)))
+        return rule(*values)
+
+    return folded
+
+
+_IDENTITIES = {np.add: 0.0, np.multiply: 1.0, np.logical_and: True, np.logical_or: False}
+_FOLDED = {
+    ufunc: _folding(ufunc, rule)
+    for ufunc, rule in RULES.items()
+    if not ufunc.__name__.startswith(("bitwise", "inv"))
+}
+_ELEMENTWISE = {
+    ufunc: np.frompyfunc(
+        rule, ufunc.nin, 1, **({"identity": _IDENTITIES[ufunc]} if ufunc in _IDENTITIES else {})
+    )
+    for ufunc, rule in ({**RULES, **_FOLDED}).items()
+}
+_PRODUCTS = [getattr(np, name) for name in ("matmul", "vecdot", "matvec", "vecmat") if hasattr(np, name)]
+_ALL_NUMERIC, _CHOOSE = np.frompyfunc(numeric, 1, 1), np.frompyfunc(choose, 3, 1)
+_PASSED_ON = ("axis", "axes", "keepdims")  # options that say which operations there are
+
+
+def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mapping[str, Any]) -> Any:
+    """An elementwise function of NumPy's, or a product of matrices, written down."""
+    if ufunc not in _ELEMENTWISE and ufunc not in _PRODUCTS:
+        raise TraceError(f"np.{ufunc.__name__} of values is not known here")
+    if options.get("where", True) is not True:
+        raise TraceError("where= is not known here, np.where is")
+    trace = _trace_of(inputs)
+    passed_on = {name: options[name] for name in _PASSED_ON if name in options}
+    if trace is None:
+        made = getattr(ufunc, method)(*map(_plain, inputs), **passed_on)
+    elif method == "__call__" and all(isinstance(each, Symbol) for each in inputs) and ufunc in RULES:
+        made = RULES[ufunc](*inputs)
+    else:
+        operands = [_known(each, trace) for each in inputs]
+        if ufunc is np.add and method != "__call__":
+            operands[0] = _ALL_NUMERIC(operands[0])  # conditions are counted
+        made = getattr(_ELEMENTWISE.get(ufunc, ufunc), method)(*operands, **passed_on)
+    for target in options.get("out") or ():
+        if target is not None:
+            target[...] = made
+            return target
+    return _viewed(made)
+
+
+def _plain(values: Any) -> Any:
+    """Numbers in an array that has room for symbols."""
+    return np.asarray(values, np.float64) if isinstance(values, Symbols) else values
+
+
+def _trace_of(values: Any) -> Trace | None:
+    """The trace of the first symbol in arrays and lists of them, if there is one."""
+    for value in values:
+        if isinstance(value, Symbol):
+            return value.trace
+        if isinstance(value, np.ndarray) and value.dtype != object:
+            continue
+        if isinstance(value, np.ndarray | list | tuple):
+            found = next(
+                (each.trace for each in np.asarray(value, object).flat if isinstance(each, Symbol)), None
+            )
+            if found:
+                return found
+    return None
+
+
+def _known(values: Any, trace: Trace) -> np.ndarray:
+    """Values as a plain array of symbols; numbers are parameters once, not once for each row."""
+    if isinstance(values, Symbol):
+        return np.asarray(array(values))
+    plain = np.asarray(values)
+    symbols = (each if isinstance(each, Symbol) else trace.number(each) for each in plain.flat)
+    return np.fromiter(symbols, object, plain.size).reshape(plain.shape)
+
+
+def called(function: Callable, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
+    """Another function of NumPy's: one of those here, or as NumPy has it, which calls elementwise ones."""
+    if function in _FUNCTIONS:
+        return _FUNCTIONS[function](*arguments, **options)
+    arguments, options = _arrays(tuple(arguments)), {name: _arrays(each) for name, each in options.items()}
+    return _viewed(np.ndarray.__array_function__(_ANY, function, (Symbols,), arguments, options))
+
+
+_ANY = np.empty(0, object).view(Symbols)
+
+
+def _arrays(values: Any) -> Any:
+    """Arguments whose single symbols are arrays."""
+    if isinstance(values, Symbol):
+        return array(values)
+    return type(values)(map(_arrays, values)) if type(values) in (list, tuple) else values
+
+
+def _viewed(made: Any) -> Any:
+    """A result whose plain arrays of symbols are ours."""
+    if isinstance(made, np.ndarray) and made.dtype == object:
+        return made.view(Symbols)
+    return type(made)(map(_viewed, made)) if type(made) in (list, tuple) else made
+
+
+def _where(condition: Any, a: Any, b: Any) -> Any:
+    trace = _trace_of([condition, a, b])
+    if trace is None:
+        return np.where(*map(_plain, (condition, a, b)))
+    return _viewed(_CHOOSE(*(_known(each, trace) for each in (condition, a, b))))
+
+
+def _clip(values: Any, low: Any = None, high: Any = None, **others: Any) -> Any:
+    low, high = others.get("min", low), others.get("max", high)
+    raised = values if low is None else np.maximum(values, low)
+    return raised if high is None else np.minimum(raised, high)
+
+
+def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Any:
+    for condition, choice in zip(reversed(conditions), reversed(choices), strict=True):
+        default = np.where(condition, choice, default)
+    return default
+
+
+def _filled(value: float) -> Callable:
+    """The function that makes an array of one's shape, filled with a number."""
+
+    def make(like: Any, *_: Any, shape: Any = None, **__: Any) -> Symbols:
+        return array(np.full(np.shape(like) if shape is None else shape, value))
+
+    return make
+
+
+def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = False) -> Any:  # noqa: A002 (NumPy's)
+    x = np.asanyarray(x)
+    if ord not in (None, 2) or (ord == 2 and axis is None and x.ndim > 1) or isinstance(axis, tuple):
+        raise TraceError("this norm is not known here")
+    return np.sqrt(np.sum(np.square(x), axis=axis, keepdims=keepdims))
+
+
+def _determinant(A: Any) -> Any:
+    """By the first row's minors (..., n, n)."""
+    n = A.shape[-1]
+    if n > ADJUGATE:
+        raise TraceError(f"the determinant of more than {ADJUGATE} rows is not known here")
+    if n == 1:
+        return A[..., 0, 0]
+    terms = [A[..., 0, j] * _cofactor(A, 0, j) for j in range(n)]
+    return sum(terms[1:], terms[0])
+
+
+ADJUGATE = 3  # rows of matrices that are inverted by their minors, whatever the values are
+
+
+def _cofactor(A: Any, i: int, j: int) -> Any:
+    """The minor without a row and a column, with its sign."""
+    minor = _determinant(np.delete(np.delete(A, i, axis=-2), j, axis=-1))
+    return minor if (i + j) % 2 == 0 else -minor
+
+
+def _inverse(A: Any) -> Any:
+    n = A.shape[-1]
+    if n > ADJUGATE:
+        return _solve(A, np.eye(n))
+    if n == 1:
+        return 1.0 / A
+    rows = [[_cofactor(A, j, i) for j in range(n)] for i in range(n)]
+    first = [A[..., 0, j] * rows[j][0] for j in range(n)]
+    scale = 1.0 / sum(first[1:], first[0])
+    return np.stack([np.stack([each * scale for each in one], axis=-1) for one in rows], axis=-2)
+
+
+def _solve(A: Any, b: Any) -> Any:
+    """Large ones by elimination without pivots, as mass matrices need none; what is made of it is checked."""
+    n = A.shape[-1]
+    if np.ndim(b) == 1:
+        return _solve(A, b[:, None])[..., 0]
+    if n <= ADJUGATE:
+        return _inverse(A) @ b
+    M = [[A[..., i, j] for j in range(n)] for i in range(n)]
+    B = [b[..., i, :] for i in range(n)]
+    for k in range(n):
+        scale = 1.0 / M[k][k]
+        for i in range(k + 1, n):
+            factor = M[i][k] * scale
+            for j in range(k + 1, n):
+                M[i][j] = M[i][j] - factor * M[k][j]
+            B[i] = B[i] - factor[..., None] * B[k]
+    for k in reversed(range(n)):
+        for j in range(k + 1, n):
+            B[k] = B[k] - M[k][j][..., None] * B[j]
+        B[k] = B[k] / M[k][k][..., None]
+    return np.stack(np.broadcast_arrays(*B), axis=-2)
+
+
+_FUNCTIONS: Mapping[Callable, Callable] = {
+    np.where: _where,
+    np.clip: _clip,
+    np.select: _select,
+    np.zeros_like: _filled(0.0),
+    np.empty_like: _filled(0.0),
+    np.ones_like: _filled(1.0),
+    np.full_like: lambda like, value, *_, **__: array(np.broadcast_to(value, np.shape(like))),
+    np.linalg.norm: _norm,
+    np.linalg.det: lambda A: _determinant(np.asanyarray(A)),
+    np.linalg.inv: lambda A: _inverse(np.asanyarray(A)),
+    np.linalg.solve: lambda A, b: _solve(np.asanyarray(A), np.asanyarray(b)),
+}

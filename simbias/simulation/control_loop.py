@@ -1,0 +1,82 @@
+"""An experiment on a robot that is stepped frame by frame: noise, control, failure and the record."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Literal
+
+import numpy as np
+
+from simbias.core import HardwareError, Policy, Task
+from simbias.core.records import Array, Disturbance, Rollout
+
+Record = Literal["true_state", "measured"]
+BLOW_UP = "physics_engine_blew_up"
+
+
+class Robot(ABC):
+    """A robot under way."""
+
+    @abstractmethod
+    def state(self) -> Array:
+        """The true state (n,)."""
+
+    @abstractmethod
+    def step(self, u: Array) -> None:
+        """One frame under the input u (m,)."""
+
+    @abstractmethod
+    def failure(self) -> str | None:
+        """Name of the criterion that it violates, if any."""
+
+    def reading(self) -> Array:
+        """What sensors without noise say of the state (n,)."""
+        return self.state()
+
+
+def experiment(
+    task: Task, robot: Robot, policy: Policy, theta: Array, noise: Disturbance, record: Record
+) -> Rollout:
+    """Run theta (p,) on a robot from where it stands, up to failure or horizon.
+
+    Failure is judged by the true states. What is recorded are these, or the measured ones.
+
+    Raises
+    ------
+    HardwareError
+        If the policy asks for what is no number.
+    """
+    states = [robot.state()]
+    measured = [robot.reading() + noise.sensors[0]]
+    inputs: list[Array] = []
+    failure = robot.failure()
+    controller = policy.controller(theta, task.time_step)
+    while failure is None and len(inputs) < task.horizon:
+        t = len(inputs)
+        u = controller(measured[t])
+        if not _is_finite(u):
+            raise HardwareError(f"in frame {t} the policy asks for an input of {u.tolist()}")
+        robot.step(u + noise.inputs[t])
+        x = robot.state()
+        if not _is_finite(x):
+            failure = BLOW_UP  # x is no state; the record ends with the one before
+            break
+        inputs.append(u)
+        states.append(x)
+        measured.append(robot.reading() + noise.sensors[t + 1])
+        failure = robot.failure()
+    seen = np.array(measured)
+    return Rollout(
+        states=seen if record == "measured" else np.array(states),
+        inputs=np.array(inputs).reshape(-1, len(task.inputs)),
+        failed_at=None if failure is None else len(inputs),
+        failure=failure,
+        measured=seen,
+        sensed=record == "measured",
+    )
+
+
+def _is_finite(values: Array) -> bool:
+    """Whether all of few numbers (n,) are finite; quicker than in NumPy."""
+    return all(map(math.isfinite, values.tolist()))

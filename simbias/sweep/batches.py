@@ -1,0 +1,96 @@
+"""Hardware experiments that a figure needs besides those of the trials."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simbias.config import Composition
+from simbias.config.build import build
+from simbias.core import HardwareError, Waiting
+from simbias.core.records import Array
+
+COLUMNS = ("costs", "frames", "failures", "successes")  # of the outcomes that are kept
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Experiments with one policy on one hardware, the i-th from the i-th start; the seed is of the noise."""
+
+    config: Mapping[str, Any]  # of the study whose hardware it is
+    choices: Mapping[str, str]
+    allowed: tuple[str, ...]  # modules of which the config may name classes
+    parameters: tuple[float, ...]  # theta (p,)
+    starts: tuple[tuple[float, ...], ...]  # (k, n)
+    seed: int
+
+    @staticmethod
+    def of(study: Composition, parameters: Array, starts: Array, seed: int) -> Batch:
+        """Experiments with theta (p,) from starts (k, n) on a study's hardware."""
+        plain = tuple(tuple(start) for start in starts.tolist())
+        return Batch(study.config, study.choices, study.allowed, tuple(parameters.tolist()), plain, seed)
+
+    @property
+    def composition(self) -> Composition:
+        """What the study is built from."""
+        return Composition(self.config, self.choices, self.allowed)
+
+    @property
+    def hash(self) -> str:
+        """Identity: 12 hexadecimal digits of everything that affects the outcomes."""
+        parts = [self.composition.cell, self.parameters, self.starts, self.seed]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What the k experiments of a batch came to."""
+
+    costs: tuple[float, ...]  # (k,) Z of Eq. 8
+    frames: tuple[int, ...]  # (k,) for which the robot was controlled
+    failures: tuple[str, ...]  # (k,) names of the criteria that failed; empty where none did
+    successes: tuple[bool, ...]  # (k,) whether it passed, by the study's cost
+    error: str = ""  # why there are none
+
+    def as_json(self) -> str:
+        """Text of which `from_json` makes the same again."""
+        return json.dumps({name: getattr(self, name) for name in COLUMNS})
+
+    @staticmethod
+    def from_json(text: str) -> Outcomes:
+        """Outcomes as `as_json` wrote them.
+
+        Raises
+        ------
+        ValueError
+            If the text is cut off, or not of this version.
+        """
+        values = json.loads(text)
+        if not isinstance(values, dict) or values.keys() != set(COLUMNS):
+            raise ValueError(f"not the outcomes of a batch: {text[:50]}")
+        costs, frames, failures, successes = (tuple(values[name]) for name in COLUMNS)
+        return Outcomes(costs, frames, failures, successes)
+
+
+def run_batch(batch: Batch) -> Outcomes:
+    """Run the experiments of a batch; what the hardware raises is part of the outcomes."""
+    study = build(batch.composition)
+    parameters, starts = np.array(batch.parameters), np.array(batch.starts)
+    try:
+        rollouts = [
+            study.experiment(parameters, rng, start)
+            for start, rng in zip(starts, np.random.default_rng(batch.seed).spawn(len(starts)), strict=True)
+        ]
+    except (HardwareError, Waiting) as error:
+        return Outcomes((), (), (), (), f"hardware: {error}")
+    return Outcomes(
+        costs=tuple(float(rollout.cost) for rollout in rollouts),
+        frames=tuple(rollout.frames for rollout in rollouts),
+        failures=tuple(rollout.failure or "" for rollout in rollouts),
+        successes=tuple(map(study.cost.passes, rollouts)),
+    )

@@ -1,0 +1,89 @@
+"""The trials of a sweep, for its figures, and the contract of these."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from pandas import DataFrame
+
+from simbias.config import Composition
+
+if TYPE_CHECKING:
+    from simbias.sweep.batches import Batch, Outcomes
+    from simbias.sweep.grid import Sweep
+    from simbias.sweep.picture import Picture
+    from simbias.trial.run import RecordedTrial
+
+
+Row = Mapping[Any, Any]  # of a table of trials
+
+
+class LabelledCell(Protocol):
+    """A cell of a sweep's grid, as far as a figure needs it."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One for each axis."""
+
+    @property
+    def composition(self) -> Composition:
+        """The config of its trials, but for their seed."""
+
+
+class FigureError(RuntimeError):
+    """A figure cannot be drawn from what there is."""
+
+
+@dataclass(frozen=True, eq=False)
+class SweptTrials:
+    """What a sweep found: a table of its trials, and each trial in full."""
+
+    sweep: Sweep
+    table: DataFrame  # as `simbias.mlflow.results` describes it
+    load: Callable[[str], RecordedTrial]  # of a run_id
+
+    @property
+    def rows(self) -> list[Row]:
+        """Rows of the trials that ran to an end, in the sweep's order.
+
+        Raises
+        ------
+        FigureError
+            If there is none.
+        """
+        rows: list[Row] = [row for row in self.table.to_dict("records") if row["outcome"] != "error"]
+        if not rows:
+            raise FigureError("no trial of the sweep ran to an end")
+        return rows
+
+    def in_full(self) -> Iterator[tuple[Row, RecordedTrial]]:
+        """The same trials in full, read back one by one, with their rows."""
+        for row in self.rows:
+            yield row, self.load(row["run_id"])
+
+    def cell(self, row: Row) -> str:
+        """The cell of a trial, by its labels."""
+        return " ".join(row[axis.name] for axis in self.sweep.axes)
+
+
+class SweepFigure(ABC):
+    """A figure of a sweep, drawn once all trials have ended."""
+
+    reads_trials = True  # in full, from the store; else only their table
+
+    def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
+        """Hardware experiments that it needs besides those of the trials; none, if not said otherwise."""
+        return ()
+
+    @abstractmethod
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture, from the trials and the outcomes of the experiments.
+
+        Raises
+        ------
+        FigureError
+            If it cannot be drawn from what there is.
+        """

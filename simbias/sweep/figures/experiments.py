@@ -1,0 +1,129 @@
+"""Table II as a figure: experiments along an axis, with their intervals, and the paper's."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from simbias.pictures.elements.series import draw_legend, look
+from simbias.pictures.elements.style import plain
+from simbias.sweep.batches import Outcomes
+from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.picture import Picture
+from simbias.sweep.tables import CONFIDENCE, cells
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from simbias.sweep.axes import Axis
+    from simbias.sweep.grid import Sweep
+
+NUMBER = r"[-+]?\.?\d[-+.e\d]*"
+HEIGHT = 3.9  # in, without the legend
+PAPER_ASIDE = 0.12  # of the distance between two points of the axis
+
+
+class Experiments(SweepFigure):
+    """Table II: mean number of experiments of each cell, along the first axis that is not in columns.
+
+    Bars are bootstrap intervals, hollow markers the paper's means; where not every trial succeeded, a
+    fraction says how many did.
+    """
+
+    reads_trials = False
+
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture; its numbers are the table of `simbias.sweep.tables.cells`."""
+        if not trials.sweep.axes:
+            raise FigureError("the sweep has no axis along which to draw its cells")
+        table = cells(trials.table, trials.sweep)
+        return Picture(_figure(table, trials.sweep), table, _caption(table))
+
+
+def _caption(table: pd.DataFrame) -> str:
+    """What is seen."""
+    trials, successes = table["trials"].sum(), table["succeeded"].sum()
+    papers = "; hollow: the paper's means" if table["paper"].notna().any() else ""
+    fewer, paper = (table["mean"] < table["paper"]).sum(), table["paper"].notna().sum()
+    against = f" In {fewer} of {paper} cells the mean is below the paper's." if paper else ""
+    return (
+        f"Mean number of hardware experiments until success, with {CONFIDENCE:.0%} bootstrap intervals"
+        f"{papers}. {successes} of {trials} trials succeeded (above cells: of their own, if not all); "
+        "one that did not counts all that it may make."
+        f"{against}"
+    )
+
+
+def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
+    """The cells along an axis, a curve for each combination of the others."""
+    from matplotlib.figure import Figure  # lazily: a sweep is told of before anything is drawn
+
+    along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
+    others = [axis for axis in sweep.axes if axis is not along]
+    curves = list(itertools.product(*(axis.labels for axis in others)))
+    figure = Figure(
+        figsize=(max(5.0, 2.0 + 0.3 * len(along.labels) * (1 + len(curves))), HEIGHT), layout="constrained"
+    )
+    axes = figure.add_subplot()
+    for index, labels in enumerate(curves):
+        own = table
+        for axis, label in zip(others, labels, strict=True):
+            own = own[own[axis.name] == label]
+        offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
+        _curve(axes, own, offset, index, ", ".join(map(_series, others, labels)))
+    _label(axes, along)
+    axes.set_ylim(bottom=0)
+    axes.set_xlim(-0.6, len(along.labels) - 0.4)
+    axes.set_ylabel("hardware experiments until success")
+    if len(curves) > 1 or bool(table["paper"].notna().any()):
+        draw_legend(figure, *_ours_first(*axes.get_legend_handles_labels()))
+    return figure
+
+
+def _series(axis: Axis, label: str) -> str:
+    """A label that says what it is: a bare number gets the name of its key."""
+    return f"{_words(axis.keys[0])} {label}" if re.fullmatch(NUMBER, label) else label
+
+
+def _words(key: str) -> str:
+    """A key without its group, as it is read."""
+    return key.split(".")[-1].replace("_", " ")
+
+
+def _ours_first(handles: list, labels: list[str]) -> tuple[list, list[str]]:
+    """The entries of a legend with the paper's last."""
+    order = sorted(range(len(labels)), key=lambda index: labels[index].endswith("paper"))
+    return [handles[index] for index in order], [labels[index] for index in order]
+
+
+def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) -> None:
+    """The cells of one curve, moved sideways so that no interval hides another."""
+    x = np.arange(len(own)) + offset
+    mean, low, high = (own[column].to_numpy(dtype=float) for column in ("mean", "low", "high"))
+    colour, marker = look(index)
+    spread = np.nan_to_num(np.clip([mean - low, high - mean], 0, None))
+    axes.errorbar(x, mean, spread, fmt=marker, color=colour, capsize=3, markersize=5, label=name or "ours")
+    paper = own["paper"].to_numpy(dtype=float)
+    if not np.isnan(paper).all():
+        label = f"{name}, paper" if name else "paper"
+        axes.plot(x + PAPER_ASIDE, paper, marker, color=colour, mfc="white", markersize=5, label=label)
+    for at, top, row in zip(x, np.fmax(high, mean), own.to_dict("records"), strict=True):
+        if row["succeeded"] < row["trials"]:
+            text = f"{row['succeeded']}/{row['trials']}"
+            axes.annotate(text, (at, top), (0, 3), textcoords="offset points", ha="center", fontsize=7)
+
+
+def _label(axes: Axes, along: Axis) -> None:
+    """Ticks: the points of the axis, a line for each of its keys."""
+    axes.set_xticks(range(len(along.labels)), [label.replace("/", "\n") for label in along.labels])
+    keys = [_words(key) for key in along.keys]
+    axes.set_xlabel(keys[0] if len(keys) == 1 else "from above: " + ", ".join(keys))
+    axes.grid(axis="y", color="0.9")
+    axes.set_axisbelow(True)
+    plain(axes)

@@ -1,0 +1,110 @@
+"""What the last policies of a sweep's trials are worth, and how many experiments they took."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from simbias.core.records import Array
+from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, plain
+from simbias.sweep.batches import Outcomes
+from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.picture import Picture
+from simbias.sweep.tables import RELIABLE, attainable_starts, share_held
+
+ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
+SPREAD = 0.62  # of a row's height, over which dots that would hide each other are spread
+WORDS = {"experiments": "experiments", "held": "held-out starts that the last policy holds"}
+COLOURS = {"experiments": SIMULATION, "held": HARDWARE}
+
+
+class LastPolicies(SweepFigure):
+    """Each trial of each cell: its experiments, and from how many held-out starts its last policy holds.
+
+    A dot is a trial, a bar the mean of its cell. Starts that no policy of the sweep holds do not count.
+    """
+
+    reads_trials = False
+
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture; its numbers are a row for each trial.
+
+        Raises
+        ------
+        FigureError
+            If no policy was tried from held-out starts.
+        """
+        rows = [row for row in trials.rows if row.get("held_out")]
+        if not rows:
+            raise FigureError("no last policy was tried: held_out.starts=20 does that")
+        possible = attainable_starts(trials.table)
+        numbers = pd.DataFrame(
+            {
+                "cell": [trials.cell(row) for row in rows],
+                "repetition": [row["repetition"] for row in rows],
+                "succeeded": [row["outcome"] == "succeeded" for row in rows],
+                "experiments": [row["experiments"] for row in rows],
+                "held": [share_held(row["held_out"], possible) for row in rows],
+            }
+        )
+        cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
+        return Picture(_figure(numbers, cells), numbers, _caption(numbers, possible))
+
+
+def _caption(numbers: pd.DataFrame, possible: Sequence[bool]) -> str:
+    """What is seen."""
+    enough = numbers["held"] >= RELIABLE
+    solved = enough.groupby(numbers["cell"]).mean() >= RELIABLE
+    return (
+        "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments that a trial "
+        f"made. Right: the share of {sum(possible)} held-out starts from which its last policy holds. "
+        f"{enough.sum()} of {len(numbers)} trials end with a policy that holds at least {RELIABLE:.0%} of "
+        f"them (dashed); nine in ten trials do in {solved.sum()} of {len(solved)} cells."
+    )
+
+
+def _figure(numbers: pd.DataFrame, cells: Sequence[str]) -> Figure:
+    """Experiments beside shares, a row for each cell, the first one on top."""
+    figure = Figure(figsize=(WIDTH, ROW * len(cells) + REST), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.6))
+    for axes, column in ((left, "experiments"), (right, "held")):
+        for row, cell in enumerate(cells):
+            _draw_row(axes, row, numbers[numbers["cell"] == cell], column)
+        axes.set_xlabel(WORDS[column])
+        axes.grid(axis="x", color="0.9")
+        axes.set_axisbelow(True)
+        plain(axes)
+    left.set_xlim(left=0)
+    left.xaxis.set_major_locator(MaxNLocator(integer=True))
+    right.set_xlim(-0.03, 1.03)
+    right.xaxis.set_major_formatter(PercentFormatter(1.0))
+    right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
+    left.set_yticks(range(len(cells)), cells)
+    left.set_ylim(len(cells) - 0.4, -0.6)
+    return figure
+
+
+def _draw_row(axes: Axes, row: int, own: pd.DataFrame, column: str) -> None:
+    """The trials of a cell."""
+    if own.empty:
+        return
+    values, colour = own[column].to_numpy(dtype=float), COLOURS[column]
+    succeeded = own["succeeded"].to_numpy(dtype=bool)
+    heights = row + _aside(values)
+    axes.vlines(values.mean(), row - 0.4, row + 0.4, color="0.2", linewidth=1.2, zorder=2)
+    for some, face in ((succeeded, colour), (~succeeded, "white")):
+        axes.scatter(values[some], heights[some], s=11, color=face, edgecolors=colour, alpha=0.75, zorder=3)
+
+
+def _aside(values: Array) -> Array:
+    """How far dots (k,) move off their row's middle, so that equal values lie one above the other."""
+    aside = np.zeros(len(values))
+    for value in np.unique(values):
+        equal = np.flatnonzero(values == value)
+        aside[equal] = SPREAD * (np.arange(len(equal)) - (len(equal) - 1) / 2) / max(len(equal), 4)
+    return aside

@@ -1,0 +1,225 @@
+"""Fig. 7: how often learned policies balance, over a grid of starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import fill
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from simbias.config.build import build
+from simbias.core import Task
+from simbias.core.ranges import Coordinate, Count
+from simbias.core.records import Array
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, SMALL, label, plain
+from simbias.sweep.batches import Batch, Outcomes
+from simbias.sweep.figure import FigureError, LabelledCell, SweepFigure, SweptTrials
+from simbias.sweep.picture import Picture
+
+CONFIDENCE = 0.95
+COLOURS = "cividis"  # even to the colour-blind, and in grey
+PANEL, ASIDE = 3.3, 2.6  # widths of a map and of the rates beside the maps, in
+
+
+@dataclass(frozen=True)
+class Range:
+    """Values of a state, evenly spaced, at which experiments start."""
+
+    state: str
+    low: Coordinate  # in the state's unit
+    high: Coordinate
+    points: Count
+
+    @property
+    def values(self) -> Array:
+        """The values (points,)."""
+        return np.linspace(self.low, self.high, self.points)
+
+
+class SuccessRates(SweepFigure):
+    """Success rates of the policies with which the trials of each cell ended, on the same hardware (Fig. 7).
+
+    Parameters
+    ----------
+    x, y
+        The two states whose starts are varied; the others start at the task's mean.
+    experiments
+        With each policy from each start.
+    hardware
+        Label of the cell on whose hardware all policies are tried.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        cells: Sequence[LabelledCell],
+        x: Range,
+        y: Range,
+        experiments: Count,
+        hardware: str,
+    ) -> None:
+        names = [quantity.name for quantity in task.states]
+        for state in (x.state, y.state):
+            if state not in names:
+                raise ValueError(f"the task has no state {state}; it has {', '.join(names)}")
+        compositions = {" ".join(cell.labels): cell.composition for cell in cells}
+        if hardware not in compositions:
+            raise ValueError(f"the sweep has no cell {hardware}; it has {', '.join(compositions)}")
+        self._task = task
+        self._x, self._y = x, y
+        self._experiments = experiments
+        self._hardware = compositions[hardware]
+
+    def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
+        """A batch is a policy, tried once from every start.
+
+        The i-th trials of all cells meet the same noise.
+
+        Raises
+        ------
+        FigureError
+            If the hardware cannot be set to a start.
+        """
+        if not build(self._hardware).hardware.sets_start:
+            hardware = self._hardware.choices["hardware"]
+            raise FigureError(f"hardware {hardware} begins where it stands: it cannot start on a grid")
+        return [
+            Batch.of(self._hardware, trial.iterations[-1].parameters, self._starts(), seed)
+            for row, trial in trials.in_full()
+            for seed in range(
+                row["repetition"] * self._experiments, (row["repetition"] + 1) * self._experiments
+            )
+        ]
+
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        """The picture; its numbers are a row for each policy and start."""
+        successes = np.array([batch.successes for batch in outcomes]).reshape(
+            -1, self._experiments, self._y.points, self._x.points
+        )
+        counts = np.count_nonzero(successes, axis=1)  # (policies, y, x)
+        y, x = self._grid()
+        numbers = pd.concat(
+            pd.DataFrame(
+                {
+                    "cell": trials.cell(row),
+                    "repetition": row["repetition"],
+                    "learning": row["outcome"],
+                    self._x.state: x.ravel(),
+                    self._y.state: y.ravel(),
+                    "experiments": self._experiments,
+                    "succeeded": own.ravel(),
+                }
+            )
+            for row, own in zip(trials.rows, counts, strict=True)
+        )
+        return Picture(self._figure(numbers), numbers, self._caption(numbers))
+
+    def _grid(self) -> list[Array]:
+        """Both states (y.points, x.points) at all starts, that of y first."""
+        return list(np.meshgrid(self._y.values, self._x.values, indexing="ij"))
+
+    def _starts(self) -> Array:
+        """The starts (y.points * x.points, n), x changing fastest."""
+        index = {quantity.name: i for i, quantity in enumerate(self._task.states)}
+        y, x = self._grid()
+        starts = np.tile(self._task.start_mean, (x.size, 1))
+        starts[:, index[self._x.state]], starts[:, index[self._y.state]] = x.ravel(), y.ravel()
+        return starts
+
+    def _figure(self, numbers: pd.DataFrame) -> Figure:
+        """A map for each cell, and beside them the rate of every policy over the whole grid."""
+        cells = [own for _, own in numbers.groupby("cell", sort=False)]
+        widths = [*[PANEL] * len(cells), ASIDE]
+        figure = Figure(figsize=(sum(widths) + 0.8, 4.2), layout="constrained")
+        *maps, aside = figure.subplots(1, len(widths), width_ratios=widths)
+        quantities = {quantity.name: quantity for quantity in self._task.states}
+        for axes, own in zip(maps, cells, strict=True):
+            sums = own.groupby([self._y.state, self._x.state])[["succeeded", "experiments"]].sum()
+            rates = (sums["succeeded"] / sums["experiments"]).to_numpy()
+            mesh = axes.pcolormesh(
+                self._x.values,
+                self._y.values,
+                rates.reshape(self._y.points, self._x.points),
+                cmap=COLOURS,
+                vmin=0.0,
+                vmax=1.0,
+                rasterized=True,
+            )
+            axes.set(
+                xlabel=label(quantities[self._x.state]),
+                ylabel=label(quantities[self._y.state]),
+            )
+            axes.set_title(own["cell"].iloc[0], fontsize="medium")
+        figure.colorbar(mesh, ax=maps, label="success rate", pad=0.02)
+        _draw_policies(aside, cells)
+        return figure
+
+    def _caption(self, numbers: pd.DataFrame) -> str:
+        """What is seen."""
+        sentences = []
+        for cell, own in numbers.groupby("cell", sort=False):
+            rates = _of_policies(own)
+            successes = (rates["learning"] == "succeeded").sum()
+            sentences.append(
+                f"{cell}: {own['succeeded'].sum() / own['experiments'].sum():.1%} of all experiments succeed "
+                f"({rates['rate'].min():.1%} to {rates['rate'].max():.1%} with each of the {len(rates)} "
+                f"policies, {successes} of which had succeeded when learning ended)"
+            )
+        n = int(numbers.groupby(["cell", self._x.state, self._y.state])["experiments"].sum().max())
+        half = max(np.ptp(_interval(k, n)) / 2 for k in range(n + 1))
+        return (
+            f"Success rate on the same hardware of the policies with which learning ended, "
+            f"over starts at {self._x.points} x {self._y.points} values of {self._x.state} and "
+            f"{self._y.state}. {'; '.join(sentences)}. There are {n} experiments from each start: a "
+            f"{CONFIDENCE:.0%} Wilson interval reaches at most {half:.2f} to either side of its middle. "
+            "Right: each policy over the whole grid, with its interval."
+        )
+
+
+def _interval(succeeded: int, experiments: int) -> tuple[float, float]:
+    """Wilson's interval of a success rate."""
+    from scipy.stats import binomtest  # takes long to import
+
+    interval = binomtest(succeeded, experiments).proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def _of_policies(own: pd.DataFrame) -> pd.DataFrame:
+    """Rate of each policy of a cell over the whole grid, with its interval."""
+    policies = own.groupby("repetition").agg(
+        learning=("learning", "first"), succeeded=("succeeded", "sum"), experiments=("experiments", "sum")
+    )
+    policies["rate"] = policies["succeeded"] / policies["experiments"]
+    bounds = [_interval(*pair) for pair in policies[["succeeded", "experiments"]].to_numpy().tolist()]
+    policies["low"], policies["high"] = zip(*bounds, strict=True)
+    return policies
+
+
+def _draw_policies(axes: Axes, cells: Sequence[pd.DataFrame]) -> None:
+    """Rates of the policies, side by side for each cell."""
+    for index, own in enumerate(cells):
+        policies = _of_policies(own)
+        x = index + np.linspace(-0.3, 0.3, len(policies))
+        spread = [policies["rate"] - policies["low"], policies["high"] - policies["rate"]]
+        axes.errorbar(x, policies["rate"], spread, fmt="none", ecolor="0.5", capsize=2, zorder=1)
+        success = (policies["learning"] == "succeeded").to_numpy()
+        for mask, color, marker, words in (
+            (success, SIMULATION, "o", "learning succeeded"),
+            (~success, HARDWARE, "X", "it did not"),
+        ):
+            if mask.any():
+                axes.plot(x[mask], policies["rate"][mask], marker, color=color, label=words, clip_on=False)
+    names = [fill(own["cell"].iloc[0], 14) for own in cells]
+    axes.set_xticks(range(len(cells)), names, fontsize=SMALL)
+    axes.set_xlim(-0.6, len(cells) - 0.4)
+    highest = max(_of_policies(own)["high"].max() for own in cells)
+    axes.set_ylim(0.0, 1.3 * highest)  # room for the legend
+    handles, entries = axes.get_legend_handles_labels()
+    unique = dict(zip(entries, handles, strict=True))
+    axes.legend(unique.values(), unique.keys(), frameon=False, fontsize=SMALL, loc="upper right")
+    axes.set_title("success rate of each policy,\nover all starts", fontsize="medium")
+    plain(axes)

@@ -1,0 +1,108 @@
+"""Making the figures of a sweep: what they still need is run and kept, then they are drawn and kept."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simbias.core import HardwareError, Waiting
+from simbias.engine.contract import Engine, WorkerLostError
+from simbias.engine.workplace import temporary_folder
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.sweep.batches import Batch, Outcomes, run_batch
+from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.interruption import Interruption, stopping_workers
+
+if TYPE_CHECKING:
+    from simbias.sweep.grid import Sweep
+    from simbias.sweep.tracking import TrackedSweep
+
+
+class FigureObserver:
+    """Hears of what happens while the figures of a sweep are made; one that only hears of it says nothing."""
+
+    @contextmanager
+    def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
+        """Work of so many steps goes on, some of them done before; what this gives is called after each."""
+        yield lambda: None
+
+    def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        """A figure is drawn and kept; the files are those in the user's folder, if there is one."""
+
+
+def make_figures(
+    sweep: Sweep,
+    engine: Engine,
+    tracked: TrackedSweep,
+    observer: FigureObserver,
+    interruption: Interruption,
+) -> None:
+    """Make every figure that the sweep declares.
+
+    Raises
+    ------
+    FigureError
+        If one cannot be drawn from what there is.
+    KeyboardInterrupt
+        On SIGINT or SIGTERM; what has ended is kept.
+    """
+    for name, figure in sweep.figures.items():
+        with _errors_of(name):
+            trials = SweptTrials(sweep, tracked.results(), tracked.load)
+            batches = figure.experiments(trials)
+            outcomes = _outcomes(name, batches, engine, tracked, observer, interruption)
+            picture = figure.draw(trials, outcomes)
+        with temporary_folder() as folder, interruption.defer():
+            files = picture.write(Path(folder), name)
+            tracked.publish(name, picture.caption, files)
+            observer.drawn(name, picture.caption, _copy(files, sweep.figures_to))
+
+
+@contextmanager
+def _errors_of(name: str) -> Iterator[None]:
+    """Errors that say which figure they belong to; some figures try the hardware once more."""
+    try:
+        yield
+    except (HardwareError, Waiting) as error:
+        raise FigureError(f"{name}: hardware: {error}") from error
+    except (FigureError, NoPictureError) as error:
+        raise FigureError(f"{name}: {error}") from error
+
+
+def _outcomes(
+    name: str,
+    batches: Sequence[Batch],
+    engine: Engine,
+    tracked: TrackedSweep,
+    observer: FigureObserver,
+    interruption: Interruption,
+) -> list[Outcomes]:
+    """The outcomes of all batches; those that are kept are not run again."""
+    batch_of = {batch.hash: batch for batch in batches}
+    outcomes = tracked.outcomes(list(batch_of))
+    missing = [identity for identity in batch_of if identity not in outcomes]
+    if missing:
+        tasks = [batch_of[identity] for identity in missing]
+        with (
+            observer.working(f"{name}: batches of experiments", len(batch_of), len(outcomes)) as advance,
+            stopping_workers(engine.run(run_batch, tasks)) as results,
+        ):
+            for index, result in results:
+                if isinstance(result, WorkerLostError) or result.error:
+                    raise FigureError(str(getattr(result, "error", result)))
+                with interruption.defer():
+                    outcomes[missing[index]] = result
+                    tracked.keep_outcomes(missing[index], result)
+                    advance()
+    return [outcomes[batch.hash] for batch in batches]
+
+
+def _copy(files: Sequence[Path], folder: str | None) -> list[Path]:
+    """The files in a folder of the user's, if there is one."""
+    if folder is None:
+        return []
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    return [Path(shutil.copy(file, folder)) for file in files]

@@ -1,0 +1,1 @@
+"""A trial: the study that it runs, the steps of methods, and what is kept of it."""

@@ -1,0 +1,1 @@
+"""Methods: the paper's Algorithm 1, and others of the same steps."""

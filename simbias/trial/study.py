@@ -1,0 +1,276 @@
+"""A study: the components of a trial, composed, and the contract of the method that runs it."""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from simbias.core import (
+    Bias,
+    Cost,
+    Evaluation,
+    FittedBias,
+    Hardware,
+    Identification,
+    Model,
+    Nominal,
+    Optimizer,
+    Policy,
+    Samples,
+    Simulator,
+    SlowWarning,
+    Task,
+)
+from simbias.core.ranges import CountOrZero, Seconds
+from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
+from simbias.lab.checked_hardware import UNCONDITIONED, Conditions, Conducted
+from simbias.lab.requests.order import Order
+from simbias.simulation.closed_loop import simulator
+from simbias.trial.ask_tell import Dialogue
+
+
+class Observer:
+    """Hears of what happens in a trial, while it happens; one that hears of it only is told nothing else."""
+
+    def searching(self, evaluations: int, best_cost: float) -> None:
+        """A policy search has simulated so many policies, a few in vain if it looks ahead."""
+
+    def searched(self, search: Search) -> None:
+        """A policy search has ended."""
+
+    def experimenting(self, theta: Array, start: Array) -> None:
+        """A hardware experiment with theta (p,) from start (n,) begins."""
+
+    def experimented(self, rollout: Rollout) -> None:
+        """A hardware experiment has ended."""
+
+    def iterated(self, iteration: Iteration) -> None:
+        """An iteration has ended."""
+
+    def trying(self, number: int, count: int) -> None:
+        """The last policy is tried from a held-out start, the first of which has the number 0."""
+
+
+class Origin(Protocol):
+    """What a study was composed of: plain containers, interpolations resolved."""
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """The config of every group."""
+
+    @property
+    def choices(self) -> Mapping[str, str]:
+        """The chosen option of every group."""
+
+    @property
+    def allowed(self) -> tuple[str, ...]:
+        """Modules of which the config may name classes."""
+
+    @property
+    def hash(self) -> str:
+        """The trial's identity: a hash of everything that affects its result."""
+
+
+class Method(ABC):
+    """An algorithm that searches, experiments and learns, in the steps of `simbias.trial.steps`.
+
+    It knows nothing of stores, and may be begun again: experiments that were made and searches that ended
+    are then not made twice but recalled. So every search and every experiment has a generator of its own,
+    spawned from the method's, as the steps see to.
+    """
+
+    max_iterations: int  # N_out
+    max_experiments: int  # hardware experiments of a trial that never succeeds
+
+    @abstractmethod
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every iteration as it ends."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """From how many starts a trial's last policy is tried after its end, and for how long."""
+
+    starts: CountOrZero = 0
+    lasting: CountOrZero = 2  # so many of them go on beyond the task's horizon,
+    seconds: Seconds = 60.0  # until then
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """The components of a trial."""
+
+    task: Task
+    nominal: Nominal
+    hardware: Hardware
+    policy: Policy
+    identification: Identification
+    samples: Samples
+    bias: Bias
+    cost: Cost
+    evaluation: Evaluation
+    optimizer: Optimizer
+    method: Method
+    seed: int
+    composition: Origin  # what the components were built from
+    hardware_of: Callable[[Task], Hardware]  # constructs the hardware anew, for another horizon
+    conditions: Conditions = UNCONDITIONED  # of hardware experiments
+    held_out: HeldOut = HeldOut()
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """The plain, resolved config."""
+        return self.composition.config
+
+    @property
+    def choices(self) -> Mapping[str, str]:
+        """The chosen option of every group."""
+        return self.composition.choices
+
+    @property
+    def title(self) -> str:
+        """The choices that tell trials apart, in a few words."""
+        choices = self.choices
+        return (
+            f"{choices['method']} on {choices['task']}: nominal {choices['nominal']}, "
+            f"hardware {choices['hardware']}, bias {choices['bias']}, optimizer {choices['optimizer']}"
+        )
+
+    @property
+    def hash(self) -> str:
+        """The trial's identity: a hash of everything that affects its result."""
+        return self.composition.hash
+
+    def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
+        """Run the method; the same seed gives the same records on one kind of machine."""
+        return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
+
+    def simulate(
+        self,
+        theta: Array,
+        fitted_bias: FittedBias | None = None,
+        start: Array | None = None,
+        nominal: Nominal | None = None,
+    ) -> Rollout:
+        """Roll theta (p,) out in simulation, without noise (Eq. 7, 9).
+
+        Without a fitted bias g = 0; without a start (n,) it is the task's mean start; without an identified
+        nominal model it is the study's.
+        """
+        theta = np.asarray(theta, dtype=np.float64)
+        begin = self.task.start_mean if start is None else start
+        return self._judged(self.simulator(fitted_bias, nominal).rollout(theta, begin), theta)
+
+    def experiment(self, theta: Array, rng: np.random.Generator, start: Array | None = None) -> Rollout:
+        """Run theta (p,) on the hardware once; without a start (n,) from a random one.
+
+        Raises
+        ------
+        HardwareError
+            If the experiment could not be carried out, did not end in time, or its rollout is not what the
+            contract asks for.
+        Waiting
+            If its result is not there yet.
+        """
+        theta = np.asarray(theta, dtype=np.float64)
+        begin = self.task.draw_start(rng) if start is None else start
+        return self._judged(self.conducted.run(self.policy, theta, begin, rng), theta)
+
+    @cached_property
+    def conducted(self) -> Conducted:
+        """The hardware, its experiments bounded in time and checked."""
+        if isinstance(self.hardware, Conducted):
+            return self.hardware
+        return Conducted(self.hardware, self.task, self.conditions)
+
+    def ask(self) -> Order | None:
+        """The next experiment of a trial whose hardware is you; None once the trial has come to its end.
+
+        >>> while (order := study.ask()) is not None:
+        ...     study.tell(made(order.controller(), order.start))
+        """
+        return self.dialogue.ask()
+
+    def tell(self, rollout: Rollout) -> None:
+        """What came of the experiment that was asked for; the study's hardware is not used.
+
+        Raises
+        ------
+        ValueError
+            If none was asked for.
+        HardwareError
+            If the rollout is not what the contract asks for; the question stays open.
+        """
+        self.dialogue.tell(rollout)
+
+    @cached_property
+    def dialogue(self) -> Dialogue:
+        """What was asked and told, and the iterations that have ended."""
+
+        def run(hardware: Hardware, optimizer: Optimizer) -> Iterator[Iteration]:
+            return replace(self, hardware=hardware, optimizer=optimizer, conditions=self._told).run()
+
+        return Dialogue(self.task, self.optimizer, run)
+
+    @property
+    def _told(self) -> Conditions:
+        """The conditions of experiments that are told: nobody is asked whether they may be made."""
+        return Conditions(safety=self.conditions.safety)
+
+    def with_horizon(self, horizon: int) -> Study:
+        """The study of a task that takes so many frames; its hardware is constructed anew for it.
+
+        Its costs are those of the old horizon.
+        """
+        task = self.task.with_horizon(horizon)
+        return replace(self, task=task, hardware=self.conducted.wrap(self.hardware_of(task), task))
+
+    def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
+        """A rollout with its cost and the policy that it ran."""
+        return replace(rollout, cost=self.cost.of(rollout), parameters=theta)
+
+    def simulator(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Simulator:
+        """The closed loop on the (identified) nominal model, corrected by a fitted bias; g = 0 without."""
+        return simulator(self.model(fitted_bias, nominal), cost=self.cost)
+
+    def model(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Model:
+        """The (identified) nominal model, corrected by a fitted bias; g = 0 without one."""
+        bias = fitted_bias or self.bias.fit(self.no_data)
+        return Model(self.task, self.policy, nominal or self.nominal, bias)
+
+    def warm_up(self) -> None:
+        """Compile what a simulated rollout and a search need, so that none begins with it."""
+        theta, rng = np.zeros(self.policy.n_parameters), np.random.default_rng(0)
+        n, m = len(self.task.states), len(self.task.inputs)
+        some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
+        self._warm_up(self.no_data, theta, rng)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SlowWarning)  # which has just been given
+            self._warm_up(some_data, theta, rng)  # a bias may have another kernel once it has learned
+
+    def _warm_up(self, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
+        """Compile what is needed with the bias that is learned from some data."""
+        fitted_bias = self.bias.fit(data)
+        rollout = self.simulate(theta, fitted_bias)
+        if len(data):
+            nominal = self.identification.fit(self.nominal, [rollout])
+            self.bias.learn(data, [rollout], nominal)
+        self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
+
+    def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:
+        """D, the union of all D_i (line 13): residuals against an (identified) nominal model."""
+        data = self.no_data
+        for rollouts in iterations:
+            data |= self.samples.select(rollouts, nominal).transitions
+        return data
+
+    @property
+    def no_data(self) -> Transitions:
+        """D = {}."""
+        return Transitions.empty(len(self.task.states), len(self.task.inputs))

@@ -1,0 +1,61 @@
+"""How often the policies with which a sweep's trials ended balance the hardware.
+
+`python sweeps/studies/last_policies.py NAME FILE`, in the folder of the store, tries the last policy of each
+finished trial of `+sweep=NAME` from 20 held-out starts, writes a row of the file for it and prints the
+sweep's table with them. It is for sweeps that ran without `held_out.starts=20`, which does the same.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+from premise import STARTS, balanced_starts
+
+from simbias.mlflow.trials import load_trial
+from simbias.sweep import tables
+from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.services import tracking
+
+
+def outcome_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
+    """A trial's last policy, tried."""
+    trial = load_trial(row["run_id"])
+    balanced = balanced_starts(trial.study, trial.iterations[-1].parameters)
+    own = {name: row[name] for name in (*axes, "repetition", "outcome")}
+    return own | {"balanced": balanced, "starts": STARTS}
+
+
+def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
+    """The sweep's table, in markdown, and the mean share of starts that a cell's last policies balance."""
+    laid = tables.layout(tables.cells(trials, sweep), sweep)
+    axes = [axis.name for axis in sweep.axes]
+    shares = policies.assign(share=policies["balanced"] / policies["starts"]).groupby(axes)["share"]
+    texts = []
+    for cell in sweep.cells:
+        own = list(shares.get_group(cell.labels))
+        low, high = tables.interval(own)
+        texts.append(f"{np.mean(own):.0%} [{low:.0%}, {high:.0%}]")
+    body = [[*line, text] for line, text in zip(laid.body, texts, strict=True)]
+    return tables.markdown(tables.Layout([*laid.head, "starts that the last policy balances"], body))
+
+
+def main(name: str, path: Path) -> None:
+    """Try all policies, write the file, and print the table."""
+    sweep = expand([f"+sweep={name}"])
+    if sweep.report.columns is not None:
+        sys.exit(f"{name} has cells side by side")
+    axes = [axis.name for axis in sweep.axes]
+    trials = tracking(sweep.base).finished(sweep)
+    rows = Parallel(n_jobs=2)(delayed(outcome_of)(row, axes) for row in trials.to_dict("records"))
+    policies = pd.DataFrame(rows)
+    policies.to_csv(path, index=False, lineterminator="\n")
+    print(table(sweep, trials, policies), end="")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

@@ -1,0 +1,76 @@
+"""What the points of an axis differ by, pair by pair, where their trials met the same seeds.
+
+`python sweeps/studies/paired.py SWEEP AXIS [--by AXIS]` compares every point of an axis with its first one,
+in the published trials of a sweep that has the axis among its `common_seeds`; for each point of another axis
+apart, if one is named. A trial that never succeeds counts all experiments that it may make.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import pandas as pd
+
+from simbias.mlflow import results
+from simbias.sweep.grid import expand
+
+HEAD = (
+    "experiments",
+    "difference, standard error",
+    "pairs that differ",
+    "iterations",
+    "succeeded",
+    "seconds",
+)
+
+
+def paired(name: str, axis: str, by: str | None = None) -> str:
+    """A row for every point of the axis, in markdown."""
+    sweep = expand([f"+sweep={name}"])
+    trials = results.published(sweep)
+    others = [other.name for other in sweep.axes if other.name != axis]
+    keys = [*others, "repetition"]
+    groups = list(trials.groupby(by, sort=False)) if by else [("", trials)]
+    names = [*([by] if by else []), axis]
+    lines = [
+        f"| {' | '.join([*names, *HEAD])} |",
+        f"| {' | '.join([':--'] * len(names) + ['--:'] * len(HEAD))} |",
+    ]
+    for group, own in groups:
+        points = {point: trials.set_index(keys) for point, trials in own.groupby(axis, sort=False)}
+        first = next(iter(points.values()))
+        for point, these in points.items():
+            cells = [
+                *([str(group)] if by else []),
+                str(point),
+                *row(these, None if these is first else first),
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def row(trials: pd.DataFrame, reference: pd.DataFrame | None) -> list[str]:
+    """What a point's trials needed, and by how much more than the reference's."""
+    difference = differing = ""
+    if reference is not None:
+        pairs = (trials["experiments"] - reference["experiments"]).dropna()
+        difference = f"{pairs.mean():.2f}, {pairs.sem():.2f}"
+        differing = f"{int((pairs != 0).sum())} of {len(pairs)}"
+    succeeded = int((trials["outcome"] == "succeeded").sum())
+    return [
+        f"{trials['experiments'].mean():.2f}",
+        difference,
+        differing,
+        f"{trials['iterations'].mean():.2f}",
+        f"{succeeded}/{len(trials)}",
+        f"{trials['seconds'].mean():.1f}",
+    ]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sweep")
+    parser.add_argument("axis")
+    parser.add_argument("--by", metavar="AXIS")
+    arguments = parser.parse_args()
+    print(paired(arguments.sweep, arguments.axis, arguments.by), end="")

@@ -1,0 +1,73 @@
+"""The paper's premise and the first row of its Table II, measured.
+
+`python sweeps/studies/premise.py FOLDER [override ...]` tells for each of 10 seeds, without noise and inertia
+error if not overridden, how many hardware experiments Algorithm 1 needs, and in how many of 20 random starts
+its first policy (of the nominal model alone) and its last one balance the hardware.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+import simbias
+from simbias.core.records import Array
+from simbias.trial.policy_test import try_policy
+from simbias.trial.study import HeldOut, Study
+
+SEEDS = range(10)
+STARTS = 20
+
+
+def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
+    """From how many held-out starts theta balances the hardware, for the task's horizon."""
+    tries = try_policy(study, theta, HeldOut(starts, lasting=0))
+    assert tries is not None
+    return sum(tries.holds)
+
+
+def measure(seed: int, overrides: Sequence[str]) -> dict[str, Any]:
+    """One trial, and its first and last policy on other starts."""
+    study = simbias.load(["tracking=none", *overrides, f"seed={seed}"])
+    study.warm_up()
+    began = time.perf_counter()
+    iterations = list(study.run())
+    seconds = time.perf_counter() - began
+    first, last = iterations[0], iterations[-1]
+    assert last.learning is not None
+    return {
+        "seed": seed,
+        "succeeded": last.succeeded,
+        "experiments": last.total_experiments,
+        "samples": len(last.learning.data),
+        "first_policy_balances": balanced_starts(study, first.parameters),
+        "last_policy_balances": balanced_starts(study, last.parameters),
+        "starts": STARTS,
+        "seconds": round(seconds, 1),
+    }
+
+
+def main(folder: Path, overrides: Sequence[str]) -> None:
+    """Measure every seed, print the table and write it as premise.csv."""
+    rows = Parallel(n_jobs=2)(delayed(measure)(seed, overrides) for seed in SEEDS)
+    with (folder / "premise.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    for row in rows:
+        print("  ".join(f"{key} {value}" for key, value in row.items()))
+    experiments = [row["experiments"] for row in rows]
+    print(
+        f"{sum(row['succeeded'] for row in rows)} of {len(rows)} succeed, {np.mean(experiments)} experiments"
+    )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

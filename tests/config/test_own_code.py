@@ -1,0 +1,100 @@
+"""A trial's run knows the user's own code that it ran, and says when it has changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from mlflow import MlflowClient
+from sweeping import write_sweep
+
+import simbias
+from simbias.__main__ import main
+from simbias.config.own_code import changed, digests
+
+SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20", "tracking.pictures=false"]
+SWEEP = "sweep: {trials: 1, figures: {}, axes: {hardware.inertia_error: [0.0, 0.1]}}"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A working folder with a hardware of one's own, in a module that imports another."""
+    (tmp_path / "conf" / "hardware").mkdir(parents=True)
+    shipped = (ROOT / "conf" / "hardware" / "pymunk.yaml").read_text()
+    own = shipped.replace("simbias.robots.bongoboard.pymunk.PymunkBongoboard", "my_hardware.Mine")
+    (tmp_path / "conf" / "hardware" / "mine.yaml").write_text(own)
+    (tmp_path / "my_gains.py").write_text("GAIN = 1.0\n")
+    (tmp_path / "unrelated.py").write_text("")
+    (tmp_path / "my_hardware.py").write_text(
+        "import numpy\nfrom my_gains import GAIN\n"
+        "from simbias.robots.bongoboard.pymunk import PymunkBongoboard\n"
+        "Mine = type('Mine', (PymunkBongoboard,), {'__module__': __name__, "
+        "'__init__': PymunkBongoboard.__init__})\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for name in ("my_hardware", "my_gains"):
+        sys.modules.pop(name, None)
+
+
+def test_digests_are_of_own_modules_and_what_they_import_beside(folder: Path) -> None:
+    config = simbias.load(SMALL, folder / "conf").config
+    before = digests(config)
+    assert before.keys() == {"my_hardware", "my_gains"}
+    (folder / "my_gains.py").write_text("GAIN = 2.0\n")
+    assert changed(before, digests(config)) == "my_gains"
+    (folder / "my_gains.py").write_text("GAIN = 1.0\n")
+    assert changed(before, digests(config)) == ""
+    assert digests(simbias.load(["tracking=none"]).config) == {}
+
+
+def test_a_package_of_ones_own_counts_its_version(folder: Path) -> None:
+    (folder / "my_package").mkdir()
+    (folder / "my_package" / "__init__.py").write_text("__version__ = '1.2'\n")
+    (folder / "my_package" / "robot.py").write_text("from . import part\nfrom my_hardware import Mine\n")
+    (folder / "my_package" / "part.py").write_text("")
+    file = folder / "conf" / "hardware" / "mine.yaml"
+    file.write_text(file.read_text().replace("my_hardware.Mine", "my_package.robot.Mine"))
+    found = digests(simbias.load(SMALL, folder / "conf").config)
+    own = {"my_package", "my_package.robot", "my_package.part", "my_package version"}
+    assert found.keys() == own | {"my_hardware", "my_gains"}
+    assert found["my_package version"] == "1.2"
+
+
+@pytest.mark.slow
+def test_a_finished_trial_says_that_its_code_has_changed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["--config-dir", "conf", *SMALL, f"tracking.uri=sqlite:///{folder}/mlflow.db"]
+    assert main(command) == main(command) == 0
+    assert "has changed" not in capsys.readouterr().err
+    client = MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
+    experiment = client.get_experiment_by_name("simbias")
+    assert experiment is not None
+    (run,) = client.search_runs([experiment.experiment_id])
+    assert json.loads(run.data.tags["code"]).keys() == {"my_hardware", "my_gains"}
+    (folder / "my_gains.py").write_text("GAIN = 2.0\n")
+    assert main(command) == 0
+    line = "the trial is shown as it was; its code has changed since it began (my_gains)"
+    assert line in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_sweep_says_which_of_its_trials_ran_on_other_code(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_sweep(folder, "mine", SWEEP)
+    uri = f"tracking.uri=sqlite:///{folder}/mlflow.db"
+    command = ["--config-dir", "conf", "+sweep=mine", *SMALL, uri, "engine=sequential"]
+    assert main(command) == main(command) == 0
+    assert "has changed" not in capsys.readouterr().err
+    shutil.copy(folder / "unrelated.py", folder / "my_gains.py")
+    assert main(command) == 0
+    line = "2 of 2 finished trials ran on code that has changed since (my_gains)"
+    assert line in capsys.readouterr().err

@@ -1,0 +1,274 @@
+"""Whatever a hardware does, an experiment ends in a rollout or in one line."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from faulty_hardware import CONVERTED, LEFT, RAISED, RETURNED
+from records import assert_equal
+
+from simbias.core import Hardware, HardwareError, Policy, Waiting
+from simbias.core.messages import LONGEST_VALUE
+from simbias.core.records import Array, Rollout
+from simbias.lab import checked_hardware as experiments
+from simbias.lab.checked_hardware import Conditions
+from simbias.trial.study import Study
+
+pytestmark = pytest.mark.slow
+
+LINES = {
+    "zero division": "run: expected a Rollout, got ZeroDivisionError: division by zero",
+    "recursion": "run: expected a Rollout, got RecursionError: maximum recursion depth exceeded",
+    "speechless": "run: expected a Rollout, got SpeechlessError: (its message cannot be read)",
+    "no UTF-8": r"run: expected a Rollout, got OSError: caf\udce9 \x1b[31m",
+    "long": "run: expected a Rollout, got RuntimeError: xxx",
+    "exit": "run: expected a Rollout, got SystemExit: 7",
+    "cancelled": "run: expected a Rollout, got CancelledError",
+    "own words": "the battery is empty",
+    "None": "run: expected a Rollout, got NoneType",
+    "list": "run: expected a Rollout, got list",
+    "dict": "run: expected a Rollout, got dict",
+    "another class": "run: expected a Rollout, got SimpleNamespace",
+    "columns": "run: states: expected the shape (101, 2), got (101, 1)",
+    "flat": "run: inputs: expected the shape (k, 1), got (100,)",
+    "ragged": "run: states: expected the shape (101, 2), got [[0.0], [0.0, 0.0], [0.0],",
+    "too short": "run: states: expected the shape (99, 2), got (101, 2)",
+    "nothing measured": "run: measured: expected the shape (101, 2), got (0, 6)",
+    "another rate": "run: inputs: expected at most 100 frames of 0.02 s, got 200; is its rate another?",
+    "ended early": "run: ended after 50 of 100 frames without a failure; failed_at and failure say of one",
+    "NaN": "run: states: expected finite numbers, got [nan, ",
+    "absurd": "run: states: expected numbers up to 1e+15, got [-1e+300, ",
+    "a class of its own": "run: expected a Rollout, got KeyError: 'no connection'",
+    "complex": "run: states: expected real numbers, got complex128",
+    "object": "run: states: expected real numbers, got object",
+    "text": "run: inputs: expected real numbers, got <U3",
+    "masked": "run: states: expected finite numbers, got [",
+    "frame": "run: failed_at: expected a frame or None, got 'late'",
+    "wrong frame": "run: failed_at: expected 100, the last frame, got 3",
+    "failure": "run: failure: expected a name or None, got 3",
+    "no frame of failure": "run: failure: expected None without failed_at, got 'distance'",
+    "sensed": "run: sensed: expected true or false, got 'yes'",
+}
+THETA = np.array([4.0, 4.0, -2.0])
+
+
+class Doing(Hardware):
+    """What another hardware does, and then something else."""
+
+    def __init__(self, hardware: Hardware, fault: Callable[[Rollout], Any]) -> None:
+        self._hardware, self._fault = hardware, fault
+        self.stopped = threading.Event()
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+        return self._fault(self._hardware.run(policy, theta, start, rng))
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+
+def experiment(study: Study, fault: Callable[[Rollout], Any], timeout: float | None = None) -> Rollout:
+    doing = replace(study, hardware=Doing(study.hardware, fault), conditions=Conditions(timeout))
+    return doing.experiment(THETA, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("timeout", [None, 60.0], ids=["without limit", "with a limit"])
+@pytest.mark.parametrize("fault", [*RAISED, *RETURNED])
+def test_a_fault_is_one_line(point_mass: Study, fault: str, timeout: float | None) -> None:
+    """It names component, field, what was expected and what came."""
+    with pytest.raises(HardwareError) as caught:
+        experiment(point_mass, (RAISED | RETURNED)[fault], timeout)
+    line = str(caught.value)
+    expected = LINES[fault] if fault == "own words" else f"Doing.{LINES[fault]}"
+    assert line.startswith(expected)
+    assert line.isprintable()
+    assert len(line) < 350
+
+
+def test_every_fault_has_its_line() -> None:
+    assert LINES.keys() == {*RAISED, *RETURNED}
+
+
+@pytest.mark.parametrize("fault", CONVERTED)
+def test_what_can_be_converted_without_loss_is(point_mass: Study, fault: str) -> None:
+    made = experiment(point_mass, CONVERTED[fault])
+    plain = experiment(point_mass, lambda rollout: rollout)
+    if fault == "float32":
+        plain = replace(plain, inputs=plain.inputs.astype(np.float32).astype(np.float64))
+        assert not np.isnan(made.cost)
+        plain = replace(plain, cost=made.cost)
+    assert_equal(made, plain)
+    for array in (made.states, made.inputs):
+        assert array.dtype == np.float64
+        assert array.flags.c_contiguous
+    assert (type(made.sensed), type(made)) == (bool, Rollout)
+
+
+def test_an_experiment_without_a_frame_is_one(point_mass: Study) -> None:
+    def fell(rollout: Rollout) -> Rollout:
+        return Rollout(rollout.states[:1].tolist(), [], failed_at=0.0, failure="")  # type: ignore[arg-type]
+
+    made = experiment(point_mass, fell)
+    assert (made.states.shape, made.inputs.shape) == ((1, 2), (0, 1))
+    assert (made.failed_at, type(made.failed_at), made.failure) == (0, int, "failed")
+
+
+def test_a_buffer_that_the_hardware_uses_again_changes_no_record(point_mass: Study) -> None:
+    buffer = np.zeros((101, 2))
+
+    def reuse(rollout: Rollout) -> Rollout:
+        buffer[:] = rollout.states
+        return replace(rollout, states=buffer)
+
+    made = experiment(point_mass, reuse)
+    before = made.states.copy()
+    buffer[:] = 7.0
+    np.testing.assert_array_equal(made.states, before)
+
+
+def test_a_failures_name_can_be_stored(point_mass: Study) -> None:
+    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure="caf\udce9\0"))
+    assert made.failure == r"caf\udce9\x00"
+    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure=100_000 * "x"))
+    assert len(str(made.failure)) <= LONGEST_VALUE
+    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure=" \n"))
+    assert made.failure == "failed"
+
+
+def test_a_hardware_that_writes_into_what_it_gets_changes_no_record(point_mass: Study) -> None:
+    class Writing(Doing):
+        def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+            rollout = super().run(policy, theta, start, rng)
+            theta[:], start[:] = np.nan, np.nan
+            return rollout
+
+    theta = THETA.copy()
+    writing = replace(point_mass, hardware=Writing(point_mass.hardware, lambda rollout: rollout))
+    made = writing.experiment(theta, np.random.default_rng(1))
+    np.testing.assert_array_equal(theta, THETA)
+    assert_equal(made, experiment(point_mass, lambda rollout: rollout))
+
+
+@pytest.mark.parametrize("timeout", [None, 60.0], ids=["without limit", "with a limit"])
+@pytest.mark.parametrize("fault", ["fork", "fork that raises"])
+def test_a_process_that_the_hardware_forks_does_not_go_on_here(
+    point_mass: Study, fault: str, timeout: float | None, tmp_path: Path
+) -> None:
+    """It would run the rest of the trial, too, and write into the same files."""
+    forker = os.getpid()
+    try:
+        experiment(point_mass, LEFT[fault], timeout)
+    finally:
+        if os.getpid() != forker:
+            (tmp_path / "goes on").touch()
+            os._exit(0)
+    os.waitpid(-1, 0)
+    assert not (tmp_path / "goes on").exists()
+
+
+def test_a_limit_changes_no_experiment(point_mass: Study) -> None:
+    with np.errstate(all="raise"):
+        seen = []
+
+        def look(rollout: Rollout) -> Rollout:
+            seen.append((np.geterr()["over"], threading.current_thread() is threading.main_thread()))
+            return rollout
+
+        assert_equal(experiment(point_mass, look, 60.0), experiment(point_mass, look))
+    assert seen == [("raise", False), ("raise", True)]
+
+
+def test_waiting_passes(point_mass: Study) -> None:
+    def wait(rollout: Rollout) -> Rollout:
+        raise Waiting("until Monday")
+
+    for timeout in (None, 60.0):
+        with pytest.raises(Waiting, match="until Monday"):
+            experiment(point_mass, wait, timeout)
+
+
+def hanging(study: Study, hardware: Hardware) -> tuple[str, float]:
+    """What is said of an experiment that does not end, and after how long."""
+    begun = time.monotonic()
+    with pytest.raises(HardwareError) as caught:
+        replace(study, hardware=hardware, conditions=Conditions(0.2)).experiment(
+            THETA, np.random.default_rng(1)
+        )
+    return str(caught.value), time.monotonic() - begun
+
+
+def test_an_experiment_that_does_not_end_is_stopped(point_mass: Study) -> None:
+    released = []
+
+    def wait(rollout: Rollout) -> Rollout:
+        released.append(hardware.stopped.wait(60.0))
+        return rollout
+
+    hardware = Doing(point_mass.hardware, wait)
+    line, seconds = hanging(point_mass, hardware)
+    assert line == (
+        "Doing.run: expected an end within 0.2 s (experiment_timeout), got none; "
+        "Doing.stop was called, and it ended"
+    )
+    assert 0.2 <= seconds < 2.0
+    assert released == [True]
+
+
+def test_how_stopping_went_is_told(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experiments, "STOP_SECONDS", 0.1)
+    end = threading.Event()
+
+    class Deaf(Doing):
+        def stop(self) -> None:
+            pass
+
+    class Broken(Doing):
+        def stop(self) -> None:
+            raise OSError("no answer")
+
+    class Stuck(Doing):
+        def stop(self) -> None:
+            end.wait(60.0)
+
+    def wait(rollout: Rollout) -> Rollout:
+        end.wait(60.0)
+        return rollout
+
+    for kind, words in (
+        (Deaf, "was called, but it still runs"),
+        (Broken, "raised OSError: no answer"),
+        (Stuck, "did not end within 0.1 s either"),
+    ):
+        line, seconds = hanging(point_mass, kind(point_mass.hardware, wait))
+        assert line.endswith(f"{kind.__name__}.stop {words}")
+        assert seconds < 2.0
+    end.set()
+
+
+def test_an_interruption_stops_the_hardware(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Ctrl-C does, which comes to the thread that waits."""
+
+    def wait(rollout: Rollout) -> Rollout:
+        hardware.stopped.wait(60.0)
+        return rollout
+
+    def interrupted(call: Any, seconds: float) -> bool:
+        if seconds == 30.0:
+            raise KeyboardInterrupt
+        return ended(call, seconds)
+
+    ended = experiments._Call.ended
+    monkeypatch.setattr(experiments._Call, "ended", interrupted)
+    hardware = Doing(point_mass.hardware, wait)
+    with pytest.raises(KeyboardInterrupt):
+        replace(point_mass, hardware=hardware, conditions=Conditions(30.0)).experiment(
+            THETA, np.random.default_rng(1)
+        )
+    assert hardware.stopped.is_set()

@@ -1,0 +1,247 @@
+"""Safety at the boundary: limits abort an experiment, what is predicted is shown, and a person is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+from point_mass import InTheWind
+from records import assert_equal
+
+import simbias
+from simbias.__main__ import SUCCEEDED, WAITING, main
+from simbias.config import ConfigError
+from simbias.core import HardwareError, Policy, Waiting
+from simbias.core.records import Array, Rollout
+from simbias.lab.checked_hardware import Conditions
+from simbias.lab.requests.manual import Manual
+from simbias.lab.safety import Safety
+from simbias.trial.prediction import DRAWS, predict
+from simbias.trial.study import Study
+
+THETA = np.array([4.0, 4.0, -2.0])
+START = np.array([0.5, 0.0])
+
+
+class Stoppable(InTheWind):
+    """Counts how often it is stopped, and may do something in between."""
+
+    stopped = 0
+
+    def stop(self) -> None:
+        self.stopped += 1
+
+
+class Swallowing(Stoppable):
+    """Makes something else of what the controller raises."""
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        try:
+            return super().run(policy, theta, start, rng)
+        except Exception as error:
+            raise OSError("bus off") from error
+
+
+def experiment(study: Study, safety: Safety, hardware: type = Stoppable) -> tuple[Rollout, int]:
+    """An experiment under limits, and how often the hardware was stopped."""
+    robot = hardware(study.task)
+    limited = replace(study, hardware=robot, conditions=Conditions(safety=safety))
+    return limited.experiment(THETA, np.random.default_rng(0), START), robot.stopped
+
+
+@pytest.mark.parametrize(
+    ("safety", "failure"),
+    [
+        (Safety(states={"velocity": 0.3}), "unsafe_state_velocity"),
+        (Safety(inputs={"force": 3.9}), "unsafe_input_force"),
+        (Safety(input_rates={"force": 5.0}), "unsafe_rate_of_force"),
+    ],
+)
+@pytest.mark.parametrize("hardware", [Stoppable, Swallowing])
+def test_an_experiment_beyond_a_limit_is_aborted(
+    point_mass: Study, safety: Safety, failure: str, hardware: type
+) -> None:
+    """It has failed, the hardware is stopped, and what was recorded is what the free one did up to there."""
+    free, _ = experiment(point_mass, Safety())
+    aborted, stopped = experiment(point_mass, safety, hardware)
+    k = aborted.frames
+    assert (aborted.failed_at, aborted.failure, stopped) == (k, failure, 1)
+    assert aborted.cost > point_mass.cost.max_cost
+    np.testing.assert_array_equal(aborted.states, free.states[: k + 1])
+    np.testing.assert_array_equal(aborted.inputs, free.inputs[:k])
+    speeds, forces = np.abs(free.states[:, 1]), np.abs(free.inputs[:, 0])
+    first = {
+        "unsafe_state_velocity": np.argmax(speeds > 0.3),
+        "unsafe_input_force": np.argmax(forces > 3.9),
+        "unsafe_rate_of_force": 1 + np.argmax(np.abs(np.diff(free.inputs[:, 0])) > 5.0 * 0.02),
+    }
+    assert k == first[failure]
+
+
+def test_limits_that_nothing_exceeds_change_nothing(point_mass: Study) -> None:
+    limits = Safety(
+        inputs={"force": 5.0}, input_rates={"force": 1e4}, states={"position": 2.0}, criteria=True
+    )
+    assert_equal(experiment(point_mass, limits)[0], experiment(point_mass, Safety())[0])
+
+
+def test_a_measured_state_that_violates_a_criterion_aborts(point_mass: Study) -> None:
+    """The hardware itself sees no failure."""
+
+    class Blind(Stoppable):
+        def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+            controller, states, inputs = policy.controller(theta, 0.02), [start], []
+            for _ in range(100):
+                inputs.append(controller(states[-1]))
+                states.append(states[-1] + [0.02, 0.0])
+            return Rollout(np.array(states), np.array(inputs))
+
+    aborted, stopped = experiment(point_mass, Safety(criteria=True), Blind)
+    assert (aborted.failure, stopped) == ("distance", 1)
+    assert abs(aborted.states[-1, 0]) > 1.0 >= abs(aborted.states[-2, 0])
+    whole, stopped = experiment(point_mass, Safety(), Blind)
+    assert (whole.failed_at, stopped) == (None, 0)
+
+
+def test_what_else_a_hardware_raises_is_an_error_still(point_mass: Study) -> None:
+    class Broken(Stoppable):
+        def run(self, *arguments: Any) -> Rollout:
+            raise OSError("bus off")
+
+    with pytest.raises(HardwareError, match="bus off"):
+        experiment(point_mass, Safety(criteria=True), Broken)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "hardware.safety.states={angl: 1}",
+            r"hardware\.safety: states names no quantity of the task: angl",
+        ),
+        ("hardware.safety.inputs={torque: -1}", r"hardware\.safety\.inputs\.torque: must be greater than 0"),
+        ("hardware.safety.input_rates={angle: 1}", r"hardware\.safety: input_rates names no quantity"),
+        ("+hardware.safety.limits=3", r"hardware\.safety\.limits: "),
+    ],
+)
+def test_a_limit_of_nothing_is_bad_input(override: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{message}"):
+        simbias.load([override, "tracking=none"])
+
+
+@pytest.mark.slow
+def test_limits_are_part_of_a_trials_identity_and_the_question_is_not() -> None:
+    def identity(*overrides: str) -> str:
+        return simbias.load([*overrides, "tracking=none"]).hash
+
+    base = identity()
+    assert identity("hardware.confirm=true") == base
+    assert identity("hardware.safety.states={angle: 1}") != base
+    assert identity("hardware.safety.states={}") == base
+    assert identity("hardware.safety.criteria=true") != base
+
+
+def test_limits_by_kind_are_those_of_each_quantity() -> None:
+    study = simbias.load(["hardware.safety.states={angle: 0.5, theta: 0.3}", "tracking=none"])
+    bounds = study.conditions.safety.bounds(study.task)
+    np.testing.assert_array_equal(bounds.states, [0.5, 0.5, 0.3, np.inf, np.inf, np.inf])
+    np.testing.assert_array_equal(bounds.inputs, [100.0])
+
+
+def test_an_order_has_the_limits(point_mass: Study, tmp_path: Path) -> None:
+    manual = Manual(point_mass.task, str(tmp_path))
+    safety = Safety(states={"velocity": 0.3}, input_rates={"force": 5.0})
+    limited = replace(point_mass, hardware=manual, conditions=Conditions(safety=safety))
+    with pytest.raises(Waiting):
+        limited.experiment(THETA, np.random.default_rng(0), START)
+    (readme,) = tmp_path.glob("*/README.txt")
+    text = readme.read_text()
+    for line in ("|velocity| <= 0.3 m/s", "|change of force| <= 5 N per s", "|force| <= 5 N"):
+        assert f"  {line}\n" in text
+    assert "|position|" not in text
+
+
+def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
+    """Draws differ in their starts, which are normal: nine tenths of these are in the band."""
+    prediction = predict(point_mass, THETA, point_mass.task.start_mean)
+    low, high = prediction.band()
+    assert low.shape == (101, 2)
+    assert (low <= prediction.expected.states).all()
+    assert (prediction.expected.states <= high).all()
+    width = (high - low)[0] / (2 * 1.645 * point_mass.task.start_deviation)
+    assert (width > 0.6).all()
+    assert (width < 1.4).all()
+    again = predict(point_mass, THETA, point_mass.task.start_mean)
+    assert_equal(again.draws[-1], prediction.draws[-1])
+    assert len(prediction.draws) == DRAWS
+    assert prediction.failures == []
+    inputs = np.concatenate([np.diff(draw.inputs, axis=0) for draw in prediction.draws])
+    assert prediction.largest_change(0.02) == pytest.approx(np.abs(inputs).max() / 0.02, rel=0.2)
+
+
+def command(*overrides: str) -> list[str]:
+    quick = ["tracking=none", "optimizer.max_evaluations=150"]
+    return ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *POINT_MASS, *quick, *overrides]
+
+
+@pytest.mark.slow
+def test_preview_shows_and_draws_the_first_experiment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(InTheWind, "run", None)  # none is made
+    assert main(["preview", *command("hardware.safety.states={velocity: 0.3}")]) == SUCCEEDED
+    out = capsys.readouterr().out
+    assert "velocity" in out
+    assert " 0.3  m/s" in out
+    assert "Predicted: 2.00 s, cost " in out
+    assert f"Of {DRAWS} draws of start and model, 0 fail." in out
+    assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("answer", "status", "asked"), [("y", SUCCEEDED, 1), ("no", WAITING, 1), (EOFError(), WAITING, 1)]
+)
+def test_a_person_is_asked_once(
+    answer: Any, status: int, asked: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    questions: list[str] = []
+
+    def reply(question: str) -> str:
+        questions.append(question)
+        if isinstance(answer, Exception):
+            raise answer
+        return str(answer)
+
+    monkeypatch.setattr("builtins.input", reply)
+    assert main(command("hardware.confirm=true")) == status
+    assert len(questions) == asked
+    captured = capsys.readouterr()
+    assert "Predicted: 2.00 s, cost " in captured.out
+    assert ("the experiment was not confirmed" in captured.err) == (status == WAITING)
+
+
+def test_what_is_recalled_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
+    from simbias.trial.journal import Journal
+    from simbias.trial.run import Outcome, run_trial
+
+    starts: list[Mapping[str, Any] | Array] = []
+
+    def allow_first(theta: Array, start: Array) -> bool:
+        starts.append(start)
+        return len(starts) == 1
+
+    whole = run_trial(point_mass, Journal(tmp_path / "journal"))
+    for entry in sorted((tmp_path / "journal").glob("*_experiment.npz"))[-1:]:
+        entry.unlink()  # it was killed in the last experiment
+    asking = replace(point_mass, conditions=Conditions(confirm=True, ask=allow_first))
+    record = run_trial(asking, Journal(tmp_path / "journal"))
+    assert record.outcome is Outcome.SUCCEEDED
+    assert len(starts) == 1
+    np.testing.assert_array_equal(starts[0], whole.iterations[-1].experiments[-1].states[0])

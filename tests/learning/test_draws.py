@@ -1,0 +1,109 @@
+"""Functions that are drawn from the posterior have its mean and covariance, and run on its kernel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from in_lanes import corrections
+
+import simbias
+from simbias.core import FittedBias
+from simbias.core.records import Array, Transitions
+
+OPTIONS = ["gp", "sparse_gp", "gp_learned", "sparse_gp_learned"]
+DRAWS = 4000
+
+
+def data(n: int = 60) -> Transitions:
+    rng = np.random.default_rng(5)
+    inputs = rng.uniform(-1, 1, (n, 7)) * [0.3, 0.3, 0.3, 1.0, 1.0, 1.0, 30.0]
+    function = np.sin(inputs[:, :6] * 2) + inputs[:, 6:] / 50
+    noise = 0.3 * rng.standard_normal((n, 6))
+    return Transitions(inputs, (function + noise) * [1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3])
+
+
+def fitted(option: str) -> FittedBias:
+    return simbias.load(["tracking=none", f"bias={option}"]).bias.fit(data())
+
+
+def scale() -> Array:
+    return np.sqrt(np.mean(data().residuals ** 2, axis=0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", OPTIONS)
+def test_draws_have_the_posteriors_mean_and_variance(option: str) -> None:
+    """At training inputs, which inducing points cover; tolerances are five standard errors."""
+    posterior, inputs = fitted(option), data().inputs[::10]
+    mean, variance = posterior.predict(inputs)
+    rng = np.random.default_rng(0)
+    values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale()
+    hyper = posterior._hyper
+    latent = variance / scale() ** 2 - hyper.noise_variance  # what is uncertain of the function itself
+    assert (latent > 1e-3).all()
+    error = values.mean(axis=0) - mean / scale()
+    assert (np.abs(error) < 5 * np.sqrt(latent / DRAWS)).all()
+    slack = 5 * np.sqrt(2 / DRAWS)
+    np.testing.assert_allclose(values.var(axis=0), latent, rtol=slack, atol=2e-4)
+
+
+@pytest.mark.slow
+def test_draws_have_the_posteriors_covariance() -> None:
+    """Between inputs that of the exact latent posterior; between outputs none."""
+    t = np.linspace(-3, 3, 30)
+    transitions = Transitions(t[:, None] * np.eye(7)[0], np.sin(t)[:, None] * np.ones(6))
+    posterior = simbias.load(["tracking=none"]).bias.fit(transitions)
+    inputs, scale = transitions.inputs[10:15], np.sqrt(np.mean(np.sin(t) ** 2))
+    rng = np.random.default_rng(0)
+    values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale
+    hyper, points = posterior._hyper, posterior._hyper.scale(transitions.inputs)
+    K = hyper.covariance(points, points)
+    k = K[10:15]
+    expected = k[:, 10:15] - k @ np.linalg.solve(K + hyper.noise_variance * np.eye(len(K)), k.T)
+    assert np.abs(expected[0, 1:]).max() > 0.5 * expected[0, 0]
+    got = np.mean([np.cov(values[:, :, output].T) for output in range(6)], axis=0)
+    np.testing.assert_allclose(got, expected, atol=5 * expected.max() / np.sqrt(6 * DRAWS) + 1e-4)
+    between_outputs = np.corrcoef(values[:, 0, :].T) - np.eye(6)
+    assert np.abs(between_outputs).max() < 5 / np.sqrt(DRAWS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", OPTIONS)
+def test_kernel_agrees_with_the_plain_draw(option: str) -> None:
+    draw = fitted(option).draw(np.random.default_rng(1))
+    inputs = data().inputs[:16]
+    fast = corrections(draw, inputs)
+    plain = np.array([draw.correction(x[:6], x[6:]) for x in inputs])
+    np.testing.assert_allclose(fast / scale(), plain / scale(), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_a_draw_follows_its_generator_and_is_one_function(option: str) -> None:
+    posterior, inputs = fitted(option), data().inputs[:3]
+    first, again, other = (posterior.draw(np.random.default_rng(seed)) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first.predict(inputs)[0], again.predict(inputs)[0])
+    np.testing.assert_array_equal(first.predict(inputs)[0], first.predict(inputs)[0])
+    assert (first.predict(inputs)[0] != other.predict(inputs)[0]).any()
+    assert not first.predict(inputs)[1].any()
+
+
+def test_far_from_data_a_draw_returns_to_zero() -> None:
+    """What the points leave open is not drawn, so the nominal model is trusted there, as Eq. 7 has it."""
+    draw = fitted("gp_learned").draw(np.random.default_rng(1))
+    far = np.full((1, 7), 1e3)
+    np.testing.assert_allclose(draw.predict(far)[0], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_a_rollout_on_a_draw_is_the_compiled_one(option: str) -> None:
+    """One function along a whole rollout; the compiled loop and the plain one agree on it."""
+    study = simbias.load(["tracking=none", f"bias={option}", "task.horizon=60"])
+    draw = study.bias.fit(data()).draw(np.random.default_rng(2))
+    theta, start = np.zeros(study.policy.n_parameters), study.task.start_mean
+    fast = study.simulator(draw).rollout(theta, start).states
+    x = start
+    for t in range(len(fast) - 1):
+        u = study.policy.controller(theta, 0.001)(x)
+        x = study.nominal.step(x, u) + draw.predict(np.concatenate([x, u])[None])[0][0]
+        np.testing.assert_allclose(fast[t + 1], x, rtol=0, atol=1e-5)
+    assert len(fast) > 20

@@ -1,0 +1,224 @@
+"""Section IV-B to IV-D against scikit-learn and limits that theory gives."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from in_lanes import corrections
+
+import simbias
+from simbias.config.build import build
+from simbias.core import SlowWarning
+from simbias.core.records import Array, Transitions
+from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
+from simbias.learning.bias.gp import GaussianProcess
+from simbias.learning.bias.inducing import Inducing
+from simbias.learning.bias.none import ZeroBias
+from simbias.learning.bias.posterior import exact
+from simbias.simulation.compiler.fused import compiled_loop
+from simbias.simulation.compiler.kernels import LANES
+from simbias.sweep.worker import Plan, run_plan
+from simbias.terminal.trial import slowness_in_one_line
+from simbias.trial.study import Study
+
+SCALE = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])  # of plausible states and torques
+
+
+def data(n: int, seed: int = 0) -> Transitions:
+    rng = np.random.default_rng(seed)
+    return Transitions(rng.normal(size=(n, 7)) * SCALE, rng.normal(size=(n, 6)) * 1e-3)
+
+
+def queries(k: int) -> Array:
+    return np.random.default_rng(99).normal(size=(k, 7)) * SCALE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [1, 50, 571])
+def test_agrees_with_scikit_learn(study: Study, n: int) -> None:
+    from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    gp = GaussianProcess(study.task, length_scale=[0.5, 1, 1, 2, 1, 1, 0.7], signal_variance=1.3)
+    transitions, inputs = data(n), queries(200)
+    mean, variance = gp.fit(transitions).predict(inputs)
+    scale = np.array([1, 1, 1, 1, 1, 1, 100])
+    kernel = ConstantKernel(1.3) * RBF([0.5, 1, 1, 2, 1, 1, 0.7]) + WhiteKernel(np.exp(-4))
+    reference = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
+    reference.fit(transitions.inputs / scale, transitions.residuals)
+    their_mean, their_deviation = reference.predict(inputs / scale, return_std=True)
+    np.testing.assert_allclose(mean, their_mean, rtol=0, atol=1e-8)
+    relative = variance / np.mean(transitions.residuals**2, axis=0)
+    np.testing.assert_allclose(relative, their_deviation**2, rtol=0, atol=1e-8)
+
+
+def test_without_data_the_bias_is_zero(study: Study) -> None:
+    fitted = study.bias.fit(study.no_data)
+    mean, variance = fitted.predict(queries(3))
+    assert not mean.any()
+    np.testing.assert_allclose(variance, 1 + np.exp(-4))
+    assert not fitted.correction(queries(1)[0, :6], queries(1)[0, 6:]).any()
+
+
+def test_far_from_data_the_model_is_trusted(study: Study) -> None:
+    """Eq. 7: the correction vanishes where the variance is large, and is the mean where it is small."""
+    transitions = data(400)
+    fitted = study.bias.fit(transitions)
+    far = np.full(7, 50.0) * SCALE
+    assert np.abs(fitted.correction(far[:6], far[6:])).max() < 1e-12
+    repeated = Transitions(np.repeat(transitions.inputs[:1], 500, 0), np.full((500, 6), 1e-3))
+    near = repeated.inputs[0]
+    correction = study.bias.fit(repeated).correction(near[:6], near[6:])
+    np.testing.assert_allclose(correction, 1e-3 * np.exp(-6 * np.exp(-4)), rtol=1e-3)
+
+
+def test_variance_has_the_unit_of_the_residuals(study: Study) -> None:
+    """A residual in other units is predicted in these, with the same weight in Eq. 7."""
+    transitions, x = data(50), queries(1)
+    unit = 10.0 ** np.arange(-3, 3)
+    fitted = study.bias.fit(transitions)
+    other = study.bias.fit(Transitions(transitions.inputs, transitions.residuals * unit))
+    (mean, variance), (other_mean, other_variance) = fitted.predict(x), other.predict(x)
+    np.testing.assert_allclose(other_mean, unit * mean)
+    np.testing.assert_allclose(other_variance, unit**2 * variance)
+    np.testing.assert_allclose(
+        other.correction(x[0, :6], x[0, 6:]), unit * fitted.correction(x[0, :6], x[0, 6:])
+    )
+
+
+def test_correction_is_equation_7(study: Study) -> None:
+    gp = GaussianProcess(study.task, d=0.3)
+    transitions, x = data(100), queries(1)[0]
+    fitted = gp.fit(transitions)
+    mean, variance = fitted.predict(x[None])
+    sigma = np.sqrt(variance[0] / np.mean(transitions.residuals**2, axis=0))
+    expected = np.exp(-0.3 * np.linalg.norm(sigma) ** 2) * mean[0]
+    np.testing.assert_allclose(fitted.correction(x[:6], x[6:]), expected, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::simbias.core.SlowWarning")
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 97, 571, 1200])
+def test_kernel_agrees_with_plain_correction(study: Study, n: int) -> None:
+    """Single precision: 1e-6, of sums of 1200 terms whose sizes add up to 20 (residuals here are random)."""
+    fitted = GaussianProcess(study.task, d=0.1).fit(data(n))
+    inputs = queries(LANES)
+    plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
+    np.testing.assert_allclose(corrections(fitted, inputs), plain, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_kernel_takes_more_states_than_its_panels_have_rows() -> None:
+    rng = np.random.default_rng(0)
+    transitions = Transitions(rng.standard_normal((40, 9)), rng.standard_normal((40, 8)))
+    fitted = exact(Hyperparameters(np.ones(9), np.full(9, 2.0), 1.6, 0.1, 0.1), transitions)
+    inputs = transitions.inputs[:LANES]
+    plain = fitted.correction(inputs[:, :8], inputs[:, 8:])
+    np.testing.assert_allclose(corrections(fitted, inputs, 8), plain, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("option", ["gp", "sparse_gp", "gp_learned", "sparse_gp_learned"])
+def test_without_data_the_kernel_is_that_of_no_bias(option: str) -> None:
+    """Searches before the first experiment are as fast as without learning."""
+    study = simbias.load(["tracking=none", f"bias={option}"])
+    fitted = study.bias.fit(study.no_data)
+    kernel = ZeroBias(6).kernel
+    for bias in (fitted, fitted.draw(np.random.default_rng(0))):
+        assert bias.kernel is not None
+        assert kernel is not None
+        assert bias.kernel.function is kernel.function
+        np.testing.assert_array_equal(bias.kernel.parameters, kernel.parameters)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [1, 16, 100])
+def test_a_correction_does_not_depend_on_those_beside_it(study: Study, n: int) -> None:
+    """To the last bit, whatever its lane."""
+    fitted, inputs = study.bias.fit(data(n)), queries(LANES)
+    values = corrections(fitted, inputs)
+    np.testing.assert_array_equal(corrections(fitted, inputs[::-1])[::-1], values)
+    alone = corrections(fitted, np.where(np.arange(LANES)[:, None] == 5, inputs, np.nan))
+    np.testing.assert_array_equal(alone[5], values[5])
+    plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
+    for row, correction in zip(inputs, plain, strict=True):
+        np.testing.assert_array_equal(fitted.correction(row[:6], row[6:]), correction)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40))
+@settings(max_examples=30, deadline=None)
+def test_variance_shrinks_with_data(study: Study, seed: int, n: int) -> None:
+    """More data never makes the posterior less certain (Eq. 5)."""
+    transitions, inputs = data(n + 1, seed), queries(20)
+    ones = np.ones_like(transitions.residuals)  # so that both have the same unit of variance
+    _, variance = study.bias.fit(Transitions(transitions.inputs, ones)).predict(inputs)
+    _, variance_of_fewer = study.bias.fit(Transitions(transitions.inputs[:-1], ones[:-1])).predict(inputs)
+    assert (variance <= variance_of_fewer + 1e-12).all()
+    assert (variance > 0).all()
+
+
+@pytest.mark.slow
+def test_where_the_exact_posterior_is_too_slow_it_says_so(study: Study) -> None:
+    """Once a fit, with the number of samples and what to use; the default threshold is at N = 1198."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        study.bias.fit(data(1000))
+    with pytest.warns(SlowWarning) as caught:
+        study.bias.fit(data(1200))
+    (warning,) = caught
+    assert "1200 samples" in str(warning.message)
+    assert str(warning.message).endswith("use bias=sparse_gp")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        GaussianProcess(study.task, inducing=Inducing(20)).fit(data(1200))
+
+
+def test_a_person_reads_it_in_one_line(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
+    with slowness_in_one_line():
+        study.bias.fit(data(1200))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("simbias: exact GP, 1200 samples: a search takes about 1 min")
+    assert len(line) <= 80
+
+
+@pytest.mark.slow
+def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not a line for each of hundreds of trials."""
+    monkeypatch.setattr("simbias.learning.bias.gp.PATIENCE", 0.0)
+    short = ["optimizer.max_evaluations=5", "method.max_iterations=1"]
+    trial = simbias.load(["tracking=none", *short]).composition
+    with pytest.warns(SlowWarning):
+        list(build(trial).run())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record = run_plan(Plan(trial.config, trial.choices))
+    assert record.outcome.final
+    learning = record.iterations[0].learning
+    assert learning is not None
+    assert len(learning.data) > 0
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_repeated_points_need_jitter_and_get_it(size: float) -> None:
+    """A singular covariance is factorised all the same, whatever its unit."""
+    K = np.full((50, 50), size)
+    L = stable_cholesky(K)
+    np.testing.assert_allclose(L @ L.T, K, atol=1e-6 * size)
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        stable_cholesky(-np.eye(3))
+
+
+def test_warming_up_compiles_what_a_search_needs_once_something_is_learned(study: Study) -> None:
+    """The kernel is another one with data; none of it is left for the first search through it."""
+    compiled_loop.cache_clear()
+    study.warm_up()
+    before = compiled_loop.cache_info().misses
+    for transitions in (study.no_data, data(30)):
+        model = study.model(study.bias.fit(transitions))
+        evaluation = study.evaluation.objective(model, study.cost, np.random.default_rng(0))
+        evaluation(np.zeros(study.policy.n_parameters))
+        study.simulate(np.zeros(study.policy.n_parameters), model.bias)
+    assert compiled_loop.cache_info().misses == before

@@ -1,0 +1,76 @@
+"""A residual that is learned from windows: found where there is one, none where there is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pendulum import NOISE, experiment, pendulum
+
+from simbias.core import Nominal
+from simbias.core.records import Array, Rollout
+from simbias.learning.bias.held_out import OfWindows
+from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.trial.study import Study
+
+
+class Sprung(Nominal):
+    """The double pendulum with a hardening spring in its second joint, that no parameter knows."""
+
+    def __init__(self, nominal: Nominal) -> None:
+        self._nominal = nominal
+
+    def step(self, x: Array, u: Array) -> Array:
+        torque = np.stack([np.zeros_like(x[..., 1]), -0.2 * x[..., 1] ** 3], axis=-1)
+        return self._nominal.step(x, u + torque)
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    damping = [f"nominal.drives.damping_{i}=0.05" for i in (1, 2)]
+    return pendulum("bias=held_out", "bias.points=30", *damping)
+
+
+def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
+    windows = Windows.of(rollouts, 50, 5)
+    e = predict([World(study.nominal)], windows, fitted)[0] - windows.means  # type: ignore[arg-type]
+    return float(np.sqrt(np.mean(e[:, -1, 2:] ** 2)))
+
+
+@pytest.mark.slow
+def test_it_finds_what_the_model_lacks(study: Study) -> None:
+    rng, robot = np.random.default_rng(0), Sprung(study.nominal)
+    learned = [experiment(robot, rng, 1500) for _ in range(2)]
+    fitted = study.bias.learn(study.no_data, learned, study.nominal)
+    assert isinstance(fitted, OfWindows)
+    other = [experiment(robot, rng, 500, np.zeros(4))]
+    without = error(study, study.bias.fit(study.no_data), other)
+    assert error(study, fitted, other) < 0.95 * without
+    inputs = np.concatenate([other[0].states[:-1], other[0].inputs], axis=1)[::50]
+    mean, variance = fitted.predict(inputs)
+    np.testing.assert_allclose(mean, fitted.correction(inputs[:, :4], inputs[:, 4:]), atol=1e-9)
+    draws = np.array([fitted.draw(np.random.default_rng(i)).predict(inputs)[0] for i in range(200)])
+    np.testing.assert_allclose(draws.mean(axis=0), mean, atol=5 * np.sqrt(variance.max() / 200))
+    assert (draws.std(axis=0) <= 1.3 * np.sqrt(variance) + 1e-9).all()
+    windows = Windows.of(other, 50, 5)
+    both = (run([World(study.nominal)], windows, fitted) for run in (predict, plain))
+    np.testing.assert_allclose(*both, atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_where_the_model_is_right_there_is_none(study: Study, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rollouts = [experiment(study.nominal, rng, 1000, NOISE)]
+    fitted = study.bias.learn(study.no_data, rollouts, study.nominal)
+    inputs = np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1)
+    size = np.abs(fitted.predict(inputs)[0]).max()
+    assert size == 0.0 or error(study, fitted, rollouts) < 1.02 * error(
+        study, study.bias.fit(study.no_data), rollouts
+    )
+
+
+def test_too_little_is_nothing(study: Study) -> None:
+    short = experiment(study.nominal, np.random.default_rng(0), 60)
+    for rollouts in ([], [short]):
+        fitted = study.bias.learn(study.no_data, rollouts, study.nominal)
+        assert not fitted.predict(np.ones((2, 6)))[0].any()

@@ -1,0 +1,169 @@
+"""Learned hyper-parameters against scikit-learn, finite differences, and functions of known ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import check_grad
+
+import simbias
+from simbias.core.records import Array, Transitions
+from simbias.learning.bias.covariance import Hyperparameters
+from simbias.learning.bias.likelihood import LEAST_NOISE, Learning, learn, log_marginal_likelihood
+from simbias.trial.study import Study
+
+if TYPE_CHECKING:
+    from sklearn.gaussian_process import GaussianProcessRegressor
+
+pytestmark = pytest.mark.slow
+
+FLAT = Learning(1e3, 1e3, 1e3, points=1000)  # priors that say nothing
+
+
+def medians(r: int) -> Hyperparameters:
+    return Hyperparameters(np.ones(r), np.ones(r), 1.0, np.exp(-4), 1.0)
+
+
+def drawn(hyper: Hyperparameters, N: int, outputs: int, seed: int = 0) -> Transitions:
+    """Residuals that were drawn from the process, at uniform inputs."""
+    rng = np.random.default_rng(seed)
+    inputs = rng.uniform(-2, 2, (N, len(hyper.length_scale)))
+    points = hyper.scale(inputs)
+    K = hyper.covariance(points, points) + hyper.noise_variance * np.eye(N)
+    return Transitions(inputs, np.linalg.cholesky(K) @ rng.standard_normal((N, outputs)))
+
+
+def scikit_learn(theta: Array, data: Transitions, **options) -> GaussianProcessRegressor:
+    """Their process with these hyper-parameters, as a start if it optimises them."""
+    from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    *lengths, signal, noise_ratio = np.exp(theta)
+    kernel = ConstantKernel(signal) * RBF(lengths) + WhiteKernel(signal * noise_ratio)
+    return GaussianProcessRegressor(kernel, alpha=0.0, **options).fit(data.inputs, data.residuals)
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5), st.integers(1, 25), st.integers(0, 100))
+@settings(max_examples=25, deadline=None)
+def test_likelihood_is_scikit_learns_and_its_gradient_is_that_of_finite_differences(
+    theta: list[float], N: int, seed: int
+) -> None:
+    data = drawn(medians(3), N, 2, seed)
+    value, _ = log_marginal_likelihood(np.array(theta), data.inputs, data.residuals)
+    reference = scikit_learn(np.array(theta), data, optimizer=None).log_marginal_likelihood_value_
+    assert value == pytest.approx(reference, rel=1e-9, abs=1e-9)
+    functions = [
+        lambda theta, part=part: log_marginal_likelihood(theta, data.inputs, data.residuals)[part]
+        for part in (0, 1)
+    ]
+    gradient = functions[1](np.array(theta))
+    error = check_grad(*functions, np.array(theta), epsilon=1e-6)
+    assert error < 1e-4 * max(1.0, np.linalg.norm(gradient))
+
+
+def test_optimum_is_scikit_learns() -> None:
+    data = drawn(Hyperparameters(np.ones(2), np.array([0.7, 1.5]), 1.0, 0.1, 1.0), 60, 1)
+    hyper = learn(medians(2), data, FLAT)
+    scale = np.sqrt(np.mean(data.residuals**2))
+    start = np.log([1.0, 1.0, 1.0, np.exp(-4)])
+    reference = scikit_learn(start, Transitions(data.inputs, data.residuals / scale)).kernel_
+    np.testing.assert_allclose(hyper.length_scale, reference.k1.k2.length_scale, rtol=1e-3)
+    assert hyper.signal_variance == pytest.approx(reference.k1.k1.constant_value, rel=1e-3)
+    assert hyper.noise_variance == pytest.approx(reference.k2.noise_level, rel=1e-3)
+
+
+def test_known_hyperparameters_are_found_again() -> None:
+    """With shared hyper-parameters, 200 points of six outputs fix them to 15%, but the signal's variance."""
+    truth = Hyperparameters(np.ones(3), np.array([0.5, 1.0, 3.0]), 1.0, 0.05, 1.0)
+    data = drawn(truth, 200, 6)
+    hyper = learn(medians(3), data, FLAT)
+    per_mean_square = np.mean(1 / np.mean(data.residuals**2, axis=0))  # the unit of the learned variances
+    np.testing.assert_allclose(hyper.length_scale, truth.length_scale, rtol=0.15)
+    assert hyper.signal_variance == pytest.approx(truth.signal_variance * per_mean_square, rel=0.3)
+    assert hyper.noise_variance == pytest.approx(truth.noise_variance * per_mean_square, rel=0.15)
+
+
+def test_prior_rules_without_data_and_yields_to_it() -> None:
+    truth = Hyperparameters(np.ones(3), np.full(3, 0.3), 1.0, 0.05, 1.0)
+    data = drawn(truth, 150, 3)
+    nothing = Transitions(data.inputs[:0], data.residuals[:0])
+    np.testing.assert_allclose(learn(medians(3), nothing, Learning()).length_scale, 1.0)
+    sure, unsure = (
+        np.abs(np.log(learn(medians(3), data, Learning(deviation)).length_scale / 0.3)).max()
+        for deviation in (1e-2, 1.0)
+    )
+    assert unsure < 0.2 < sure
+
+
+def test_what_is_learned_is_the_mode_of_likelihood_and_prior() -> None:
+    """The prior's pull on each logarithm is the likelihood's slope."""
+    data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
+    y = data.residuals / np.sqrt(np.mean(data.residuals**2, axis=0))
+    for deviation in (1.0, 0.5):
+        hyper = learn(medians(2), data, Learning(deviation, deviation, deviation))
+        ratio = hyper.noise_variance / hyper.signal_variance
+        theta = np.log([*hyper.length_scale, hyper.signal_variance, ratio])
+        _, slope = log_marginal_likelihood(theta, data.inputs, y)
+        pull = (theta - [0.0, 0.0, 0.0, -4.0]) / deviation**2
+        assert np.abs(pull).max() > 1
+        np.testing.assert_allclose(slope, pull, atol=0.02)
+
+
+def test_what_has_no_deviation_is_kept() -> None:
+    data = drawn(Hyperparameters(np.ones(2), np.full(2, 0.5), 1.0, 0.3, 1.0), 80, 2)
+    before, every = medians(2), learn(medians(2), data, Learning())
+    assert (every.length_scale != 1).all()
+    lengths_kept = learn(before, data, Learning(length_scale=0))
+    np.testing.assert_allclose(lengths_kept.length_scale, 1.0, rtol=1e-12)
+    assert lengths_kept.noise_variance > 2 * before.noise_variance
+    for known in (before, replace(before, signal_variance=2.5)):
+        all_kept = learn(known, data, Learning(0, 0, 0))
+        assert all_kept.signal_variance == pytest.approx(known.signal_variance, rel=1e-12)
+        assert all_kept.noise_variance == pytest.approx(known.noise_variance, rel=1e-12)
+
+
+@pytest.mark.parametrize("N", [0, 1, 2, 15])
+@pytest.mark.parametrize("kind", ["zero", "constant", "one of them zero", "noise"])
+@pytest.mark.parametrize("option", ["gp_learned", "sparse_gp_learned"])
+def test_few_samples_and_constant_outputs_are_learned_from(N: int, kind: str, option: str) -> None:
+    study = simbias.load(["tracking=none", f"bias={option}"])
+    rng = np.random.default_rng(N)
+    residuals = {
+        "zero": np.zeros((N, 6)),
+        "constant": np.full((N, 6), 1e-3),
+        "one of them zero": 1e-3 * rng.standard_normal((N, 6)) * (np.arange(6) != 2),
+        "noise": 1e-3 * rng.standard_normal((N, 6)),
+    }[kind]
+    inputs = rng.standard_normal((N, 7))
+    fitted = study.bias.fit(Transitions(inputs, residuals))
+    mean, variance = fitted.predict(inputs)
+    assert np.isfinite(mean).all()
+    assert (variance >= 0).all()
+    if kind == "constant":
+        np.testing.assert_allclose(mean, residuals, rtol=0.05)
+    if kind == "zero":
+        assert not mean.any()
+    values = [value for name, value in fitted.diagnostics.items() if name.startswith("length_scale_")]
+    assert len(values) == 7
+    assert (np.array(values) > 0).all()
+
+
+def test_it_is_deterministic_and_noise_stays_resolvable(study: Study) -> None:
+    """Without noise its variance ends at the bound, not at zero; inputs are scaled as the task says."""
+    rng = np.random.default_rng(3)
+    inputs = rng.uniform(-1, 1, (120, 7)) * [0.3, 0.3, 0.3, 1, 1, 1, 30]
+    data = Transitions(inputs, 1e-3 * np.sin(inputs[:, :6] + inputs[:, 6:] / 100))
+    learner = simbias.load(["tracking=none", "bias=gp_learned"]).bias
+    first, again = learner.fit(data).diagnostics, learner.fit(data).diagnostics
+    assert first == again
+    assert first["noise_variance"] >= LEAST_NOISE * first["signal_variance"] * (1 - 1e-9)
+    errors = []
+    for bias in (study.bias, learner):
+        mean, _ = bias.fit(Transitions(data.inputs[:80], data.residuals[:80])).predict(data.inputs[80:])
+        errors.append(np.sqrt(np.mean((mean - data.residuals[80:]) ** 2)))
+    assert errors[1] < errors[0] / 2

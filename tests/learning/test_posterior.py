@@ -1,0 +1,233 @@
+"""Identified parameters against the truth that experiments were simulated with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pendulum import experiment, pendulum, truth, with_a_fall
+
+import simbias
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.posterior import Identified, Problem
+from simbias.learning.prediction_errors import FREEDOM, Errors, correlation_time
+from simbias.simulation.open_loop import Windows
+from simbias.trial.model_selection import WAYS, learn, likeliest, log_likelihoods
+from simbias.trial.study import Study
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return pendulum("identification=posterior")
+
+
+def identified(study: Study, seed: int, frames: int = 1000) -> tuple[Identified, Array, Rollout]:
+    """A model identified from one experiment, the robot's parameters, another experiment with it."""
+    rng = np.random.default_rng(seed)
+    robot, values = truth(study.nominal, rng)
+    fitted = study.identification.fit(study.nominal, [experiment(robot, rng, frames)])
+    assert isinstance(fitted, Identified)
+    return fitted, values, experiment(robot, rng, 300, np.zeros(4))
+
+
+def prediction_error(nominal: object, rollout: Rollout) -> float:
+    return float(np.abs(nominal.step(rollout.states[:-1], rollout.inputs) - rollout.states[1:])[:, 2:].mean())  # type: ignore[attr-defined]
+
+
+def test_it_predicts_what_it_has_not_seen(study: Study) -> None:
+    fitted, _, other = identified(study, 3)
+    assert prediction_error(fitted, other) < 0.1 * prediction_error(study.nominal, other)
+    x, u = other.states[5], other.inputs[5]
+    np.testing.assert_array_equal(fitted.advance(x, u, np.empty(0))[0], fitted.step(x, u))
+
+
+def test_draws_are_as_uncertain_as_the_estimates(study: Study) -> None:
+    fitted, _, _ = identified(study, 4, 300)
+    names = [estimate.name for estimate in fitted.estimates]
+    values = np.array(
+        [fitted.draw(np.random.default_rng(i))._values[name] for i in range(300) for name in names]
+    )  # type: ignore[attr-defined]
+    inside = [
+        np.mean((own >= estimate.low) & (own <= estimate.high))
+        for own, estimate in zip(values.reshape(300, -1).T, fitted.estimates, strict=True)
+    ]
+    np.testing.assert_allclose(inside, 0.9, atol=0.06)
+
+
+def test_narrowed_draws_lie_nearer_to_the_mode(study: Study) -> None:
+    """The same draw, at half of the distance in the coordinates in which the posterior is normal."""
+    fitted, _, _ = identified(study, 4, 300)
+    narrow = fitted.narrowed(0.5)
+    np.testing.assert_array_equal(narrow.mode, fitted.mode)
+    np.testing.assert_allclose(narrow.covariance, fitted.covariance / 4, rtol=1e-12)
+    for far, near in zip(fitted.estimates, narrow.estimates, strict=True):
+        assert far.low < near.low <= near.value == far.value <= near.high < far.high
+
+
+def test_without_a_whole_window_or_parameters_it_is_the_model_itself(study: Study) -> None:
+    robot, _ = truth(study.nominal, np.random.default_rng(0))
+    short = experiment(robot, np.random.default_rng(0), 30)
+    fit = study.identification.fit
+    assert fit(study.nominal, []) is study.nominal
+    assert fit(study.nominal, [short]) is study.nominal
+    assert fit(robot.with_parameters(np.array([p.value for p in robot.parameters])), []) is not None
+
+
+def test_experiments_that_fell_count_as_others(study: Study) -> None:
+    rng = np.random.default_rng(1)
+    robot, _ = truth(study.nominal, rng)
+    whole = experiment(robot, rng, 250)
+    one, other = (study.identification.fit(study.nominal, [r]) for r in (whole, with_a_fall(whole)))
+    assert one.estimates == other.estimates
+
+
+def test_an_outlier_counts_little(study: Study) -> None:
+    """A blow that no model knows, in one window."""
+    rng = np.random.default_rng(2)
+    robot, _ = truth(study.nominal, rng)
+    clean = experiment(robot, rng, 500)
+    hit = clean.states.copy()
+    hit[310:] += np.array([0.3, 0.3, 5.0, 5.0])
+    models = [study.identification.fit(study.nominal, [r]) for r in (clean, Rollout(hit, clean.inputs))]
+    other = experiment(robot, rng, 200, np.zeros(4))
+    before, after = (prediction_error(model, other) for model in models)
+    assert after < 0.3 * prediction_error(study.nominal, other)
+    assert before < 0.3 * prediction_error(study.nominal, other)
+
+
+@pytest.mark.slow
+def test_the_posterior_covers_the_truth(study: Study) -> None:
+    """Ranks of true parameters in their posteriors are uniform, as far as 24 robots tell."""
+    from scipy.stats import kstest  # lazily: it takes a second
+
+    ranks = []
+    for seed in range(24):
+        fitted, values, _ = identified(study, 100 + seed, 500)
+        draws = [fitted.draw(np.random.default_rng(i)) for i in range(99)]
+        names = [parameter.name for parameter in fitted.parameters]
+        drawn = np.array([[draw._values[name] for name in names] for draw in draws])  # type: ignore[attr-defined]
+        ranks.append(np.mean(drawn < values, axis=0))
+    ranks = np.array(ranks)
+    within = np.mean((ranks > 0.05) & (ranks < 0.95))
+    assert 0.82 < within < 0.98
+    assert kstest(ranks.ravel(), "uniform").statistic < 0.12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 8])
+def test_the_posterior_is_that_of_markov_chains(study: Study, seed: int) -> None:
+    """The density's normal approximation against walkers, which use neither derivatives nor normality."""
+    rng = np.random.default_rng(seed)
+    robot, _ = truth(study.nominal, rng)
+    rollout = experiment(robot, rng, 500)
+    fitted = study.identification.fit(study.nominal, [rollout])
+    assert isinstance(fitted, Identified)
+    windows = Windows.of([rollout], 50, 5)
+    problem = Problem.at(study.nominal, windows, fitted.mode, FREEDOM)
+    covariance = np.linalg.inv(problem.precision(fitted.mode))
+    z = walk(problem.log_densities, fitted.mode, covariance, rng)
+    deviations = np.sqrt(np.diag(covariance))
+    assert np.all(np.abs(z.mean(axis=0) - fitted.mode) < 0.5 * deviations)
+    np.testing.assert_allclose(np.std(z, axis=0), deviations, rtol=0.35)
+    within = np.abs(z - fitted.mode) < 1.645 * deviations
+    assert 0.85 < within.mean() < 0.95
+
+
+def walk(
+    log_densities: Callable[[Array], Array],
+    start: Array,
+    covariance: Array,
+    rng: np.random.Generator,
+    walkers: int = 64,
+    steps: int = 600,
+) -> Array:
+    """Draws by stretch moves of an ensemble, from a wide start (J. Goodman and J. Weare, 2010)."""
+    p, half = len(start), walkers // 2
+    z = start + 2.0 * rng.standard_normal((walkers, p)) @ np.linalg.cholesky(covariance).T
+    values, kept = log_densities(z), []
+    for step in range(steps):
+        for own, others in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
+            stretch = (1.0 + rng.random(half)) ** 2 / 2.0
+            others_z = z[others][rng.integers(half, size=half)]
+            proposed = others_z + stretch[:, None] * (z[own] - others_z)
+            there = log_densities(proposed)
+            chance = (p - 1) * np.log(stretch) + there - values[own]
+            moved = np.log(rng.random(half)) < chance
+            z[own] = np.where(moved[:, None], proposed, z[own])
+            values[own] = np.where(moved, there, values[own])
+        if step >= steps // 3:
+            kept.append(z.copy())
+    return np.concatenate(kept)
+
+
+def test_the_share_of_new_windows() -> None:
+    """1 of independent errors, (1 - a) / (1 + a) of errors that keep a of the error before."""
+    rng, a = np.random.default_rng(0), 0.8
+    e = rng.standard_normal((4000, 5))
+    same = np.zeros(4000, np.int64)
+    assert correlation_time(e, same) == pytest.approx(1.0, abs=0.15)
+    for t in range(1, len(e)):
+        e[t] = a * e[t - 1] + np.sqrt(1 - a * a) * e[t]
+    assert correlation_time(e, same) == pytest.approx((1 + a) / (1 - a), rel=0.25)
+
+
+def test_likelihood_is_students() -> None:
+    """Against SciPy's density, at the estimated scale."""
+    from scipy.stats import multivariate_t
+
+    rng = np.random.default_rng(0)
+    rollout = Rollout(rng.standard_normal((401, 2)), rng.standard_normal((400, 1)))
+    windows = Windows.of([rollout], 10, 5)
+    e = rng.standard_normal((40, 2, 2))
+    errors = Errors.of(e, windows)
+    exact = multivariate_t(np.zeros(4), errors.factor @ errors.factor.T, df=4 * FREEDOM)
+    np.testing.assert_allclose(errors.log_likelihoods(e), exact.logpdf(e.reshape(40, 4)), rtol=1e-9)
+
+
+def test_evidence_prefers_what_predicts(study: Study) -> None:
+    """Wrong masses and friction: identified parameters. Nothing is left for a bias, which is then none."""
+    rng = np.random.default_rng(5)
+    robot, _ = truth(study.nominal, rng)
+    rollouts = [experiment(robot, rng, 300) for _ in range(3)]
+    study = pendulum("identification=posterior", "bias=none")
+    values = log_likelihoods(study, rollouts)
+    assert list(values) == list(WAYS)
+    assert values["identified parameters"] > values["declared models"] + 5
+    assert likeliest(values).identifies
+    assert learn(study, likeliest(values), rollouts, [rollouts]).model.nominal.estimates
+    assert log_likelihoods(study, [experiment(robot, rng, 30)]) == {}
+    assert likeliest({}) == WAYS["parameters and residual"]
+
+
+@pytest.mark.slow
+def test_lag_and_delay_of_the_bongoboard_are_identified() -> None:
+    """Hidden states: simulated from the commands, through true and measured states."""
+    spreads = {"lag": 0.02, "delay": 0.02, "motor_gain": 0.3}
+    study = simbias.load(
+        ["tracking=none", "identification=posterior"]
+        + [f"nominal.uncertainty.{name}={value}" for name, value in spreads.items()]
+    )
+    names = [parameter.name for parameter in study.nominal.parameters]
+    values = np.array([parameter.value for parameter in study.nominal.parameters])
+    values[[names.index(name) for name in ("lag", "delay", "motor_gain", "foot_mass")]] = (
+        0.015,
+        0.008,
+        0.8,
+        0.5,
+    )
+    robot = study.nominal.with_parameters(values)
+    for noise in (np.zeros(6), np.array([1e-3] * 3 + [0.03] * 3)):
+        rng, rollouts = np.random.default_rng(0), []
+        for _ in range(4):
+            x, memory, states = study.task.draw_start(rng), np.zeros(robot.memory_size), []
+            u = np.repeat(20.0 * rng.standard_normal((15, 1)), 40, axis=0)
+            for each in u:
+                states.append(x)
+                x, memory = robot.advance(x, each, memory)
+            measured = np.array([*states, x]) + noise * rng.standard_normal((len(u) + 1, 6))
+            rollouts.append(Rollout(measured, u, sensed=bool(noise.any())))
+        fitted = study.identification.fit(study.nominal, rollouts)
+        found = {estimate.name: estimate.value for estimate in fitted.estimates}
+        assert found["lag"] == pytest.approx(0.015, abs=0.002)
+        assert found["delay"] == pytest.approx(0.008, abs=0.002)

@@ -1,0 +1,246 @@
+"""Section IV-C: what is learned from, and why the rest is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import simbias
+from simbias.core import Nominal
+from simbias.core.records import Array, Rollout, Transitions
+from simbias.learning.samples.thresholds import Thresholds, Windows, line_weights
+from simbias.trial.study import Study
+
+LIMITS = {"distance": 0.5, "body_angle": 0.3, "board_angle": 0.2, "speed": 2.0}
+
+
+def rollout_through(study: Study, states: list[list[float]], deviation: float = 0.0) -> Rollout:
+    """A made-up experiment: each state is followed by what the nominal model predicts, plus a deviation."""
+    rows = []
+    for state in states:
+        x = np.array(state)
+        rows += [x, study.nominal.step(x, np.zeros(1)) + np.array([0, 0, 0, deviation, 0, 0])]
+    return Rollout(np.array(rows), np.zeros((len(rows) - 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("state", "criterion"),
+    [
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], None),
+        ([0.0, 0.0, 0.51, 0.0, 0.0, 0.0], "distance"),
+        ([0.1, 0.0, 0.21, 0.0, 0.0, 0.0], "body_angle"),
+        ([0.21, 0.0, -0.2, 0.0, 0.0, 0.0], "board_angle"),
+        ([0.0, 0.0, 0.0, 1.5, 1.5, 0.0], "speed"),
+        ([0.0, 0.38, -0.3, 0.0, 0.0, 0.0], "board_angle"),
+        ([2.7, -2.7, 0.0, 0.0, 0.0, 0.0], "board_leaves_wheel"),
+        ([0.9, 0.0, 0.0, 0.0, 0.0, 0.0], "board_touches_ground"),
+    ],
+)
+def test_each_criterion_rejects_and_is_counted(
+    study: Study, state: list[float], criterion: str | None
+) -> None:
+    samples = Thresholds(study.task, stride=2, limits=LIMITS, residual=0.01)
+    selection = samples.select([rollout_through(study, [state])], study.nominal)
+    assert selection.sampled == 1
+    assert {name for name, count in selection.rejected.items() if count} == (
+        {criterion} if criterion else set()
+    )
+    assert len(selection.transitions) == (criterion is None)
+
+
+def test_a_state_at_a_limit_is_within_it(study: Study) -> None:
+    samples = Thresholds(study.task, stride=1, limits=LIMITS, residual=1.0)
+    for angle, rejected in ((0.2, 0), (np.nextafter(0.2, 1.0), 2)):
+        states = np.tile([angle, 0.0, -0.2, 0.0, 0.0, 0.0], (3, 1))
+        selection = samples.select([Rollout(states, np.zeros((2, 1)))], Still())
+        assert selection.rejected["board_angle"] == rejected
+
+
+def test_outliers_are_rejected(study: Study) -> None:
+    """Criterion 7: the distance from the Lagrangian model's prediction."""
+    samples = Thresholds(study.task, stride=2, residual=0.01)
+    kept = samples.select([rollout_through(study, [[0.0] * 6], 0.0099)], study.nominal)
+    lost = samples.select([rollout_through(study, [[0.0] * 6], 0.0101)], study.nominal)
+    np.testing.assert_allclose(kept.transitions.residuals, [[0, 0, 0, 0.0099, 0, 0]], atol=1e-12)
+    assert lost.rejected["residual"] == 1
+
+
+def test_residuals_are_equation_6(study: Study) -> None:
+    rng = np.random.default_rng(0)
+    states, inputs = 0.05 * rng.normal(size=(8, 6)), rng.normal(size=(7, 1))
+    samples = Thresholds(study.task, stride=1, residual=10.0)
+    transitions = samples.select([Rollout(states, inputs)], study.nominal).transitions
+    np.testing.assert_array_equal(transitions.inputs, np.hstack([states[:-1], inputs]))
+    for residual, x, u, x_next in zip(transitions.residuals, states, inputs, states[1:], strict=False):
+        np.testing.assert_allclose(residual, x_next - study.nominal.step(x, u), rtol=1e-12)
+
+
+def test_the_failing_contact_is_rejected_by_its_own_criterion(study: Study) -> None:
+    """The engine saw the contact end: no state shows it, the rollout's failure does."""
+    rollout = rollout_through(study, [[0.0] * 6, [0.0] * 6])
+    failed = replace(rollout, failed_at=rollout.frames, failure="board_leaves_wheel")
+    selection = Thresholds(study.task, stride=1, residual=1.0).select([failed], study.nominal)
+    assert selection.rejected["board_leaves_wheel"] == 1
+    assert len(selection.transitions) == rollout.frames - 1
+
+
+@pytest.mark.parametrize(("stride", "expected"), [(1, 100), (35, 3), (99, 2), (100, 1), (1000, 1)])
+def test_downsampling(study: Study, stride: int, expected: int) -> None:
+    rollout = Rollout(np.zeros((101, 6)), np.zeros((100, 1)))
+    selection = Thresholds(study.task, stride=stride).select([rollout], study.nominal)
+    assert (selection.frames, selection.sampled) == (100, expected)
+
+
+# Measured states
+
+
+class Still(Nominal):
+    """Nothing moves: residuals are steps."""
+
+    def step(self, x: Array, u: Array) -> Array:
+        return x
+
+
+def measured(states: Array, inputs: Array | None = None) -> Rollout:
+    inputs = np.zeros((len(states) - 1, 1)) if inputs is None else inputs
+    return Rollout(states, inputs, measured=states, sensed=True)
+
+
+@pytest.mark.parametrize("window", [1, 2, 35, 71])
+def test_weights_are_those_of_the_least_squares_line(window: int) -> None:
+    weights, states = line_weights(window), np.random.default_rng(0).normal(size=window + 1)
+    assert weights.sum() == pytest.approx(1)
+    assert weights @ np.diff(states) == pytest.approx(np.polyfit(np.arange(window + 1), states, 1)[0])
+
+
+@pytest.mark.parametrize("window", [1, 35, 71])
+def test_noise_in_the_residuals_falls_as_the_line_has_it(study: Study, window: int) -> None:
+    """12 s^2 / (w (w+1) (w+2)), in 99.9 % of all seeds: the samples are independent."""
+    from scipy.stats import chi2  # lazily: it takes a second
+
+    deviation, count = 1e-3, 200
+    states = deviation * np.random.default_rng(0).standard_normal((count * (window + 1) + 1, 6))
+    samples = Thresholds(study.task, stride=window + 1, window=Windows(measured=window))
+    residuals = samples.select([measured(states)], Still()).transitions.residuals
+    assert residuals.shape == (count, 6)
+    variance = 12 * deviation**2 / (window * (window + 1) * (window + 2))
+    lower, upper = chi2.interval(0.999, residuals.size)
+    assert lower < np.sum(residuals**2) / variance < upper
+
+
+def test_a_window_finds_an_affine_bias_at_its_mean_state_and_input(study: Study) -> None:
+    """However the input jumps."""
+    rng, window = np.random.default_rng(0), 71
+    bias = 1e-3 * rng.normal(size=(6, 7))
+    states, inputs = [0.01 * rng.normal(size=6)], rng.normal(size=(200, 1))
+    for u in inputs:
+        states.append(study.nominal.step(states[-1], u) + bias @ np.append(states[-1], u))
+    samples = Thresholds(study.task, stride=1, residual=1.0, window=Windows(measured=window))
+    found = samples.select([measured(np.array(states), inputs)], study.nominal).transitions
+    assert len(found) == 200 - window + 1
+    np.testing.assert_allclose(found.residuals, found.inputs @ bias.T, rtol=0, atol=1e-12)
+    weights = line_weights(window)
+    np.testing.assert_allclose(found.inputs[0], [*(weights @ states[:window]), *(weights @ inputs[:window])])
+
+
+@pytest.mark.parametrize("sensed", [False, True])
+def test_only_measured_states_are_averaged(study: Study, sensed: bool) -> None:
+    states = 0.001 * np.random.default_rng(0).normal(size=(101, 6))
+    rollout = replace(measured(states), sensed=sensed)
+    samples = Thresholds(study.task, stride=10, window=Windows(true_state=1, measured=20))
+    assert samples.select([rollout], Still()).sampled == (9 if sensed else 10)
+
+
+def test_an_experiment_shorter_than_a_window_teaches_nothing(study: Study) -> None:
+    assert study.samples.select([measured(np.zeros((71, 6)))], study.nominal).sampled == 0
+    assert study.samples.select([measured(np.zeros((72, 6)))], study.nominal).sampled == 1
+
+
+def test_windows_recover_the_residual_that_single_steps_lose(study: Study) -> None:
+    """Table II's fifth row on the real thing: the error of the residuals against the truth's, in a window."""
+    noise = ["hardware.noise.angle_variance=1e-6", "hardware.noise.velocity_variance=1e-3"]
+    noisy = simbias.load(["tracking=none", "task.horizon=1500", *noise])
+    theta = np.array([8.1, 4.8, -6.7, -0.4, -5.6])
+    true = noisy.experiment(theta, np.random.default_rng(0))
+    assert true.measured is not None
+    real = replace(true, states=true.measured, sensed=True)
+
+    def residuals(rollout: Rollout, window: int) -> Array:
+        samples = Thresholds(study.task, residual=1e9, window=Windows(window, window))
+        return samples.select([rollout], study.nominal).transitions.residuals[:, 3:]
+
+    def error(window: int) -> float:
+        truth = residuals(true, window)
+        return float(np.linalg.norm(residuals(real, window) - truth) / np.linalg.norm(truth))
+
+    assert error(1) > 5
+    assert error(71) < 0.2
+
+
+# Selection by information
+
+
+def test_information_keeps_as_many_samples_farther_apart(study: Study) -> None:
+    """A robot that rests for most of the time: the same counts, but the motion is seen."""
+    rng = np.random.default_rng(0)
+    moving = 0.3 * rng.uniform(-1, 1, size=(60, 6))
+    states = np.concatenate([1e-4 * rng.normal(size=(941, 6)), moving])
+    rollouts = [Rollout(states, np.zeros((1000, 1)))]
+    by_stride, by_information = (
+        Thresholds(study.task, stride=20, residual=1.0, selection=selection).select(rollouts, Still())
+        for selection in ("stride", "information")
+    )
+    assert len(by_information.transitions) == len(by_stride.transitions) == 50
+    assert by_information.sampled == by_stride.sampled
+    assert by_information.rejected == by_stride.rejected
+
+    def gap(data: Transitions) -> float:  # from any of the moving states to the nearest sample
+        return float(np.linalg.norm(moving[:-1, None] - data.inputs[None, :, :6], axis=2).min(axis=1).max())
+
+    assert gap(by_information.transitions) < 0.7 * gap(by_stride.transitions)
+    assert len(np.unique(by_information.transitions.inputs, axis=0)) == 50
+
+
+def test_information_chooses_the_farthest_again_and_again(study: Study) -> None:
+    """From the first on, each the farthest from those before it: all distances written out."""
+    rng = np.random.default_rng(1)
+    states = np.cumsum(0.01 * rng.normal(size=(41, 6)), axis=0)
+    samples = Thresholds(study.task, stride=4, residual=10.0, selection="information")
+    chosen = samples.select([Rollout(states, np.zeros((40, 1)))], Still()).transitions.inputs[:, :6]
+    expected = [0]
+    while len(expected) < 10:
+        gaps = [min(np.linalg.norm(state - states[i]) for i in expected) for state in states[:-1]]
+        expected.append(int(np.argmax(gaps)))
+    np.testing.assert_array_equal(chosen, states[sorted(expected)])
+
+
+def test_information_never_chooses_what_the_criteria_reject(study: Study) -> None:
+    states = np.zeros((101, 6))
+    states[1::2, 2] = 0.6  # farther than the limit, every other frame
+    limits = {"body_angle": 0.5}
+    samples = Thresholds(study.task, stride=5, limits=limits, residual=1.0, selection="information")
+    steady = np.repeat(states[::2], 2, axis=0)[:101] + np.linspace(0, 0.1, 101)[:, None]
+    selection = samples.select(
+        [Rollout(states, np.zeros((100, 1))), Rollout(steady, np.zeros((100, 1)))], Still()
+    )
+    assert selection.rejected["body_angle"] == 20
+    assert len(selection.transitions) == 20
+    assert np.abs(selection.transitions.inputs[:, 2]).max() < 0.5
+
+
+def test_information_measures_inputs_in_units_of_their_limits(study: Study) -> None:
+    """1 N m of 100 is less than 0.1 rad."""
+    states, inputs = np.zeros((41, 6)), np.zeros((40, 1))
+    inputs[10], states[20, 2] = 1.0, 0.1
+    samples = Thresholds(study.task, stride=20, residual=1.0, selection="information")
+    chosen = samples.select([Rollout(states, inputs)], Still()).transitions.inputs
+    np.testing.assert_array_equal(chosen[:, 2], [0.0, 0.1])
+
+
+def test_nothing_comes_from_nothing(study: Study) -> None:
+    selection = study.samples.select([], study.nominal)
+    assert selection.transitions.inputs.shape == (0, 7)
+    assert selection.transitions.residuals.shape == (0, 6)
+    assert set(selection.rejected) == {c.name for c in study.task.criteria} | {"residual"}

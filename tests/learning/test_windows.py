@@ -1,0 +1,262 @@
+"""What learning from windows is made of, against differences, plain sums and limits that theory gives."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simbias.core import Nominal
+from simbias.core.records import Array, Rollout, Transitions
+from simbias.learning.bias.covariance import Hyperparameters
+from simbias.learning.bias.held_out import HeldOut, OfWindows, _Fits, _outliers, features, root
+from simbias.learning.bias.posterior import Drawn
+from simbias.learning.bias.sensitivity import Sensitivity
+from simbias.learning.prediction_errors import Errors, correlation_time
+from simbias.simulation.open_loop import Windows, World, predict
+
+NO_DATA = Transitions(np.empty((0, 3)), np.empty((0, 2)))
+
+
+class Oscillator(Nominal):
+    """A hardening spring, driven through a lag that its memory keeps."""
+
+    memory_size = 1
+
+    def __init__(self, missing: float = 0.0) -> None:
+        self._missing = missing  # a force that the model does not know
+
+    def step(self, x: Array, u: Array) -> Array:
+        return self.advance(x, u, u)[0]
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        force = memory + 0.3 * (u - memory)
+        pull = force[..., 0] - 4.0 * x[..., 0] - 9.0 * x[..., 0] ** 3 + self._missing * np.cos(x[..., 0])
+        velocity = 0.99 * x[..., 1] + 0.02 * pull
+        return np.stack([x[..., 0] + 0.02 * velocity, velocity], axis=-1), force
+
+
+def experiment(nominal: Nominal, frames: int, seed: int) -> Rollout:
+    rng = np.random.default_rng(seed)
+    u = 3.0 * np.sin(rng.uniform(1, 4) * 0.02 * np.arange(frames))[:, None]
+    states, memory = [rng.uniform(-0.5, 0.5, 2)], np.zeros(1)
+    for each in u:
+        x, memory = nominal.advance(states[-1], each, memory)
+        states.append(x + 1e-3 * rng.standard_normal(2))
+    return Rollout(np.array(states), u)
+
+
+def hyper(r: int = 3) -> Hyperparameters:
+    return Hyperparameters(np.array([0.5, 1.0, 3.0])[:r], np.full(r, 1.5), 1.0, 0.0, 0.0)
+
+
+def points(R: int) -> Array:
+    return np.random.default_rng(7).uniform(-1, 1, (R, 3))
+
+
+def task(time_step: float = 0.02) -> Any:
+    return SimpleNamespace(time_step=time_step)
+
+
+def test_sensitivities_are_those_of_differences() -> None:
+    """With a memory, and more windows than are differentiated together."""
+    nominal, Z = Oscillator(), points(3)
+    windows = Windows.of([experiment(nominal, frames, frames) for frames in (320, 130)], 6, 3)
+    sensitivity = Sensitivity.of(nominal, windows, features(hyper(), Z))
+    assert len(sensitivity.parts) == 2
+    U, small, columns = root(hyper(), Z), 1e-4, []
+    for weights in small * np.eye(6):  # of three functions in each of two states
+        W = U.T @ weights.reshape(2, 3).T
+        there, back = (predict([World(nominal)], windows, Drawn(hyper(), Z, sign * W))[0] for sign in (1, -1))
+        columns.append((there - back) / (2 * small))
+    expected = np.stack(columns, axis=-1)  # (w, J, n, n R)
+    got = np.concatenate(sensitivity.parts)
+    np.testing.assert_allclose(got, expected, atol=1e-4 * np.abs(expected).max())
+    factor = np.tril(np.random.default_rng(0).uniform(1, 2, (4, 4)))
+    np.testing.assert_allclose(
+        sensitivity.whiten(Errors(factor)), np.linalg.solve(factor, got.reshape(len(got), 4, 6))
+    )
+
+
+def fits(fold: Array) -> tuple[_Fits, Array, Array, Array]:
+    """Regressions of random numbers; their rows, weighted as they should be, and what else they share."""
+    rng, w = np.random.default_rng(3), len(fold)
+    parts, left = rng.standard_normal((w, 2, 2, 6)), rng.standard_normal((w, 2, 2))
+    left[::4] *= 5.0
+    factor = np.tril(rng.uniform(1, 2, (4, 4)))
+    errors, experiments = Errors(factor, share=0.5), np.repeat([0, 1], [w - 5, 5])
+    made = _Fits.of(Sensitivity([parts[:3], parts[3:]]), left, errors, fold, experiments)
+    A = np.linalg.solve(factor, parts.reshape(w, 4, 6))
+    b = np.linalg.solve(factor, left.reshape(w, 4, 1))[..., 0]
+    weights = np.sqrt(2.0 / (1.0 + np.mean(b**2, axis=1)))  # Student's t, of freedom 1
+    return made, A * weights[:, None, None], b * weights[:, None], experiments
+
+
+def ridge(A: Array, b: Array, signal: Array) -> tuple[Array, Array]:
+    A, b = A.reshape(-1, 6), b.ravel()
+    precision = 0.5 * A.T @ A + np.diag(np.repeat(1 / signal**2, 3))
+    return np.linalg.solve(precision, 0.5 * A.T @ b), np.linalg.inv(precision)
+
+
+@pytest.mark.parametrize("without", [None, 0, 2])
+def test_weights_have_the_posterior_of_what_is_not_left_out(without: int | None) -> None:
+    """Half of each window is told anew, so its products count half."""
+    fold, signal = np.repeat([0, 1, 2], 4), np.array([0.5, 3.0])
+    made, A, b, _ = fits(fold)
+    for got, expected in zip(
+        made.posterior(signal, without), ridge(A[fold != without], b[fold != without], signal), strict=True
+    ):
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_gain_is_that_of_windows_that_were_left_out() -> None:
+    """Window by window, each predicted by a fit without its fold; less one standard error."""
+    fold, signal = np.repeat([0, 1, 2], 4), np.array([0.5, 3.0])
+    made, A, b, experiments = fits(fold)
+    gains = []
+    for i, own in enumerate(fold):
+        mean, _ = ridge(A[fold != own], b[fold != own], signal)
+        gains.append(np.sum(b[i] ** 2) - np.sum((b[i] - A[i] @ mean) ** 2))
+    deviations = np.array(gains) - np.mean(gains)
+    error = np.std(gains) * np.sqrt(correlation_time(deviations[:, None], experiments) / len(gains))
+    assert made.gain(signal) == pytest.approx(np.mean(gains) - error, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "window", "chunk", "segment"),
+    [
+        ({}, 5, 1, 10),
+        ({"chunks": 2}, 4, 2, 10),  # whole chunks
+        ({"window": 0.2, "chunks": 3}, 9, 3, 5),
+        ({"window": 0.001, "segment": 0.0004}, 1, 1, 1),  # shorter than a frame
+    ],
+)
+def test_durations_are_rounded_to_frames(options: Any, window: int, chunk: int, segment: int) -> None:
+    bias = HeldOut(task(), **options)
+    assert (bias._window, bias._chunk, bias._segment) == (window, chunk, segment)
+
+
+@pytest.mark.parametrize(
+    ("folds", "expected"),
+    [(9, [0, 0, 0, 1, 1, 1, 2, 3, 3, 3, 4, 4]), (2, [0] * 7 + [1] * 5), (1, [0] * 12)],
+)
+def test_segments_of_an_experiment_are_left_out_in_turn(folds: int, expected: list[int]) -> None:
+    """None is in two fits, nor of two experiments; the frames before the first window are in none."""
+    zeros = [Rollout(np.zeros((frames + 1, 2)), np.zeros((frames, 1))) for frames in (36, 25)]
+    windows = Windows.of(zeros, 5, 1)
+    assert HeldOut(task(), segment=0.3, folds=folds)._fold(windows).tolist() == expected
+
+
+def test_outliers_are_beyond_four_standard_deviations() -> None:
+    values = np.random.default_rng(0).standard_normal((20_000, 1)) * 3.0
+    least, most = _outliers(values)
+    np.testing.assert_allclose([least, most], [[-12.0], [12.0]], rtol=0.03)
+
+
+def learned(missing: float = 2.0, **options: Any) -> Any:
+    robot = Oscillator(missing)
+    rollouts = [experiment(robot, frames, frames) for frames in (160, 140)]
+    given: Any = {"segment": 0.5, "signals": (1.0,), "length_scales": (2.0,)} | options
+    return HeldOut(task(), **given).learn(NO_DATA, rollouts, Oscillator()), rollouts
+
+
+def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inputs by their standard deviation in windows, the signal by what is left of the last chunks."""
+    fitted, rollouts = learned(points=12)
+    assert isinstance(fitted, OfWindows)
+    windows = Windows.of(rollouts, 5, 1)
+    left = (windows.means - predict([World(Oscillator())], windows)[0])[:, -1]
+    expected = np.sqrt(np.mean(np.clip(left, *_outliers(left)) ** 2, axis=0)) / 5
+    np.testing.assert_allclose(fitted._signal, expected, rtol=1e-9)
+    inputs = np.concatenate([np.concatenate([r.states[:-1], r.inputs], axis=1) for r in rollouts])
+    np.testing.assert_allclose(fitted._hyper.input_scale, inputs.std(axis=0))
+    assert (fitted._hyper.length_scale == 2.0).all()
+    assert fitted._hyper.prior_variance == 1.0
+    assert fitted.diagnostics["inducing_points"] == len(fitted._Z) <= 12
+    mean = fitted.predict(inputs)[0][:, 1]
+    missing = 0.02 * 2.0 * np.cos(inputs[:, 0])
+    assert np.sqrt(np.mean((mean - missing) ** 2)) < 0.4 * np.sqrt(np.mean(missing**2))
+    monkeypatch.setattr("simbias.learning.bias.held_out.MOST", 50)  # of many inputs, some
+    np.testing.assert_allclose(learned(points=12)[0]._hyper.input_scale, inputs[::6].std(axis=0))
+
+
+def test_the_shortest_length_and_the_best_signal_are_taken() -> None:
+    assert learned(length_scales=(4.0, 2.0))[0].diagnostics["length_scale"] == 2.0
+    signals = (0.01, 1.0, 0.1)
+    gains = [learned(signals=(each,))[0].diagnostics["gain"] for each in signals]
+    assert gains[1] == max(gains) > 1.1 * gains[2] > 1.1**2 * gains[0] > 0
+    together = learned(signals=signals)[0]
+    assert together.diagnostics["gain"] == gains[1]
+    np.testing.assert_array_equal(together._signal, learned()[0]._signal)
+    np.testing.assert_allclose(learned(signals=(0.1,))[0]._signal, 0.1 * together._signal)
+
+
+def test_two_folds_are_enough_and_one_is_not() -> None:
+    assert isinstance(learned(folds=2)[0], OfWindows)
+    assert not isinstance(learned(folds=1)[0], OfWindows)
+
+
+def test_an_input_that_never_changes_has_a_scale_all_the_same() -> None:
+    robot = Oscillator(2.0)
+    rollouts = [
+        Rollout(each.states, np.zeros_like(each.inputs))
+        for each in (experiment(robot, 150, 1), experiment(robot, 150, 2))
+    ]
+    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Oscillator())
+    assert np.isfinite(fitted.predict(np.zeros((2, 3)))[0]).all()
+
+
+class Decay(Nominal):
+    """Two states that know nothing of each other."""
+
+    def __init__(self, missing: float = 0.0) -> None:
+        self._missing = missing
+
+    def step(self, x: Array, u: Array) -> Array:
+        return np.stack([0.99 * x[..., 0], 0.99 * x[..., 1] + 0.02 * (u[..., 0] + self._missing)], axis=-1)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("missing", [0.0, 2.0])
+def test_a_state_that_is_predicted_exactly_has_no_bias(missing: float) -> None:
+    """Nor does it disturb what is learned of another."""
+    rng, robot = np.random.default_rng(0), Decay(missing)
+    rollouts = []
+    for _ in range(2):
+        u, states = 3.0 * np.sin(rng.uniform(1, 4) * 0.02 * np.arange(150))[:, None], [np.ones(2)]
+        for each in u:
+            states.append(robot.step(states[-1], each))
+        rollouts.append(Rollout(np.array(states), u))
+    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
+    mean, variance = fitted.predict(np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1))
+    np.testing.assert_allclose(mean[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.median(mean[:, 1]), 0.02 * missing, rtol=0.3)
+    draw = fitted.draw(rng).predict(np.zeros((1, 3)))[0]
+    assert np.isfinite(variance).all()
+    assert np.abs(draw[0, 0]) < 1e-9
+
+
+def test_features_have_the_covariance_of_the_points() -> None:
+    """Their weights are independent: Phi Phi^T is the covariance, at the points themselves."""
+    Z = points(5)
+    phi = features(hyper(), Z)(Z * hyper().input_scale * hyper().length_scale)
+    np.testing.assert_allclose(phi @ phi.T, hyper().covariance(Z, Z), atol=1e-5)
+
+
+def test_before_data_the_variance_is_the_signals() -> None:
+    """Everywhere; known weights leave only what the points do not see: nothing at them, all far away."""
+    Z, signal = points(5), np.array([0.5, 3.0])
+    at_points = Z * hyper().input_scale * hyper().length_scale
+    inputs = np.concatenate([at_points, at_points + 0.2, at_points + 100.0])
+
+    def variance(covariance: Array) -> Array:
+        return OfWindows(hyper(), Z, np.zeros(10), covariance, signal, {}).predict(inputs)[1]
+
+    prior = np.repeat(signal**2, 5)
+    np.testing.assert_allclose(variance(np.diag(prior)), np.tile(signal**2, (15, 1)), rtol=1e-9)
+    known = variance(np.zeros((10, 10))) / signal**2
+    np.testing.assert_allclose(known[:5], 0.0, atol=1e-5)
+    np.testing.assert_allclose(known[10:], 1.0)
+    assert ((known[5:10] > 0.0) & (known[5:10] < 1.0)).all()

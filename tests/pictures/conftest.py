@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+
+import simbias
+from simbias.core.records import Iteration, Learning, Optimum, Search
+from simbias.trial.study import Study
+
+BALANCING = np.array([8.118, 4.783, -6.658, -0.366, -5.560])
+
+
+@pytest.fixture(scope="module")
+def short() -> Study:
+    return simbias.load(["task.horizon=2000"])
+
+
+@pytest.fixture(scope="module")
+def trial(short: Study) -> list[Iteration]:
+    """A policy that falls on hardware, and one that balances there; a bias was learned in between."""
+    data, iterations = short.no_data, []
+    for index, theta in enumerate((np.zeros(5), BALANCING)):
+        rngs = np.random.default_rng(2 * index).spawn(2)
+        experiments = tuple(short.experiment(theta, rng) for rng in rngs)
+        bias, selection = short.bias.fit(data), short.samples.select(experiments, short.nominal)
+        hardware_cost = max(rollout.cost for rollout in experiments)
+        data = data | selection.transitions
+        iterations.append(
+            Iteration(
+                index=index,
+                parameters=theta,
+                experiments=experiments,
+                hardware_cost=hardware_cost,
+                succeeded=all(map(short.cost.passes, experiments)),
+                total_experiments=2 * (index + 1),
+                search=Search(Optimum(theta, 3.0, 1000, "the test"), short.simulate(theta, bias).cost, bias),
+                learning=Learning(selection, data),
+            )
+        )
+    assert [iteration.succeeded for iteration in iterations] == [False, True]
+    assert len(iterations[0].learning.data) > 0
+    return iterations
+
+
+@pytest.fixture(scope="module")
+def of_point_mass() -> tuple[Study, list[Iteration]]:
+    study = simbias.load([*POINT_MASS, "optimizer.max_evaluations=150"], OWN_CONF)
+    return study, list(study.run())
+
+
+@pytest.fixture(scope="module")
+def on_hardware(short: Study) -> list[Iteration]:
+    """A trial of a method without simulation: several policies on hardware, and that which did best."""
+    iterations = []
+    for index, thetas in enumerate(([np.zeros(5), BALANCING], [BALANCING + 0.1, BALANCING])):
+        rngs = np.random.default_rng(index).spawn(len(thetas))
+        experiments = tuple(short.experiment(theta, rng) for theta, rng in zip(thetas, rngs, strict=True))
+        best = min(experiments, key=lambda rollout: rollout.cost)
+        iterations.append(
+            Iteration(
+                index=index,
+                parameters=best.parameters,
+                experiments=experiments,
+                hardware_cost=best.cost,
+                succeeded=short.cost.passes(best),
+                total_experiments=2 * (index + 1),
+            )
+        )
+    return iterations

@@ -1,0 +1,288 @@
+"""Every figure of a trial: its marks are the records' numbers, and its theory holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from simbias.core import FittedBias, Quantity
+from simbias.core.records import Array, Iteration, Rollout
+from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, png, symbol
+from simbias.pictures.trial.comparison import search_bias, simulate, worst_experiment
+from simbias.pictures.trial.errors import prediction_error, windows
+from simbias.pictures.trial.phases import phase_pairs, state_bounds
+from simbias.robots.bongoboard.task import Start
+from simbias.trial.study import Study
+
+
+def lines(axes: Axes, color: str, marker: str = "None") -> list[Array]:
+    """The data (k, 2) of the lines of a colour and marker."""
+    own = [line for line in axes.lines if line.get_marker() == marker]
+    return [line.get_xydata() for line in own if to_hex(line.get_color()).upper() == color]
+
+
+def of(figure: Figure, ylabel: str) -> Axes:
+    return next(axes for axes in figure.axes if axes.get_ylabel() == ylabel)
+
+
+def again(study: Study, iteration: Iteration) -> list[Rollout]:
+    """An iteration's experiments in the simulation that its policy was searched in."""
+    return simulate(study, search_bias(iteration), iteration.experiments)
+
+
+def test_bounds_of_states_are_the_smallest_that_a_criterion_says(short: Study) -> None:
+    """The norms of criteria 3 and 6 bound each angle and rate; a short board bounds alpha_b before them."""
+    limits, task = short.task.limits, short.task
+    np.testing.assert_array_equal(state_bounds(task), np.repeat([limits.distance, limits.speed], 3))
+    narrow = type(task)(replace(task.robot, board_length=0.3), limits, Start([0.0] * 6, 0.02))
+    assert state_bounds(narrow)[1] == pytest.approx(1.0)
+
+
+def test_no_state_beyond_its_bounds_is_allowed(short: Study) -> None:
+    """A criterion says of itself only what holds whatever the other states are."""
+    rng = np.random.default_rng(0)
+    for i, bound in enumerate(state_bounds(short.task)):
+        for sign in (-1.0, 1.0):
+            x = rng.uniform(-1.0, 1.0, 6)
+            x[i] = sign * 1.001 * bound
+            assert short.task.failure(x) is not None
+
+
+@pytest.mark.slow
+def test_a_state_that_no_criterion_bounds(of_point_mass: tuple[Study, list[Iteration]]) -> None:
+    assert state_bounds(of_point_mass[0].task)[1] == np.inf
+
+
+def test_phases_pair_states_with_their_rates(short: Study) -> None:
+    assert phase_pairs(short.task) == [(0, 3), (1, 4), (2, 5)]
+
+
+@pytest.mark.slow
+def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None:
+    figure = phases(short, trial)
+    for row, iteration in enumerate((trial[0], trial[-1])):
+        for column, (i, rate) in enumerate(phase_pairs(short.task)):
+            axes = figure.axes[3 * row + column]
+            measured = [rollout.states[:, (i, rate)] for rollout in iteration.experiments]
+            models = [rollout.states[:, (i, rate)] for rollout in again(short, iteration)]
+            for color, expected in ((HARDWARE, measured), (SIMULATION, models)):
+                for curve, states in zip(lines(axes, color), expected, strict=True):
+                    np.testing.assert_array_equal(curve, states)
+            assert axes.get_xlabel() == f"{symbol(short.task.states[i].name)} (rad)"
+            assert axes.get_ylabel().endswith("(rad/s)")
+            crosses = sum(rollout.failed_at is not None for rollout in iteration.experiments)
+            assert len(lines(axes, HARDWARE, "X")) == crosses
+    assert any(rollout.failed_at is not None for rollout in trial[0].experiments)
+
+
+def test_phases_shade_what_is_beyond_a_limit_that_came_near(short: Study, trial: list[Iteration]) -> None:
+    shaded = {}
+    for axes in phases(short, trial).axes[:3]:
+        edges = [patch.get_x() for patch in axes.patches if isinstance(patch, Rectangle)]
+        edges += [patch.get_x() + patch.get_width() for patch in axes.patches if isinstance(patch, Rectangle)]
+        shaded[axes.get_xlabel()] = edges
+    reached = max(np.abs(r.states[:, :3]).max(axis=0).max() for r in trial[0].experiments)
+    assert reached > 0.5 * short.task.limits.distance
+    assert any(abs(edge) == pytest.approx(2.0) for edges in shaded.values() for edge in edges)
+
+
+def test_a_task_without_rates_has_no_phases(of_point_mass: tuple[Study, list[Iteration]]) -> None:
+    study, iterations = of_point_mass
+    task = type(study.task)()
+    task.states = (Quantity("position", "m"), Quantity("mass", "kg"))
+    with pytest.raises(NoPictureError, match="per second"):
+        phases(replace(study, task=task), iterations)
+
+
+def test_costs_are_those_of_the_records(short: Study, trial: list[Iteration]) -> None:
+    by_iteration, pairs = costs(short, trial).axes
+    measured = [[r.cost for r in iteration.experiments] for iteration in trial]
+    models = [[r.cost for r in again(short, iteration)] for iteration in trial]
+    assert [list(data[:, 1]) for data in lines(by_iteration, HARDWARE, "o")] == measured
+    assert [list(data[:, 1]) for data in lines(by_iteration, SIMULATION, "o")] == models
+    bars = [data for data in lines(by_iteration, SIMULATION) if len(data) == 2]
+    assert [bar[0, 1] for bar in bars] == [iteration.search.predicted_cost for iteration in trial]
+    for data, xs, ys in zip(lines(pairs, HARDWARE, "o"), models, measured, strict=True):
+        np.testing.assert_array_equal(data, np.column_stack([xs, ys]))
+    low, high = pairs.get_ylim()
+    assert low < min(min(ys) for ys in measured) <= max(max(ys) for ys in measured) < high
+
+
+class Perfect(FittedBias):
+    """Knows how experiments go on: the residual of the recorded transition that is nearest."""
+
+    def __init__(self, study: Study, iteration: Iteration) -> None:
+        rollouts = iteration.experiments
+        self._x = np.concatenate([r.states[:-1] for r in rollouts])
+        self._u = np.concatenate([r.inputs for r in rollouts])
+        after = np.concatenate([r.states[1:] for r in rollouts])
+        steps = [study.nominal.step(x, u) for x, u in zip(self._x, self._u, strict=True)]
+        self._residuals = after - np.array(steps)
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        raise NotImplementedError
+
+    def correction(self, x: Array, u: Array) -> Array:
+        known, asked = np.hstack([self._x, self._u]), np.concatenate([x, u], axis=-1)
+        return self._residuals[np.argmin(((known - asked[..., None, :]) ** 2).sum(axis=-1), axis=-1)]
+
+
+def test_a_perfect_bias_predicts_without_error(short: Study, trial: list[Iteration]) -> None:
+    pieces = windows(short, trial[0], 20)
+    errors = prediction_error(short, Perfect(short, trial[0]), pieces, [1, 5, 20])
+    np.testing.assert_allclose(errors, 0.0, atol=1e-9)
+    assert errors.shape == (3, len(pieces.states), 6)
+
+
+def test_without_bias_the_error_is_the_residual(short: Study, trial: list[Iteration]) -> None:
+    """Eq. 6, one frame ahead; and many frames ahead as stepping through them one by one gives it."""
+    pieces, zero = windows(short, trial[0], 30), short.bias.fit(short.no_data)
+    one, many = prediction_error(short, zero, pieces, [1, 30])
+    for piece, (states, inputs) in enumerate(zip(pieces.states, pieces.inputs, strict=True)):
+        x = states[0]
+        for frame, u in enumerate(inputs):
+            x = short.nominal.step(x, u)
+            if frame == 0:
+                np.testing.assert_allclose(one[piece], x - states[1], atol=1e-15)
+        np.testing.assert_allclose(many[piece], x - states[30], rtol=1e-9, atol=1e-12)
+
+
+def test_what_was_learned_predicts_otherwise(short: Study, trial: list[Iteration]) -> None:
+    pieces, zero = windows(short, trial[-1], 10), short.bias.fit(short.no_data)
+    corrected, nominal = (
+        prediction_error(short, bias, pieces, [1, 10]) for bias in (search_bias(trial[-1]), zero)
+    )
+    assert np.abs(corrected - nominal).max() > 1e-5
+
+
+def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
+    figure, zero = prediction_errors(short, trial, [1, 20]), short.bias.fit(short.no_data)
+    marks = [(iteration, zero, NOMINAL, "s", iteration.index) for iteration in trial]
+    marks.append(
+        (trial[1], search_bias(trial[1]), SIMULATION, "o", 0)
+    )  # nothing was learned before the first
+    for iteration, bias, color, marker, number in marks:
+        errors = prediction_error(short, bias, windows(short, iteration, 20), [1, 20])
+        for row, states in enumerate((slice(0, 3), slice(3, 6))):
+            for column in range(2):
+                mark = lines(figure.axes[2 * row + column], color, marker)[number]
+                norms = np.linalg.norm(errors[column][:, states], axis=1)
+                assert mark[0, 1] == pytest.approx(np.median(norms))
+    assert [axes.get_ylabel().split(" (")[-1] for axes in figure.axes[::2]] == ["rad)", "rad/s)"]
+
+
+def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: list[Iteration]) -> None:
+    cut = replace(
+        trial[0].experiments[0],
+        states=trial[0].experiments[0].states[:11],
+        inputs=trial[0].experiments[0].inputs[:10],
+        failed_at=10,
+    )
+    brief = replace(trial[0], experiments=(cut,))
+    assert len(windows(short, brief, 10).states) == 1
+    assert len(windows(short, brief, 11).states) == 0
+    assert len(prediction_errors(short, [brief], [1, 20]).axes) == 2  # one horizon, two units
+    with pytest.raises(NoPictureError, match="lasted"):
+        prediction_errors(short, [brief], [11])
+    assert len(prediction_errors(short, [brief, trial[0]], [1, 20]).axes) == 4  # of the other iteration's
+
+
+@pytest.mark.slow
+def test_no_error_at_all_can_be_shown(short: Study, trial: list[Iteration]) -> None:
+    """Hardware that is the nominal model leaves nothing for a logarithmic scale."""
+    exact = replace(trial[0], experiments=tuple(again(short, trial[0])))
+    png(prediction_errors(short, [exact], [1, 5]))
+
+
+def test_forecast_shows_the_experiment_and_what_was_foretold(short: Study, trial: list[Iteration]) -> None:
+    figure, last = forecast(short, trial), trial[-1]
+    measured = worst_experiment(last)
+    corrected = short.simulate(last.parameters, last.search.fitted_bias, measured.states[0])
+    nominal = short.simulate(last.parameters, None, measured.states[0])
+    for i, axes in enumerate(figure.axes):
+        for color, rollout in ((HARDWARE, measured), (SIMULATION, corrected), (NOMINAL, nominal)):
+            (curve,) = lines(axes, color)
+            np.testing.assert_array_equal(curve[:, 1], rollout.states[:, i])
+        assert len(axes.collections) == 1
+
+
+def test_nothing_learned_leaves_nothing_open(short: Study, trial: list[Iteration]) -> None:
+    assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)
+
+
+def test_band_is_wide_where_the_learner_is_unsure(short: Study, trial: list[Iteration]) -> None:
+    """It starts at the start, known for sure, and grows."""
+    (band,) = forecast(short, trial).axes[0].collections
+    (path,) = band.get_paths()
+    at = path.vertices[:, 0]
+    width = {t: np.ptp(path.vertices[np.isclose(at, t, atol=1e-3), 1]) for t in (at.min(), at.max())}
+    assert width[at.min()] == pytest.approx(0.0, abs=1e-12)
+    assert width[at.max()] > 1e-3
+
+
+def test_rejections_count_every_sample(short: Study, trial: list[Iteration]) -> None:
+    axes = rejections(short, trial).axes[0]
+    bars = {container.get_label(): [bar.get_width() for bar in container] for container in axes.containers}
+    assert bars["accepted"] == [len(iteration.learning.selection.transitions) for iteration in trial]
+    assert np.sum(list(bars.values()), axis=0).tolist() == [i.learning.selection.sampled for i in trial]
+    texts = [text.get_text() for text in axes.texts]
+    for iteration in trial:
+        assert any(text.startswith(f"{len(iteration.learning.data)} in D") for text in texts)
+
+
+def test_a_method_without_search_shows_what_hardware_did(short: Study, on_hardware: list[Iteration]) -> None:
+    """No prediction, no learned bias; of several policies, that at which an iteration arrived."""
+    for picture in (costs, rejections):
+        with pytest.raises(NoPictureError, match=r"searched|learned"):
+            picture(short, on_hardware)
+    assert not lines(phases(short, on_hardware).axes[0], SIMULATION)
+    (curve,) = lines(forecast(short, on_hardware).axes[0], HARDWARE)
+    best = min(on_hardware[-1].experiments, key=lambda rollout: rollout.cost)
+    np.testing.assert_array_equal(curve[:, 1], best.states[:, 0])
+    for axes in forecast(short, on_hardware).axes + prediction_errors(short, on_hardware).axes:
+        assert not lines(axes, SIMULATION)
+        assert not lines(axes, SIMULATION, "o")
+
+
+def test_costs_of_several_policies_are_simulated_each_with_its_own(
+    short: Study, trial: list[Iteration], on_hardware: list[Iteration]
+) -> None:
+    iteration = replace(on_hardware[0], search=trial[0].search)
+    _, pairs = costs(short, [iteration, on_hardware[1]]).axes
+    models = [short.simulate(r.parameters, None, r.states[0]).cost for r in iteration.experiments]
+    (data,) = lines(pairs, HARDWARE, "o")
+    assert models[0] != pytest.approx(models[1])
+    np.testing.assert_allclose(data, np.column_stack([models, [r.cost for r in iteration.experiments]]))
+
+
+def test_a_search_without_learning_has_no_learned_bias(short: Study, trial: list[Iteration]) -> None:
+    iterations = [replace(iteration, learning=None) for iteration in trial]
+    assert not lines(forecast(short, iterations).axes[0], SIMULATION)
+    assert lines(phases(short, iterations).axes[0], SIMULATION)
+    with pytest.raises(NoPictureError, match="learned"):
+        rejections(short, iterations)
+
+
+def test_no_policy_was_tried(short: Study, trial: list[Iteration]) -> None:
+    """The last of them may be left for another day; if none was tried, there is nothing to show."""
+    untried = replace(trial[1], experiments=(), total_experiments=2)
+    figure, alone = (phases(short, iterations) for iterations in ([trial[0], untried], trial[:1]))
+    assert len(figure.axes) == len(alone.axes)
+    for picture in (phases, forecast, prediction_errors):
+        with pytest.raises(NoPictureError):
+            picture(short, [untried])
+    png(costs(short, [trial[0], untried]))
+
+
+def test_names_are_read_as_symbols() -> None:
+    assert symbol("d_alpha_w") == r"$\dot{\alpha}_{w}$"
+    assert symbol("theta") == r"$\theta$"
+    assert symbol("board_angle") == "board angle"

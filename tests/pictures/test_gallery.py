@@ -1,0 +1,106 @@
+"""All pictures of a trial as files; what it cannot have is left out, and no picture is worth a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from simbias.core.records import Iteration
+from simbias.pictures import rejections, save, save_animation
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.style import png
+from simbias.pictures.trial.comparison import search_bias, simulate, worst_experiment
+from simbias.pictures.trial.gallery import ANIMATION, FIGURES, IN_SWEEPS, pictures
+from simbias.robots.bongoboard.task_drawing import draw, move
+from simbias.trial.study import Study
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_moving_is_drawing_anew(short: Study, seed: int) -> None:
+    state = np.random.default_rng(seed).normal(0.0, 0.4, 6)
+    moving, still = Figure(), Figure()
+    artists = draw(moving.subplots(), short.task, np.zeros(6), muted=True)
+    move(artists, short.task, state)
+    draw(still.subplots(), short.task, state)
+    for figure in (moving, still):
+        figure.axes[0].set(xlim=(-1, 1), ylim=(-0.2, 1.5))
+    assert png(moving) == png(still)
+
+
+@pytest.mark.slow
+def test_animation_is_in_real_time_and_shows_all(short: Study, trial: list[Iteration]) -> None:
+    file = BytesIO()
+    save_animation(short, trial, file)
+    picture = Image.open(file)
+    durations, sizes = [], set()
+    for frame in range(picture.n_frames):
+        picture.seek(frame)
+        durations.append(picture.info["duration"])
+        sizes.add(picture.size)
+    worst = worst_experiment(trial[-1])
+    rollouts = [worst, *simulate(short, search_bias(trial[-1]), [worst])]
+    longest = max(rollout.frames for rollout in rollouts) * short.task.time_step
+    assert sum(durations[:-1]) == pytest.approx(1000 * longest, abs=100)
+    assert len(sizes) == 1
+    assert len(picture.convert("RGB").getcolors()) > 10
+    assert picture.convert("RGB").getpixel((0, 0)) == (255, 255, 255)
+
+
+@pytest.mark.slow
+def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
+    files = pictures(short, trial)
+    assert list(files) == [*(f"{name}.png" for name in FIGURES), "animation.gif"]
+    for name, content in files.items():
+        assert Image.open(BytesIO(content)).format == name.rpartition(".")[2].upper()
+    assert {f"{name}.png" for name in IN_SWEEPS} == pictures(short, trial, IN_SWEEPS).keys()
+    assert sum(map(len, files.values())) < 1_000_000
+    assert pictures(short, []) == {}
+
+
+@pytest.mark.slow
+def test_a_task_without_a_drawing_has_no_animation(of_point_mass: tuple[Study, list[Iteration]]) -> None:
+    files = pictures(*of_point_mass)
+    assert files.keys() == {f"{name}.png" for name in FIGURES}
+    with pytest.raises(NoPictureError, match="PointMass"):
+        save_animation(*of_point_mass, BytesIO())
+
+
+@pytest.mark.slow
+def test_a_method_without_search_has_those_of_the_hardware(
+    short: Study, on_hardware: list[Iteration], recwarn: pytest.WarningsRecorder
+) -> None:
+    files = pictures(short, on_hardware)
+    names = ["overview.png", "prediction_errors.png", "forecast.png", "phases.png", "animation.gif"]
+    assert list(files) == names
+    assert not recwarn.list
+
+
+def test_a_trial_without_experiments_has_its_costs_alone(short: Study, trial: list[Iteration]) -> None:
+    assert pictures(short, [replace(trial[0], experiments=(), learning=None)]).keys() == {"costs.png"}
+
+
+def test_a_picture_that_fails_is_a_warning_and_a_text(
+    short: Study, trial: list[Iteration], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(study: Study, iterations: Sequence[Iteration]) -> Figure:
+        raise IndexError("no such panel")
+
+    monkeypatch.setitem(FIGURES, "costs", broken)
+    with pytest.warns(RuntimeWarning, match="picture costs: IndexError: no such panel"):
+        files = pictures(short, trial, ["costs", "rejections"])
+    assert files.keys() == {"costs.txt", "rejections.png"}
+    assert b"no such panel" in files["costs.txt"]
+    assert ANIMATION not in files
+
+
+def test_same_figure_gives_the_same_svg(short: Study, trial: list[Iteration], tmp_path: Path) -> None:
+    for name in ("one.svg", "two.svg"):
+        save(rejections(short, trial), tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()

@@ -1,0 +1,443 @@
+"""The bongoboard's equations of motion: reference values, laws of mechanics, and a second derivation."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+
+from simbias.robots.bongoboard.model import LagrangianBongoboard
+from simbias.robots.bongoboard.task import Bongoboard, Limits, Robot, Start
+from simbias.robots.bongoboard.uncertainty import MECHANICAL, Uncertainty
+
+CONFIG = Path(__file__).parents[2] / "conf" / "task" / "bongoboard.yaml"
+NO_TORQUE = np.zeros(1)
+START = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+MOVING = np.array([0.1, -0.05, 0.08, 0.3, -0.2, 0.5])
+
+angles = st.tuples(*[st.floats(-0.6, 0.6)] * 3)
+rates = st.tuples(*[st.floats(-5, 5)] * 3)
+states = st.builds(lambda angles, rates: np.array(angles + rates), angles, rates)
+torques = st.floats(-100, 100).map(lambda torque: np.array([torque]))
+foot_masses = st.floats(0, 5)
+MASSES = ("wheel_mass", "board_mass", "leg_mass", "pelvis_mass", "pelvis_inertia")
+LENGTHS = ("wheel_radius", "board_length", "board_thickness", "ankle_height", "foot_length", "leg_length")
+
+
+def build_task(time_step=0.001, **factors):
+    """The task of conf/task/bongoboard.yaml, fields of its robot times factors."""
+    config = OmegaConf.to_container(OmegaConf.load(CONFIG))
+    robot = Robot(**config["robot"])
+    robot = replace(robot, **{name: getattr(robot, name) * factor for name, factor in factors.items()})
+    return Bongoboard(robot, Limits(**config["limits"]), Start(**config["start"]), time_step=time_step)
+
+
+TASK = build_task()
+MODEL = LagrangianBongoboard(TASK)
+models = foot_masses.map(lambda foot_mass: LagrangianBongoboard(TASK, foot_mass))
+factors = st.fixed_dictionaries(dict.fromkeys(MASSES + LENGTHS, st.floats(0.5, 2)))
+tasks = factors.map(lambda factors: build_task(**factors))
+
+
+def runge_kutta(model, x, u, time_step, frames):
+    """States (frames + 1, 6) of the fourth-order method."""
+
+    def slope(x):
+        return np.concatenate((x[3:], model.accelerations(x, u)))
+
+    states = [x]
+    for _ in range(frames):
+        k1 = slope(x)
+        k2 = slope(x + time_step / 2 * k1)
+        k3 = slope(x + time_step / 2 * k2)
+        k4 = slope(x + time_step * k3)
+        x = x + time_step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        states.append(x)
+    return np.array(states)
+
+
+# Reference values of an earlier, independent derivation with the parameters of conf/task/bongoboard.yaml. It
+# kept its energy to 1e-10 and agreed with a rigid-body engine whose feet were fixed to the board.
+
+
+@pytest.mark.parametrize(
+    ("foot_mass", "x", "torque", "expected"),
+    [
+        (0.0, START, 0.0, (-3.0360413, -0.43211239, 8.34390762)),
+        (0.0, MOVING, 10.0, (-32.96393919, 13.44444722, 60.30524633)),
+        (1.0, START, 0.0, (-2.27865663, -1.18581346, 7.66572464)),
+        (1.0, MOVING, 10.0, (-26.96107964, 8.44049104, 53.78564873)),
+    ],
+)
+def test_accelerations_are_the_reference(foot_mass, x, torque, expected):
+    model = LagrangianBongoboard(TASK, foot_mass)
+    np.testing.assert_allclose(model.accelerations(x, np.array([torque])), expected, rtol=0, atol=1e-6)
+
+
+def test_outputs_are_the_reference():
+    expected = (-0.07885799, -0.30512553, 0.08, 0.5, 0.05)
+    np.testing.assert_allclose(TASK.output(MOVING), expected, rtol=0, atol=1e-8)
+
+
+def test_linearisation_has_the_reference_eigenvalues():
+    h = 1e-5
+    columns = [
+        (MODEL.accelerations(dx, NO_TORQUE) - MODEL.accelerations(-dx, NO_TORQUE)) / (2 * h)
+        for dx in h * np.eye(6)
+    ]
+    linear = np.vstack((np.eye(6)[3:], np.transpose(columns)))
+    expected = [-14.4436, -3.1324, -10.1247j, 10.1247j, 3.1324, 14.4436]
+    eigenvalues = np.sort_complex(np.round(np.linalg.eigvals(linear), 4))  # rounded, so that a pair sorts
+    np.testing.assert_allclose(eigenvalues, expected, rtol=0, atol=1.5e-4)
+
+
+# Laws of mechanics
+
+
+@pytest.mark.parametrize("foot_mass", [0.0, 1.0])
+def test_energy_is_conserved_without_torque(foot_mass):
+    model = LagrangianBongoboard(TASK, foot_mass)
+    energies = [model.energy(x) for x in runge_kutta(model, START, NO_TORQUE, 0.001, 300)]
+    assert np.ptp(energies) < 1e-10 * abs(energies[0])
+
+
+@given(model=models, x=states, u=torques)
+@settings(deadline=None)
+def test_power_is_torque_times_ankle_rate(model, x, u):
+    direction = np.concatenate((x[3:], model.accelerations(x, u)))
+    h = 1e-3 / (1 + np.linalg.norm(direction))
+    ahead, behind, far_ahead, far_behind = (model.energy(x + k * h * direction) for k in (1, -1, 2, -2))
+    power = (8 * (ahead - behind) - (far_ahead - far_behind)) / (12 * h)
+    assert power == pytest.approx(u[0] * x[5], rel=1e-6, abs=1e-5)
+
+
+@given(model=models, x=states, u=torques)
+@settings(deadline=None)
+def test_mirrored_robot_moves_mirrored(model, x, u):
+    np.testing.assert_array_equal(model.accelerations(-x, -u), -model.accelerations(x, u))
+
+
+@pytest.mark.slow
+@given(x=states, u=torques, factor=st.floats(0.1, 10))
+@settings(deadline=None)
+def test_heavier_robot_with_stronger_torque_moves_alike(x, u, factor):
+    heavier = LagrangianBongoboard(build_task(**dict.fromkeys(MASSES, factor)), foot_mass=factor)
+    expected = LagrangianBongoboard(TASK, foot_mass=1.0).accelerations(x, u)
+    tolerance = 1e-10 * (1 + np.linalg.norm(expected))
+    np.testing.assert_allclose(heavier.accelerations(x, factor * u), expected, rtol=0, atol=tolerance)
+
+
+# A second derivation: Newton and Euler for five free bodies, held together by forces of constraint. It shares
+# nothing with the first but the positions of the task.
+
+WHEEL, BOARD, FOOT, LEGS, PELVIS = range(5)
+
+
+def placements(task, angles, pelvis_offset=(0.0, 0.0)):
+    """Positions and angles (5, 3) of the bodies' centres of mass; the pelvis' from its middle, as it lies."""
+    pose, robot = task.pose(angles), task.robot
+    normal = np.array([-np.sin(pose.board_angle), np.cos(pose.board_angle)])
+    foot = pose.ankles - robot.ankle_height / 2 * normal
+    pelvis = pose.pelvis + turned(pelvis_offset, pose.board_angle)
+    return np.array(
+        [
+            [*pose.wheel, pose.wheel_angle],
+            [*pose.board, pose.board_angle],
+            [*foot, pose.board_angle],
+            [*((pose.ankles + pose.pelvis) / 2), pose.leg_angle],
+            [*pelvis, pose.board_angle],
+        ]
+    )
+
+
+def turned(vector, angle):
+    """A vector (2,) of a body that has turned by an angle."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ vector
+
+
+def gaps(robot, place, velocity, pelvis_offset=(0.0, 0.0)):
+    """Velocities (12,) between material points that stay together: zero, and linear in velocity (5, 3)."""
+
+    def at(body, offset):
+        return velocity[body, :2] + velocity[body, 2] * np.array([-offset[1], offset[0]])
+
+    phi, psi = place[BOARD, 2], place[LEGS, 2]
+    normal = np.array([-np.sin(phi), np.cos(phi)])
+    half_leg = robot.leg_length / 2 * np.array([-np.sin(psi), np.cos(psi)])
+    contact = place[WHEEL, :2] + robot.wheel_radius * normal
+    glued = place[FOOT, :2] - place[BOARD, :2]
+    ankle = (robot.board_thickness / 2 + robot.ankle_height) * normal
+    return np.concatenate(
+        [
+            at(WHEEL, (0.0, -robot.wheel_radius)),  # on the floor, at rest
+            at(BOARD, contact - place[BOARD, :2]) - at(WHEEL, contact - place[WHEEL, :2]),
+            at(FOOT, (0.0, 0.0)) - at(BOARD, glued),
+            at(LEGS, -half_leg) - at(BOARD, ankle),
+            at(PELVIS, -turned(pelvis_offset, phi)) - at(LEGS, half_leg),
+            [velocity[FOOT, 2] - velocity[BOARD, 2], velocity[PELVIS, 2] - velocity[BOARD, 2]],
+        ]
+    )
+
+
+def newton_euler(task, foot_mass, x, torque, moment=0.0, slope=0.0, payload=(0.0, 0.0, 0.0)):
+    """Accelerations (3,) of alpha_w, alpha_b, theta, and gaps (12,) that the task's positions would open.
+
+    A moment acts on the wheel, the floor slopes, and the pelvis carries a payload: kg, and where (m).
+    """
+    robot, tiny, (load, *at_load) = task.robot, 1e-30j, payload
+    pelvis = robot.pelvis_mass + load
+    off = load * np.array(at_load) / pelvis  # the common centre of mass, about which both have inertia
+    pelvis_inertia = (
+        robot.pelvis_inertia + robot.pelvis_mass * off @ off + load * np.sum((at_load - off) ** 2)
+    )
+    place = placements(task, x[:3], off)
+    velocity = placements(task, x[:3] + tiny * x[3:], off).imag / tiny.imag
+    jacobian = np.array([gaps(robot, place, unit.reshape(5, 3), off) for unit in np.eye(15)]).T
+    drift = gaps(robot, place + tiny * velocity, velocity, off).imag / tiny.imag
+
+    masses = np.array([robot.wheel_mass, robot.board_mass, foot_mass, 2 * robot.leg_mass, pelvis])
+    inertias = masses * [
+        robot.wheel_radius**2 / 2,
+        (robot.board_length**2 + robot.board_thickness**2) / 12,
+        (robot.foot_length**2 + robot.ankle_height**2) / 12,
+        robot.leg_length**2 / 12,
+        pelvis_inertia / pelvis,
+    ]
+    forces = np.zeros((5, 3))
+    forces[:, :2] = -robot.gravity * np.outer(masses, [np.sin(slope), np.cos(slope)])
+    forces[LEGS, 2], forces[FOOT, 2], forces[WHEEL, 2] = torque, -torque, moment
+
+    inertia = np.diag(np.column_stack((masses, masses, inertias)).ravel())
+    system = np.block([[inertia, jacobian.T], [jacobian, np.zeros((12, 12))]])
+    solution = np.linalg.solve(system, np.concatenate((forces.ravel(), -drift)))
+    wheel, board, legs = solution[:15].reshape(5, 3)[[WHEEL, BOARD, LEGS], 2]
+    return np.array([wheel, board - wheel, legs - board]), jacobian @ velocity.ravel()
+
+
+@pytest.mark.slow
+@given(task=tasks, foot_mass=foot_masses, x=states, u=torques)
+@settings(deadline=None)
+def test_accelerations_agree_with_newton_and_euler(task, foot_mass, x, u):
+    expected, opening = newton_euler(task, foot_mass, x, u[0])
+    np.testing.assert_allclose(opening, 0, atol=1e-12)
+    actual = LagrangianBongoboard(task, foot_mass).accelerations(x, u)
+    tolerance = 1e-10 * (1 + np.linalg.norm(expected))
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance)
+
+
+# What a modeller may not know
+
+UNKNOWN = Uncertainty(
+    masses=0.15,
+    foot_mass=2.0,
+    slope=0.1,
+    ankle_damping=2.0,
+    ankle_stiffness=10.0,
+    ankle_friction=2.0,
+    rolling_resistance=1.0,
+    payload_mass=3.0,
+    payload_x=0.1,
+    payload_y=0.1,
+    motor_gain=0.3,
+    torque_offset=1.0,
+    torque_limit=60.0,
+    lag=0.02,
+    delay=0.01,
+)
+
+
+def with_values(task, **values):
+    """A model that knows the values of these parameters exactly."""
+    uncertain = Uncertainty(**dict.fromkeys(values, 1.0))
+    model = LagrangianBongoboard(task, foot_mass=1.0, uncertainty=uncertain)
+    assert {parameter.name for parameter in model.parameters} == set(values)
+    return model.with_parameters(np.array([values[parameter.name] for parameter in model.parameters]))
+
+
+@given(
+    x=states,
+    u=torques,
+    slope=st.floats(-0.5, 0.5),
+    load=st.tuples(st.floats(0, 10), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+    damping=st.floats(0, 5),
+    stiffness=st.floats(-20, 50),
+    moment=st.floats(0, 5),
+)
+@settings(deadline=None, max_examples=50)
+def test_disturbed_accelerations_agree_with_newton_and_euler(x, u, slope, load, damping, stiffness, moment):
+    """With dry friction at its full strength: rates are large against where it is smoothed."""
+    x = x + np.where(x[3:] < 0, -20.0, 20.0) @ np.eye(6)[3:]
+    friction = 0.5 * moment
+    names = ("payload_mass", "payload_x", "payload_y")
+    model = with_values(
+        TASK,
+        slope=slope,
+        ankle_damping=damping,
+        ankle_stiffness=stiffness,
+        ankle_friction=friction,
+        rolling_resistance=moment,
+        **dict(zip(names, load, strict=True)),
+    )
+    torque = u[0] - damping * x[5] - stiffness * x[2] - friction * np.sign(x[5])
+    expected, opening = newton_euler(TASK, 1.0, x, torque, -moment * np.sign(x[3]), slope, load)
+    np.testing.assert_allclose(opening, 0, atol=1e-10)
+    np.testing.assert_allclose(model.accelerations(x, u), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_without_disturbance_the_disturbed_model_is_the_papers():
+    model = with_values(TASK, **dict.fromkeys(MECHANICAL, 0.0))
+    u = np.array([10.0])
+    np.testing.assert_allclose(
+        model.step(MOVING, u), LagrangianBongoboard(TASK, 1.0).step(MOVING, u), rtol=1e-13
+    )
+
+
+def test_energy_of_the_disturbed_model_is_conserved_without_losses():
+    model = with_values(TASK, slope=0.1, payload_mass=5.0, payload_x=0.1, payload_y=0.2, ankle_damping=0.0)
+    energies = [model.energy(x) for x in runge_kutta(model, START, NO_TORQUE, 0.001, 300)]
+    assert np.ptp(energies) < 1e-10 * abs(energies[0])
+
+
+def test_losses_take_what_they_should_from_the_energy():
+    """d theta^2, |d theta| and |d alpha_w| times their coefficients, over the time of a fall."""
+    model = with_values(TASK, ankle_damping=2.0, ankle_friction=1.0, rolling_resistance=0.5)
+    states = runge_kutta(model, START, NO_TORQUE, 0.001, 300)
+    d_alpha_w, d_theta = states[:, 3], states[:, 5]
+    power = 2.0 * d_theta**2 + sum(
+        size * rate**2 / np.hypot(rate, 0.05) for size, rate in ((1.0, d_theta), (0.5, d_alpha_w))
+    )
+    lost = np.trapezoid(power, dx=0.001)
+    assert lost > 0.01
+    assert model.energy(states[0]) - model.energy(states[-1]) == pytest.approx(lost, rel=1e-4)
+
+
+def test_what_is_added_to_the_uncertainty_changes_no_earlier_draw():
+    """Published trials sample masses and feet with these numbers."""
+    plain = LagrangianBongoboard(TASK, uncertainty=Uncertainty(masses=0.15, foot_mass=2.0))
+    rng = np.random.default_rng(3)
+    names = ["wheel_mass", "board_mass", "foot_mass", "leg_mass", "pelvis_mass", "pelvis_inertia"]
+    factors = dict(zip(names, np.exp(0.15 * rng.standard_normal(6)), strict=True))
+    foot_mass = rng.uniform(0.0, 2.0)
+    expected = LagrangianBongoboard(build_task(**factors), foot_mass)
+    drawn = plain.draw(np.random.default_rng(3))
+    np.testing.assert_array_equal(drawn.kernel.parameters, expected.kernel.parameters)
+    lagging = Uncertainty(masses=0.15, foot_mass=2.0, lag=0.02)
+    more = LagrangianBongoboard(TASK, uncertainty=lagging).draw(np.random.default_rng(3))
+    np.testing.assert_array_equal(more.kernel.parameters[-11:], expected.kernel.parameters)
+
+
+def test_parameters_are_those_that_are_uncertain_and_draws_differ():
+    assert MODEL.parameters == ()
+    model = LagrangianBongoboard(TASK, uncertainty=UNKNOWN)
+    assert len(model.parameters) == len(vars(UNKNOWN)) - 1 + 5  # masses
+    rng = np.random.default_rng(0)
+    one, two = (model.draw(rng).kernel.parameters for _ in range(2))
+    assert np.isfinite(one).all()
+    assert (one != two).sum() > 20
+    assert model.memory_size == 1 + 10
+
+
+def test_priors_are_as_declared():
+    """Unit, median or bound, spread and kind of each; the motor saturates at most so far below the limit."""
+    robot, limit = TASK.robot, float(TASK.input_limit[0])
+    assert [parameter[:5] for parameter in LagrangianBongoboard(TASK, uncertainty=UNKNOWN).parameters] == [
+        ("wheel_mass", "kg", robot.wheel_mass, 0.15, "log_normal"),
+        ("board_mass", "kg", robot.board_mass, 0.15, "log_normal"),
+        ("leg_mass", "kg", robot.leg_mass, 0.15, "log_normal"),
+        ("pelvis_mass", "kg", robot.pelvis_mass, 0.15, "log_normal"),
+        ("pelvis_inertia", "kg m^2", robot.pelvis_inertia, 0.15, "log_normal"),
+        ("foot_mass", "kg", 0.0, 2.0, "uniform"),
+        ("slope", "rad", 0.0, 0.1, "normal"),
+        ("ankle_damping", "N m s/rad", 0.0, 2.0, "half_normal"),
+        ("ankle_stiffness", "N m/rad", 0.0, 10.0, "half_normal"),
+        ("ankle_friction", "N m", 0.0, 2.0, "half_normal"),
+        ("rolling_resistance", "N m", 0.0, 1.0, "half_normal"),
+        ("payload_mass", "kg", 0.0, 3.0, "half_normal"),
+        ("payload_x", "m", 0.0, 0.1, "normal"),
+        ("payload_y", "m", 0.0, 0.1, "normal"),
+        ("motor_gain", "1", 1.0, 0.3, "log_normal"),
+        ("torque_offset", "N m", 0.0, 1.0, "normal"),
+        ("torque_limit", "N m", limit - 60.0, 60.0, "uniform"),
+        ("lag", "s", 0.0, 0.02, "half_normal"),
+        ("delay", "s", 0.0, 0.01, "uniform"),
+    ]
+    (weak,) = LagrangianBongoboard(TASK, uncertainty=Uncertainty(torque_limit=2 * limit)).parameters
+    assert weak[2:4] == (0.0, limit)
+
+
+def test_a_motor_acts_on_the_torque():
+    """Nothing but its offset, then its gain, too, differs from those of an ideal one."""
+    x, u = np.tile(MOVING, (3, 1)), np.array([[-10.0], [0.0], [20.0]])
+    ideal, offset = LagrangianBongoboard(TASK, 1.0), with_values(TASK, torque_offset=3.0)
+    both = with_values(TASK, torque_offset=3.0, motor_gain=0.5)
+    for model, torque in ((ideal, u), (offset, u + 3.0), (both, 0.5 * u + 3.0)):
+        memory = np.zeros((3, model.memory_size))
+        np.testing.assert_allclose(model.step(x, u), ideal.step(x, torque), rtol=1e-12)
+        advanced, after = model.advance(x, u, memory)
+        np.testing.assert_allclose(advanced, ideal.step(x, torque), rtol=1e-12)
+        assert after.shape == memory.shape
+        assert model.memories(x, u).shape == memory.shape
+        np.testing.assert_allclose(model.energy(x), model.energy(MOVING))
+    assert ideal.memories(x, u).shape == (3, 0)
+
+
+def test_what_is_not_sampled_is_not_there_until_it_is_identified():
+    uncertainty = Uncertainty(masses=0.15, slope=0.02, lag=0.02, delay=0.01)
+    model = LagrangianBongoboard(TASK, uncertainty=uncertainty, sampled=["masses"])
+    plain = LagrangianBongoboard(TASK, uncertainty=Uncertainty(masses=0.15))
+    for one, other in ((model, plain), (each.draw(np.random.default_rng(1)) for each in (model, plain))):
+        assert one.kernel.function is other.kernel.function
+        np.testing.assert_array_equal(one.kernel.parameters, other.kernel.parameters)
+        assert one.memory_size == 0
+    identified = model.with_parameters(np.array([parameter.value for parameter in model.parameters]))
+    assert identified.memory_size == 1 + 10
+    assert identified.draw(np.random.default_rng(1)).memory_size == 0
+    with pytest.raises(ValueError, match=r"^sampled: no uncertainty is called slop; there is masses, "):
+        LagrangianBongoboard(TASK, sampled=["slop"])
+
+
+def test_a_delay_of_too_many_frames_is_refused():
+    with pytest.raises(ValueError, match="is 200 frames; at most 100 are remembered"):
+        LagrangianBongoboard(TASK, uncertainty=Uncertainty(delay=0.2))
+
+
+# The step
+
+
+@given(x=states, u=torques)
+@settings(deadline=None)
+def test_step_is_semi_implicit_euler(x, u):
+    before = x.copy()
+    rates = x[3:] + TASK.time_step * newton_euler(TASK, 0.0, x, u[0])[0]
+    expected = np.concatenate((x[:3] + TASK.time_step * rates, rates))
+    np.testing.assert_allclose(MODEL.step(x, u), expected, rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(x, before)
+
+
+def test_step_converges_with_order_one():
+    duration, u = 0.2, np.array([5.0])
+    exact = runge_kutta(MODEL, MOVING, u, 0.0005, 400)[-1]
+    errors = []
+    for frames in (400, 800, 1600):
+        model = LagrangianBongoboard(build_task(time_step=duration / frames))
+        x = MOVING
+        for _ in range(frames):
+            x = model.step(x, u)
+        errors.append(np.linalg.norm(x - exact))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 1, atol=0.05)
+
+
+# The generated module
+
+
+@pytest.mark.slow
+def test_generated_equations_are_up_to_date() -> None:
+    from simbias.robots.bongoboard import derive as derive_bongoboard
+
+    for variant in derive_bongoboard.VARIANTS:
+        file = derive_bongoboard.FOLDER / variant.file
+        assert derive_bongoboard.generate(variant) == file.read_text(encoding="utf-8")

@@ -1,0 +1,231 @@
+"""A declared task against a class that says the same, and what a declaration may not say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+from mechanisms import DOUBLE
+from omegaconf import OmegaConf
+
+import simbias
+from simbias.config import ConfigError
+from simbias.config.components import construct
+from simbias.config.identity import essence
+from simbias.core import Task
+from simbias.robots.declared.task import Declared
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.compiler.expressions import Expressions
+from simbias.trial.study import Study
+
+CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
+ANGLES, RATES = ("alpha_w", "alpha_b", "theta"), ("d_alpha_w", "d_alpha_b", "d_theta")
+BONGOBOARD = {
+    "_target_": "simbias.robots.declared.task.Declared",
+    "time_step": 0.001,
+    "horizon": 5000,
+    "states": {
+        name: {"unit": unit, "kind": kind, "mean": 0.05 * (name == "alpha_b"), "deviation": 0.02}
+        for names, unit, kind in ((ANGLES, "rad", "angle"), (RATES, "rad/s", "velocity"))
+        for name in names
+    },
+    "inputs": {"torque": {"unit": "N m", "kind": "torque", "limit": 100}},
+    "constants": {"r": 0.15, "thickness": 0.02, "length": 0.8, "leg": 0.35, "height": 0.15 + 0.02 + 0.05},
+    "where": {
+        "phi": "alpha_w + alpha_b",
+        "d_phi": "d_alpha_w + d_alpha_b",
+        "centre": "r + (r + thickness / 2) * cos(phi) + r * alpha_b * sin(phi)",
+        "corner": "centre - length / 2 * abs(sin(phi)) - thickness / 2 * abs(cos(phi))",
+    },
+    "failure": {
+        "board_touches_ground": {"value": "corner", "below": 0.0},
+        "board_leaves_wheel": {"value": "abs(r * alpha_b) - length / 2", "above": 0},
+        "distance": {"value": "sqrt(alpha_w**2 + alpha_b**2 + theta**2)", "above": 2},
+        "body_angle": {"value": "abs(phi + theta)", "above": 1},
+        "board_angle": {"value": "max(phi, -phi)", "above": 1},
+        "speed": {"value": "sqrt(d_alpha_w**2 + d_alpha_b**2 + d_theta**2)", "above": 30},
+    },
+    "outputs": {
+        "x_p": {
+            "value": "-r * alpha_w - height * sin(phi) + r * alpha_b * cos(phi) - leg * sin(phi + theta)"
+        },
+        "d_x_p": {
+            "value": "-r * d_alpha_w - height * cos(phi) * d_phi + r * d_alpha_b * cos(phi)"
+            " - r * alpha_b * sin(phi) * d_phi - leg * cos(phi + theta) * (d_phi + d_theta)"
+        },
+        "theta": {"value": "theta"},
+        "d_theta": {"value": "d_theta"},
+        "alpha_f": {"value": "phi"},
+    },
+}
+
+
+def declared(**changes: Any) -> Declared:
+    """The cart-pole's task with other values."""
+    return construct({**CARTPOLE, **changes}, Task, "task")
+
+
+@pytest.fixture(scope="module")
+def bongoboard() -> Declared:
+    return construct(BONGOBOARD, Task, "task")
+
+
+@given(st.lists(st.floats(-3, 3), min_size=12, max_size=12))
+def test_a_declaration_is_worth_a_class(study: Study, bongoboard: Declared, numbers: list[float]) -> None:
+    x = np.array(numbers).reshape(2, 6)
+    np.testing.assert_allclose(bongoboard.output(x), study.task.output(x), atol=1e-12)
+    np.testing.assert_allclose(bongoboard.measure(x), study.task.measure(x), atol=1e-12)
+    np.testing.assert_array_equal(bongoboard.violated(x), study.task.violated(x))
+
+
+@pytest.mark.slow
+def test_it_joins_the_compiled_loop(study: Study, bongoboard: Declared) -> None:
+    """The same falls, at the same frames, for the same criteria as with the class."""
+    own = replace(study, task=bongoboard)
+    thetas = np.random.default_rng(1).uniform(-3, 3, (40, 5))
+    starts = np.tile(study.task.start_mean, (40, 1))
+    loops = [each.simulator() for each in (study, own)]
+    assert all(isinstance(loop, CompiledSimulator) for loop in loops)
+    by_class, by_declaration = (loop.rollouts(thetas, starts) for loop in loops)
+    for one, other in zip(by_class, by_declaration, strict=True):
+        assert (one.failed_at, one.failure) == (other.failed_at, other.failure)
+        np.testing.assert_allclose(one.states, other.states, atol=1e-6)
+
+
+@given(st.floats(-4, 4), st.floats(-4, 4))
+def test_expressions_mean_what_they_say(a: float, b: float) -> None:
+    """Numbers, arrays and the kernel agree with NumPy."""
+    texts = {
+        "sum": "1 + 2 * a - b / 3",
+        "power": "-a**2 + b**3 - (a - b)**4",
+        "functions": "sin(a) * cos(b) + abs(a) + sqrt(b**2) + atan2(a, 2 + b)",
+        "extremes": "min(a, b, 1.5) - max(-a, b)",
+        "names": "twice + c * pi",
+    }
+    expressions = Expressions(texts, ("a", "b"), {"c": 0.5}, {"twice": "2 * a"})
+    expected = [
+        1 + 2 * a - b / 3,
+        -(a**2) + b**3 - (a - b) ** 4,
+        np.sin(a) * np.cos(b) + abs(a) + abs(b) + np.arctan2(a, 2 + b),
+        min(a, b, 1.5) - max(-a, b),
+        2 * a + 0.5 * np.pi,
+    ]
+    np.testing.assert_allclose(expressions(np.array([a, b])), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        expressions(np.full((2, 3, 2), [a, b])), np.full((2, 3, 5), expected), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("extreme", ["min", "max"])
+@pytest.mark.parametrize("position", [0, 1, 2])
+def test_what_is_not_a_number_stays_none(extreme: str, position: int) -> None:
+    """So that a rollout whose state is not a number fails, in NumPy and compiled."""
+    expression = Expressions({"extreme": f"{extreme}(a, b, c)"}, ("a", "b", "c"))
+    x = np.ones(3)
+    x[position] = np.nan
+    assert np.isnan(expression(x))
+    name = {"min": "lesser", "max": "greater"}[extreme]
+    substitute = getattr(simbias.simulation.compiler.expressions, name).substitute
+    assert np.isnan(substitute(substitute(x[0], x[1]), x[2]))
+
+
+def test_other_numbers_need_no_other_code() -> None:
+    kernels = [Expressions({"f": f"{number} * a"}, ("a",)).kernel for number in (2, 3)]
+    assert kernels[0].function is kernels[1].function
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os').system('true')",
+        "a.real",
+        "(lambda: 1)()",
+        "[a for a in b]",
+        "a if b else 1",
+        "a < b",
+        "a ** b",
+        "a ** 1000000",
+        "a and b",
+        "'text'",
+        "True",
+        "1e400",
+        "abs(a, b)",
+        "abs(x=a)",
+        "min(a)",
+        "min(*a)",
+        "eval(a)",
+        "f'{a}'",
+        "a[0]",
+        "(a := 1)",
+        "await a",
+        "c",
+        "1 +",
+        "(" * 500 + "a" + ")" * 500,
+        "-" * 900 + "a",
+    ],
+)
+def test_nothing_else_is_an_expression(text: str) -> None:
+    with pytest.raises(ValueError, match=r"^f: ") as error:
+        Expressions({"f": text}, ("a", "b"))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"failure": {}}, "task: failure is empty"),
+        (
+            {"failure": {"falls": {"value": "angel", "above": 1}}},
+            "task: falls: 'angel': nothing is called angel",
+        ),
+        ({"failure": {"falls": {"value": "angle"}}}, "task: failure.falls: one of above and below"),
+        ({"states": {"a b": {"unit": "m"}}}, "task.states: 'a b' is no name"),
+        ({"constants": {"angle": 1.0}}, "task: angle: two things have this name"),
+        ({"states": {"x": {"unit": "m", "meen": 1}}}, "task.states.x.meen: Unexpected"),
+        ({"drawing": {"rail": {"points": [["0", "nosuch"]]}}}, "task: drawing.rail.0.y: 'nosuch'"),
+        ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "task.drawing.rail.points.0: "),
+    ],
+)
+def test_a_bad_declaration_is_one_line(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        declared(**changes)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+def test_the_order_of_states_counts_in_the_identity() -> None:
+    """A policy and a cost know them by their places."""
+    turned = {**CARTPOLE, "states": dict(reversed(CARTPOLE["states"].items()))}
+    one, other = (str(essence({"task": config}, ())) for config in (CARTPOLE, turned))
+    assert one != other
+
+
+def test_what_a_criterion_allows_to_a_state_alone() -> None:
+    criteria = {criterion.name: criterion for criterion in declared().criteria}
+    assert criteria["falls"].bounds == {"angle": 0.2}
+
+
+def test_the_drawing_is_to_scale() -> None:
+    x = np.array([0.3, 0.1, 0.0, 0.0])
+    parts = declared().points(x)
+    foot, tip = parts["pole"]
+    np.testing.assert_allclose(foot, [0.3, 0.0])
+    np.testing.assert_allclose(tip - foot, 0.6 * np.array([np.sin(0.1), np.cos(0.1)]))
+
+
+def test_a_file_draws_its_geoms() -> None:
+    """Where the equations say that its poles are, which the declared drawing says too."""
+    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "double_cartpole.yaml"))
+    of_file = construct({**config, "drawing": None, "figure": {"file": DOUBLE}}, Task, "task")
+    x = np.array([0.3, 0.1, -0.2, 0.0, 0.0, 0.0])
+    by_file, by_declaration = of_file.points(x), construct(config, Task, "task").points(x)
+    for geom, part in (("cpole", "lower_pole"), ("cpole2", "upper_pole")):
+        lower_end_first = by_file[geom][np.argsort(by_file[geom][:, 1])]
+        np.testing.assert_allclose(lower_end_first, by_declaration[part], atol=1e-6)
+    assert of_file.drawing["cpole"].thickness == pytest.approx(0.09)
+    assert "floor" not in by_file

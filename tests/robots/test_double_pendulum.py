@@ -1,0 +1,125 @@
+"""The double pendulum: conservation, an independent integration of the published equations, kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import simbias
+from simbias.config import ConfigError, compose
+from simbias.config.build import construct
+from simbias.core import Nominal, Task
+from simbias.core.parameters import values_at
+from simbias.core.records import Array
+from simbias.robots.double_pendulum import DoublePendulum
+
+UPRIGHT = np.array([np.pi, 0.0, 0.0, 0.0])
+FRICTION = {"damping_1": 0.02, "damping_2": 0.01, "friction_1": 0.16, "friction_2": 0.12}
+
+
+def task(time_step: float = 0.002) -> Task:
+    config = compose(["preset=double_pendulum", "tracking=none"]).config["task"]
+    return construct({**config, "time_step": time_step}, Task, "task")
+
+
+def model(time_step: float = 0.002, **changes: float) -> DoublePendulum:
+    config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
+    config["drives"] = config["drives"] | changes
+    made = construct(config, Nominal, "nominal", task=task(time_step))
+    assert isinstance(made, DoublePendulum)
+    return made
+
+
+def published(x: Array, u: Array, drives: dict[str, float]) -> Array:
+    """dx/dt by the equations of the Underactuated Robotics Lab's README, written out with matrices."""
+    m_1, l_1, r_1, I_1 = 0.52346, 0.2, 0.2, 0.0318872
+    m_2, r_2, I_2, g = 0.62557, 0.255693, 0.0508698, 9.81
+    rotor, gear = drives.get("rotor_inertia", 0.0), 6.0
+    q, v = x[:2], x[2:]
+    s, c = np.sin(q[1]), np.cos(q[1])
+    coupled = I_2 + m_2 * l_1 * r_2 * c - gear * rotor
+    M = np.array(
+        [
+            [I_1 + I_2 + m_2 * l_1**2 + 2 * m_2 * l_1 * r_2 * c + (gear**2 + 1) * rotor, coupled],
+            [coupled, I_2 + gear**2 * rotor],
+        ]
+    )
+    C = m_2 * r_2 * l_1 * s * np.array([[-2 * v[1], -v[1]], [v[0], 0.0]])
+    both = np.sin(q.sum())
+    G = np.array(
+        [-m_1 * g * r_1 * np.sin(q[0]) - m_2 * g * (l_1 * np.sin(q[0]) + r_2 * both), -m_2 * g * r_2 * both]
+    )
+    b = np.array([drives.get("damping_1", 0.0), drives.get("damping_2", 0.0)])
+    c_f = np.array([drives.get("friction_1", 0.0), drives.get("friction_2", 0.0)])
+    return np.concatenate([v, np.linalg.solve(M, u + G - C @ v - b * v - c_f * np.arctan(100 * v))])
+
+
+def rollout(nominal: Nominal, x: Array, u: Array, frames: int) -> Array:
+    for _ in range(frames):
+        x = nominal.step(x, u)
+    return x
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drives", [{}, FRICTION | {"rotor_inertia": 6e-5}])
+def test_a_step_is_the_published_equations(drives: dict[str, float]) -> None:
+    """Of order two, friction included: four times the steps, sixteen times less error."""
+    u, duration, start = np.array([0.8, -0.5]), 0.064, np.array([0.4, -0.9, 3.0, -2.0])
+    exact = solve_ivp(lambda t, x: published(x, u, drives), (0, duration), start, rtol=1e-11, atol=1e-11).y[
+        :, -1
+    ]
+    errors = [
+        np.abs(rollout(model(h, **drives), start, u, round(duration / h)) - exact).max()
+        for h in (1e-3, 2.5e-4)
+    ]
+    assert errors[0] < 2e-4
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
+
+
+def test_energy_is_kept_without_friction_and_lost_with_it() -> None:
+    start = np.array([2.0, 0.5, 0.0, 0.0])
+    free, lossy = model(), model(**FRICTION)
+    x, y = start, rollout(lossy, start, np.zeros(2), 1000)
+    for _ in range(20):
+        x = rollout(free, x, np.zeros(2), 50)
+        assert free.energy(x) == pytest.approx(free.energy(start), abs=2e-3)
+    assert lossy.energy(y) < lossy.energy(start) - 0.5
+
+
+def test_stiff_friction_brings_it_to_rest() -> None:
+    x = rollout(
+        model(0.01, friction_1=2.0, friction_2=2.0), np.array([0.3, 0.2, 1.0, -1.0]), np.zeros(2), 500
+    )
+    assert np.abs(x[2:]).max() < 0.02
+
+
+def test_parameters_are_those_of_the_equations() -> None:
+    nominal = model()
+    names = [parameter.name for parameter in nominal.parameters]
+    assert len(names) == len(set(names)) == 11
+    values = values_at(nominal.parameters, np.full(len(names), -30.0))
+    same = [
+        p.value if p.prior == "log_normal" else v for p, v in zip(nominal.parameters, values, strict=True)
+    ]
+    x, u = np.array([0.3, 0.2, 1.0, -1.0]), np.array([0.1, 0.2])
+    np.testing.assert_allclose(
+        nominal.with_parameters(np.array(same)).step(x, u), nominal.step(x, u), rtol=1e-12
+    )
+    heavier = np.array([p.value * (2 if p.name == "mass_2" else 1) for p in nominal.parameters])
+    assert np.abs(nominal.with_parameters(heavier).step(x, u) - nominal.step(x, u)).max() > 1e-4
+
+
+def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:
+    """The first angle counted from the top, the second torque alone."""
+    acrobot = simbias.load(["preset=acrobot", "tracking=none"]).nominal
+    x, u = np.random.default_rng(0).normal(0.0, 0.5, (20, 4)), np.linspace(-2.0, 2.0, 20)[:, None]
+    hanging = model().step(x + UPRIGHT, np.hstack([np.zeros((20, 1)), u]))
+    np.testing.assert_allclose(acrobot.step(x, u) + UPRIGHT, hanging, atol=1e-12)
+
+
+def test_a_task_with_other_inputs_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match="driven=second: expected a task with 4 states and 1 inputs; it has"
+    ):
+        simbias.load(["preset=double_pendulum", "hardware=pymunk", "nominal.driven=second", "tracking=none"])

@@ -1,0 +1,313 @@
+"""MuJoCo as a model: against equations of motion, against itself, and what a file cannot be."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import weakref
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from mechanisms import DOUBLE, MOTOR, URDF, cart_pole, mjcf
+from numba import get_num_threads, set_num_threads
+
+import simbias
+from simbias.core import FittedBias, Model
+from simbias.core.records import Array, Indices
+from simbias.robots.cartpole import CartPole
+from simbias.robots.mujoco import parameters as files
+from simbias.robots.mujoco.kernel import FREE, TAKEN, Places
+from simbias.robots.mujoco.model import Mujoco
+from simbias.simulation.closed_loop import join, simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.testing.expectations import transitions
+from simbias.trial.study import Study
+
+
+def points(k: int, scale: float = 0.5) -> tuple[Array, Array]:
+    """States (k, 4) and forces (k, 1)."""
+    rng = np.random.default_rng(0)
+    return scale * rng.normal(size=(k, 4)), 10 * rng.uniform(-1, 1, (k, 1))
+
+
+def test_it_moves_as_the_equations_of_motion_say(tmp_path: Path) -> None:
+    """An independent implementation: both by Runge and Kutta's method, so they converge to each other."""
+    task = cart_pole()
+    file = mjcf(tmp_path, damping=0.3, step=0.02)
+    engine = Mujoco(task, file, values={"tip.mass": 0.0, "tip.inertia": 1e-12})
+    equations = CartPole(task, 2.0, 0.5, 0.8, 0.3, 0.3)
+    x, u = points(20)
+    np.testing.assert_allclose(engine.step(x, u), equations.step(x, u), rtol=1e-6, atol=1e-7)
+
+
+def test_a_state_moves_alike_alone_and_among_others(tmp_path: Path) -> None:
+    """On one thread or several, whatever was stepped before."""
+    model = Mujoco(cart_pole(), mjcf(tmp_path))
+    x, u = points(40)
+    together = model.step(x, u)
+    for row in (3, 39):
+        np.testing.assert_array_equal(model.step(x[row], u[row]), together[row])
+    np.testing.assert_array_equal(
+        model.step(x.reshape(4, 10, 4), u.reshape(4, 10, 1)).reshape(40, 4), together
+    )
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_process_that_is_forked_does_not_wait_for_its_parents_threads(tmp_path: Path) -> None:
+    Mujoco(cart_pole(), mjcf(tmp_path)).step(*points(40))
+    child = os.fork()
+    if not child:
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
+    model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"*.mass": 0.3, "hinge.damping": 1.0})
+    rng = np.random.default_rng(1)
+    models = [model.draw(rng) for _ in range(3)]
+    x, u = points(30)
+    worlds = rng.integers(3, size=30)
+    together = models[0].step_in_worlds(models, x, u, worlds)
+    each = np.array([models[world].step(x[row], u[row]) for row, world in enumerate(worlds)])
+    np.testing.assert_array_equal(together, each)
+    assert len(np.unique(together, axis=0)) == 30
+
+
+def search(nominal: str, *overrides: str) -> Study:
+    """Of the double cart-pole, or of the biped with its contacts, on models that differ."""
+    return simbias.load([f"preset={nominal}", "tracking=none", "evaluation=robust_models", *overrides])
+
+
+def worlds_of(study: Study, bias: FittedBias | None = None) -> list[Model]:
+    model, rng = study.model(bias), np.random.default_rng(0)
+    return [replace(model, nominal=study.nominal.draw(rng)) for _ in range(3)]
+
+
+def candidates(study: Study, k: int) -> tuple[Array, Array, Indices]:
+    """Policies (k, p), of which some are mild, starts (k, n) and worlds (k,)."""
+    rng = np.random.default_rng(1)
+    lower, upper = study.policy.bounds
+    thetas = rng.uniform(lower, upper, (k, len(lower))) * rng.uniform(0.01, 1.0, (k, 1))
+    starts = np.array([study.task.draw_start(rng) for _ in range(k)])
+    return thetas, starts, rng.integers(0, 3, k)
+
+
+@pytest.mark.parametrize("preset", ["double_cartpole", pytest.param("biped", marks=pytest.mark.slow)])
+def test_a_compiled_frame_is_the_engines_to_the_last_bit(preset: str) -> None:
+    """In a rollout without a policy, so that nothing but the engine acts."""
+    study = search(preset, "task.horizon=20")
+    loop, (_, starts, _) = study.simulator(), candidates(study, 40)
+    assert isinstance(loop, CompiledSimulator)
+    for rollout in loop.rollouts(np.zeros((40, study.policy.n_parameters)), starts):
+        assert rollout.frames > 3
+        stepped = study.nominal.step(rollout.states[:-1], rollout.inputs)
+        np.testing.assert_array_equal(rollout.states[1:], stepped)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("learns", [False, True])
+def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
+    """In several worlds, with and without a bias: they fail alike, at the same costs."""
+    study = search("double_cartpole", "identification=none", "bias=gp")
+    bias = study.bias.fit(transitions(study)) if learns else None
+    models = worlds_of(study, bias)
+    compiled = join([simulator(model, cost=study.cost) for model in models])
+    assert isinstance(compiled, CompiledSimulator)
+    asked = candidates(study, 60)
+    costs, frames = compiled.costs(study.cost, *asked)
+    reference, expected = PlainSimulator(models, [None] * 3).costs(study.cost, *asked)
+    np.testing.assert_array_equal(frames, expected)
+    np.testing.assert_allclose(costs, reference, rtol=1e-3 if learns else 1e-9)
+    assert len(np.unique(frames)) > 10
+
+
+def test_predictions_of_a_record_are_the_plain_ones() -> None:
+    """As an identification asks for them: each world's model along the inputs of an experiment."""
+    study = search("double_cartpole")
+    thetas, starts, _ = candidates(study, 3)
+    windows = Windows.of(study.simulator().rollouts(0.01 * thetas, starts), 4, 2)
+    worlds = [World(model.nominal) for model in worlds_of(study)]
+    assert len(windows) >= 3
+    np.testing.assert_allclose(predict(worlds, windows), plain(worlds, windows), rtol=1e-12, atol=1e-12)
+
+
+def test_a_rollout_depends_neither_on_threads_nor_on_those_beside_it() -> None:
+    study = search("double_cartpole")
+    loop = join([simulator(model) for model in worlds_of(study)])
+    thetas, starts, worlds = candidates(study, 50)
+    costs, _ = loop.costs(study.cost, thetas, starts, worlds)
+    for row in (0, 17, 49):
+        alone, _ = loop.costs(study.cost, *(a[row : row + 1] for a in (thetas, starts, worlds)))
+        assert alone[0] == costs[row]
+    before = get_num_threads()
+    try:
+        set_num_threads(1)
+        np.testing.assert_array_equal(loop.costs(study.cost, thetas, starts, worlds)[0], costs)
+    finally:
+        set_num_threads(before)
+
+
+def test_a_lane_without_a_rollout_does_not_ask_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame takes as long as a thousand of other models; each rollout asks for one in vain, as it ends."""
+    made: list[Places] = []
+    monkeypatch.setattr(Places, "__init__", noted(Places.__init__, made))
+    study = search("double_cartpole")
+    thetas, starts, _ = candidates(study, 5)
+    _, frames = study.simulator().costs(study.cost, thetas, starts)
+    (places,) = made
+    steps = sum(data.timer[mujoco.mjtTimer.mjTIMER_STEP].number for data in places.data)
+    substeps = round(study.task.time_step / 0.01)
+    assert steps == substeps * (frames.sum() + 5)
+
+
+def noted(init: Callable[..., None], made: list[Any]) -> Callable[..., None]:
+    """A constructor that notes what it makes."""
+
+    def construct(self: Any, *arguments: Any) -> None:
+        init(self, *arguments)
+        made.append(self)
+
+    return construct
+
+
+def test_what_a_search_simulates_stays_while_it_does() -> None:
+    """Its worlds' models are the simulator's alone, whose kernels know but their addresses."""
+    models = worlds_of(search("double_cartpole"))
+    alive = [weakref.ref(model.nominal) for model in models]
+    loop = join([simulator(model) for model in models])
+    del models
+    gc.collect()
+    assert isinstance(loop, CompiledSimulator)
+    assert all(nominal() is not None for nominal in alive)
+
+
+def test_what_blows_up_in_compiled_code_is_no_number() -> None:
+    study = search("double_cartpole")
+    start = study.task.start_mean.copy()
+    start[3] = 2e4
+    rollout = study.simulator().rollout(np.zeros(study.policy.n_parameters), start)
+    assert rollout.failed_at == 1
+    assert np.isnan(rollout.states[1]).all()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_process_that_is_forked_does_not_wait_for_places_of_its_parents_threads() -> None:
+    """A thread of the parent's that works there does not exist in the child."""
+    study = search("double_cartpole", "task.horizon=3")
+    places = study.nominal._places  # type: ignore[attr-defined]
+    places.table[:, 0] = TAKEN
+    child = os.fork()
+    if not child:
+        os._exit(int(places.table[:, 0].any()))
+    places.table[:, 0] = FREE
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_parameters_of_the_equations_are_what_was_declared() -> None:
+    spreads = {"pole_mass": 0.2, "cart_damping": 1.0}
+    model = CartPole(cart_pole(), 2.0, 0.5, 0.8, 0.0, 0.3, uncertainty=spreads)
+    mass, damping = model.parameters
+    assert mass[:5] == ("pole_mass", "kg", 0.5, 0.2, "log_normal")
+    assert damping[:5] == ("cart_damping", "N s/m", 0.0, 1.0, "half_normal")
+
+
+def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
+    """Their values are the file's; a positive one's prior is log-normal, of zero half a normal one."""
+    model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"pole.mass": 0.3, "hinge.damping": 2.0})
+    mass, damping = model.parameters
+    assert mass[:5] == ("pole.mass", "kg", 0.5, 0.3, "log_normal")
+    assert damping[:5] == ("hinge.damping", "N m s/rad or N s/m", 0.0, 2.0, "half_normal")
+    changed = model.with_parameters(np.array([1.0, 0.7]))
+    equal = Mujoco(cart_pole(), mjcf(tmp_path), values={"pole.mass": 1.0, "hinge.damping": 0.7})
+    x, u = points(5)
+    np.testing.assert_array_equal(changed.step(x, u), equal.step(x, u))
+    same = model.with_parameters(np.array([0.5, 0.0]))
+    np.testing.assert_allclose(same.step(x, u), model.step(x, u), rtol=1e-12)
+
+
+def test_a_heavier_body_has_more_inertia_and_a_larger_one_hangs_farther(tmp_path: Path) -> None:
+    """As a file says that has these numbers."""
+    task, x, u = cart_pole(), *points(10)
+    longer = Mujoco(task, mjcf(tmp_path, length=1.2))
+    scaled = Mujoco(task, mjcf(tmp_path, length=0.8), values={"pole.size": 1.5})
+    np.testing.assert_allclose(scaled.step(x, u), longer.step(x, u), rtol=1e-9)
+    weak = Mujoco(task, mjcf(tmp_path), factors={"push.gain": 0.5})
+    np.testing.assert_allclose(weak.step(x, u), Mujoco(task, mjcf(tmp_path)).step(x, u / 2), rtol=1e-12)
+
+
+def test_what_has_blown_up_is_no_number(tmp_path: Path) -> None:
+    """The engine itself would begin anew at its initial state, as if nothing had happened."""
+    model = Mujoco(cart_pole(), mjcf(tmp_path))
+    x, u = points(3)
+    x[1], x[2, 3] = np.nan, 1e6
+    after = model.step(x, u)
+    assert np.isfinite(after[0]).all()
+    assert np.isnan(after[1:]).all()
+    assert np.isnan(model.step(x[1:], u[1:])).all()
+
+
+def test_a_urdf_has_motors_where_its_joints_are_named(tmp_path: Path) -> None:
+    """A force F makes 2 kg faster by F t / 2, within the effort that the file allows."""
+    file = tmp_path / "slider.urdf"
+    file.write_text(URDF)
+    states = {"position": {"unit": "m"}, "d_position": {"unit": "m/s"}}
+    task = cart_pole(states=states, failure={"far": {"value": "abs(position)", "above": 5.0}})
+    after = Mujoco(task, str(file), actuators=["rail"]).step(np.zeros(2), np.array([3.0]))
+    assert after[1] == pytest.approx(3.0 / 2.0 * 0.02)
+    file.write_text(URDF.replace('effort="20"', 'effort="9"'))
+    with pytest.raises(ValueError, match="the task's input may be 20; the actuator rail gives 9"):
+        Mujoco(task, str(file), actuators=["rail"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"file": "no.xml"}, "no such file: no.xml"),
+        ({"file": "nosuchpackage:a.xml"}, "the package nosuchpackage is not installed"),
+        (
+            {"file": DOUBLE},
+            "the task has 4 states; positions and velocities of the joints slider, hinge, hinge2",
+        ),
+        ({"joints": ["slider"]}, "joint hinge: all joints have to be states"),
+        ({"joints": ["slider", "knee"]}, "joints: .* has no 'knee'; it has slider, hinge"),
+        ({"actuators": ["pull"]}, "actuators: .* has no 'pull'; it has push"),
+        ({"values": {"pole.colour": 1.0}}, "no parameter is called 'pole.colour'; there is body.mass, "),
+        ({"uncertainty": {"knee.*": 1.0}}, "no parameter is called 'knee.*'"),
+    ],
+)
+def test_a_bad_file_is_one_line(tmp_path: Path, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        Mujoco(cart_pole(), **{"file": mjcf(tmp_path), **arguments})
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_does_not_go_with_the_task_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "broken.xml").write_text("<mujoco><worldbody><body/></mujoco>")
+    servo = '<position name="push" joint="slider" kp="10" timeconst="0.1"/>'
+    strong = cart_pole(inputs={"force": {"unit": "N", "limit": 30.0}})
+    for task, actuators, message in (
+        (cart_pole(), None, "broken.xml: "),
+        (strong, MOTOR, "the task's input may be 30; the actuator push gives 20"),
+        (cart_pole(), servo, "actuators with a state of their own: push"),
+        (cart_pole(), "", "the task has 1 inputs"),
+    ):
+        broken = str(tmp_path / "broken.xml")
+        with pytest.raises(ValueError, match=message) as error:
+            Mujoco(task, broken if actuators is None else mjcf(tmp_path, actuators=actuators))
+        assert "\n" not in str(error.value)
+
+
+def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    files.mujoco.cache_clear()
+    with pytest.raises(ValueError, match=r"MuJoCo is not installed .*: pip install 'simbias\[mujoco\]'"):
+        Mujoco(cart_pole(), "any.xml")
+    files.mujoco.cache_clear()

@@ -1,0 +1,144 @@
+"""What MuJoCo renders is what the stick figure shows; where it cannot render, that is drawn."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from mechanisms import DOUBLE
+from omegaconf import OmegaConf
+
+from simbias.config.components import construct
+from simbias.core import Task
+from simbias.core.records import Array
+from simbias.pictures.elements.drawing import drawing_of, movement_of
+from simbias.robots.mujoco.rendering import Image
+
+ROBOT = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="3 3 0.1"/>
+    <body name="cart">
+      <joint name="slider" type="slide" axis="1 0 0"/>
+      <geom name="hull" type="ellipsoid" size="0.3 0.1 0.1" rgba="1 0 0 1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="slider" gear="20"/></actuator>
+</mujoco>
+"""
+
+
+def drawn_from(**figure: Any) -> Any:
+    """The double cart-pole, drawn from a file."""
+    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "double_cartpole.yaml"))
+    return construct({**config, "drawing": None, "figure": figure}, Task, "task")
+
+
+def slider(file: Path) -> Any:
+    """A slider, drawn from a file of which a stick figure lacks the hull."""
+    config = {
+        "_target_": "simbias.robots.declared.task.Declared",
+        "time_step": 0.01,
+        "horizon": 10,
+        "states": {"x": {"unit": "m", "kind": "position"}, "d_x": {"unit": "m/s", "kind": "velocity"}},
+        "inputs": {"force": {"unit": "N", "kind": "force", "limit": 20.0}},
+        "failure": {"leaves": {"value": "abs(x)", "above": 1.0, "unit": "m"}},
+        "figure": {"file": str(file)},
+    }
+    return construct(config, Task, "task")
+
+
+def rendered(task: Any, x: Array) -> Image:
+    """The image of a task; the test is skipped where OpenGL cannot run."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            image = task.image(x)
+        except UserWarning as error:
+            pytest.skip(str(error))
+    assert image is not None
+    return image
+
+
+def opaque(image: Image, point: Array) -> bool:
+    """Whether there is something at a point (2,) in m."""
+    (left, right, bottom, top), (height, width) = image.extent, image.pixels.shape[:2]
+    column, row = (point[0] - left) / (right - left) * width, (top - point[1]) / (top - bottom) * height
+    return 0 <= row < height and 0 <= column < width and bool(image.pixels[int(row), int(column), 3])
+
+
+def test_an_image_is_where_the_stick_figure_is() -> None:
+    task, x = drawn_from(file=DOUBLE, rendered=True), np.array([0.3, 0.1, -0.4, 0.0, 0.0, 0.0])
+    image, parts = rendered(task, x), drawn_from(file=DOUBLE).points(x)
+    for name in ("cpole", "cpole2"):
+        low, high = parts[name]
+        along = (high - low) / np.linalg.norm(high - low)
+        edge = task.drawing[name].thickness / 2 * np.array([-along[1], along[0]])
+        for share in (0.2, 0.5, 0.8):
+            point = low + share * (high - low)
+            assert opaque(image, point + 0.9 * edge)
+            assert opaque(image, point - 0.9 * edge)
+            assert not opaque(image, point + 1.2 * edge)
+            assert not opaque(image, point - 1.2 * edge)
+
+
+def test_what_a_stick_figure_lacks_is_rendered(tmp_path: Path) -> None:
+    """An ellipsoid is; the floor, a plane, is left out of both. Where nothing lacks, nothing is rendered."""
+    (tmp_path / "robot.xml").write_text(ROBOT)
+    task = slider(tmp_path / "robot.xml")
+    image = rendered(task, np.array([0.5, 0.0]))
+    for x, y, inside in ((0.5, 0.0, True), (0.78, 0.0, True), (0.5, 0.11, False), (0.5, -0.11, False)):
+        assert opaque(image, np.array([x, y])) == inside
+    assert drawn_from(file=DOUBLE).image(np.zeros(6)) is None
+
+
+def test_an_image_moves_and_is_tinted(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    (tmp_path / "robot.xml").write_text(ROBOT)
+    task = slider(tmp_path / "robot.xml")
+    rendered(task, np.zeros(2))
+    draw, move = drawing_of(task), movement_of(task)
+    assert draw is not None
+    assert move is not None
+    axes = Figure().add_subplot()
+    artists = draw(axes, task, np.zeros(2), color="tab:blue")
+    (picture,) = axes.images
+    there = np.array(picture.get_extent())
+    pixels = picture.get_array()
+    middle = pixels[len(pixels) // 2, len(pixels[0]) // 2]
+    assert middle[0] > middle[1]  # the hull is red,
+    assert middle[2] > middle[1]  # the figure's colour blue
+    move(artists, task, np.array([0.4, 0.0]), muted=True)
+    np.testing.assert_allclose(np.array(picture.get_extent()) - there, [0.4, 0.4, 0.0, 0.0], atol=2e-3)
+    assert picture.get_alpha() < 1
+
+
+def test_without_opengl_a_stick_figure_is_drawn() -> None:
+    """As on a machine that has no such device; it is said once."""
+    code = """
+import warnings, numpy as np
+from tests_rendering import drawn_from, DOUBLE
+task = drawn_from(file=DOUBLE, rendered=True)
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    assert task.image(np.zeros(6)) is None and task.image(np.zeros(6)) is None
+print([str(each.message) for each in said])
+""".replace("tests_rendering", Path(__file__).stem)
+    paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT / "tests" / "support")]
+    made = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = {paths}\n{code}"],
+        env={"MUJOCO_EGL_DEVICE_ID": "99", "PATH": ""},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    said = "a stick figure is drawn: OpenGL cannot run here without a screen (EGL)"
+    assert made.stdout.strip() == str([said]), made.stderr

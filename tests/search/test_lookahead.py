@@ -1,0 +1,168 @@
+"""Looking ahead changes how points are evaluated, never which ones are found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simbias.config import compose
+from simbias.config.build import construct
+from simbias.core import Optimizer
+from simbias.core.evaluations import STEP_LIMIT, TIME_LIMIT, Evaluations
+from simbias.core.records import Array, Optimum
+from simbias.search.optimizer.lookahead import MOST, look_ahead
+
+STEPS = 100
+SEARCHES = ["nlopt_direct", "nlopt_crs", "scipy_direct", "cma", "bipop_cma", "hybrid"]
+
+
+class Counting:
+    """A rugged objective that counts; `together` as an evaluation offers it."""
+
+    def __init__(self, shift: float = 0.0) -> None:
+        self.calls: list[int] = []
+        self._shift = shift
+
+    def cost(self, x: Array) -> float:
+        return float(np.sum((x - self._shift) ** 2) + 3 * np.sum(np.sin(3 * x) ** 2))
+
+    @property
+    def steps(self) -> int:
+        """As if each point took STEPS of simulation."""
+        return STEPS * sum(self.calls)
+
+    def together(self, points: Array) -> Array:
+        self.calls.append(len(points))
+        return np.array([self.cost(point) for point in points])
+
+    def __call__(self, x: Array) -> float:
+        self.calls.append(1)
+        return self.cost(x)
+
+
+class Speculating(Counting):
+    """An objective that costs some of the points that it is asked for, as a stream of rollouts does."""
+
+    def __init__(self, shift: float = 0.0, seed: int = 0) -> None:
+        super().__init__(shift)
+        self._rng = np.random.default_rng(seed)
+
+    def speculate(self, points: Array) -> tuple[Array, Array]:
+        known = self._rng.uniform(size=len(points)) < 0.5
+        known[self._rng.integers(len(points))] = True
+        self.calls.append(int(known.sum()))
+        return np.where(known, [self.cost(point) for point in points], np.nan), known
+
+
+def minimize(
+    name: str, objective, limit: int, seed: int, candidates: Sequence[Array] = (), **options: float
+) -> Optimum:
+    config = compose(["tracking=none", f"optimizer={name}"]).config["optimizer"]
+    optimizer = construct({**config, "max_evaluations": limit, **options}, Optimizer, "optimizer")
+    rng = np.random.default_rng(seed)
+    return optimizer.minimize(objective, np.full(3, -2.0), np.full(3, 2.5), rng, candidates=candidates)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SEARCHES)
+@settings(max_examples=6, deadline=None)
+@given(limit=st.integers(1, 300), seed=st.integers(0, 99), shift=st.floats(-1, 1))
+def test_result_is_the_sequential_searchs(name: str, limit: int, seed: int, shift: float) -> None:
+    in_turn = minimize(name, Counting(shift).cost, limit, seed)
+    for objective in (Counting(shift), Speculating(shift, seed)):
+        ahead = minimize(name, objective, limit, seed)
+        np.testing.assert_array_equal(ahead.parameters, in_turn.parameters)
+        assert (ahead.cost, ahead.evaluations) == (in_turn.cost, in_turn.evaluations)
+        assert ahead.stopped_by == in_turn.stopped_by
+
+
+def test_where_steps_are_limited_nothing_is_guessed_in_vain() -> None:
+    """What is simulated before a search ends must not depend on the threads."""
+    objective = Speculating()
+    minimize("nlopt_direct", objective, 300, 0, max_steps=100_000)
+    assert max(objective.calls) == MOST
+
+
+@pytest.mark.parametrize(("name", "waste"), [("nlopt_direct", 0.05), ("scipy_direct", 0.05), ("cma", 0.0)])
+def test_few_guesses_are_wrong(name: str, waste: float) -> None:
+    objective = Counting()
+    optimum = minimize(name, objective, 1000, 0)
+    assert optimum.evaluations <= sum(objective.calls) <= (1 + waste) * optimum.evaluations + MOST
+    assert len(objective.calls) < optimum.evaluations / 5
+
+
+def test_an_exception_reaches_the_caller() -> None:
+    class Broken(Counting):
+        def together(self, points: Array) -> Array:
+            raise StopIteration("broken")
+
+    with pytest.raises(StopIteration, match="broken"):
+        minimize("nlopt_direct", Broken(), 100, 0)
+
+
+def test_a_search_that_changes_its_mind_is_noticed() -> None:
+    rng = np.random.default_rng(0)
+
+    def capricious(evaluations: Evaluations) -> str:
+        evaluations.evaluate_all(rng.uniform(size=(100, 3)))
+        return "its whim"
+
+    evaluations = Evaluations(Counting(), np.zeros(3), np.ones(3), limit=100, relative_tolerance=1e-6)
+    with pytest.raises(RuntimeError, match="other points when it is given the same costs"):
+        look_ahead(capricious, evaluations)
+
+
+def test_a_search_whose_first_guess_is_never_evaluated_goes_on() -> None:
+    """Costs of later points may be known before those of the first."""
+
+    class Late(Counting):
+        def speculate(self, points: Array) -> tuple[Array, Array]:
+            known = np.arange(len(points)) == len(points) - 1
+            self.calls.append(1)
+            return np.array([self.cost(point) for point in points]), known
+
+    in_turn = minimize("nlopt_direct", Counting().cost, 60, 0)
+    late = minimize("nlopt_direct", Late(), 60, 0)
+    np.testing.assert_array_equal(late.parameters, in_turn.parameters)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+@settings(max_examples=4, deadline=None)
+@given(points=st.integers(1, 200), seed=st.integers(0, 99))
+def test_a_search_ends_with_its_steps(name: str, points: int, seed: int) -> None:
+    """After the batch in which they are used up; its best point is the best of all that it counts."""
+    objective = Counting()
+    optimum = minimize(name, objective, 100_000, seed, max_steps=STEPS * points)
+    assert objective.steps < STEPS * points + STEPS * MOST
+    assert optimum.evaluations <= sum(objective.calls)
+    assert optimum.cost == objective.cost(optimum.parameters)
+    assert optimum.stopped_by == STEP_LIMIT if objective.steps >= STEPS * points else True
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_a_search_ends_in_time(name: str) -> None:
+    objective = Counting()
+    optimum = minimize(name, objective, 100_000, 0, max_seconds=1e-9, relative_tolerance=1e-300)
+    assert optimum.stopped_by == TIME_LIMIT
+    assert len(objective.calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"), [({"max_steps": 250}, STEP_LIMIT), ({"max_seconds": 1e-9}, TIME_LIMIT)]
+)
+def test_a_search_ends_among_its_candidates(limits: dict[str, float], reason: str) -> None:
+    """They are evaluated in turn here, and the best of those that were is the optimum."""
+
+    class InTurn(Counting):
+        together = None  # type: ignore[assignment]
+
+    objective = InTurn()
+    candidates = [np.full(3, each) for each in (1.0, 0.5, 0.1, 0.0, 0.2)]
+    optimum = minimize("cma", objective, 100_000, 0, candidates, **limits)
+    assert optimum.stopped_by == reason
+    assert optimum.evaluations == len(objective.calls) == (3 if "max_steps" in limits else 1)
+    np.testing.assert_array_equal(optimum.parameters, candidates[len(objective.calls) - 1])

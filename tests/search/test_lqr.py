@@ -1,0 +1,167 @@
+"""Policies that imitate regulators, against what theory says of rests, of gains, and of closed loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from point_mass import PointMass, WithoutWind
+
+import simbias
+from simbias.core import Model, Policy, SlowWarning
+from simbias.core.records import Array
+from simbias.learning.bias.none import ZeroBias
+from simbias.policy.gains import signed_exponential
+from simbias.policy.output_feedback import OutputFeedback
+from simbias.search.lqr import PRICES, Candidates, designs, linearised, regulated, regulator, rest
+from simbias.trial.study import Study
+
+SLOPE = ["nominal.uncertainty.slope=0.025", "task.outputs=states"]
+DELAY = ["nominal.uncertainty.delay=0.02", "task.outputs=states"]
+PAYLOAD = ["nominal.uncertainty.payload_mass=3.0", "nominal.uncertainty.payload_x=0.1"]
+CONSTANT = ["policy=dynamic_output_feedback", "policy.constant=5.0"]
+
+
+def bongoboard(*overrides: str, **values: float) -> tuple[Study, Model]:
+    """A study, and its model with other values of its parameters."""
+    study = simbias.load(["tracking=none", "bias=none", *overrides])
+    known = [values.get(each.name, each.value) for each in study.nominal.parameters]
+    return study, study.model(None, study.nominal.with_parameters(np.array(known)))
+
+
+def point_mass(dynamics: type[WithoutWind] = WithoutWind, policy: type[Policy] = OutputFeedback) -> Model:
+    """A mass that a force moves."""
+    task = PointMass()
+    return Model(task, policy(task), dynamics(task), ZeroBias(2))
+
+
+def test_a_robot_rests_where_nothing_accelerates() -> None:
+    """On a slope it leans; of its many rests, it is one near zero."""
+    _, model = bongoboard(*SLOPE, slope=0.05)
+    x, u = rest(model)
+    np.testing.assert_allclose(model.nominal.accelerations(x, u), 0.0, atol=1e-2)
+    np.testing.assert_allclose(x[3:], 0.0, atol=1e-5)
+    assert 0.01 < np.abs(x).max() < 0.2
+
+
+def test_a_bias_moves_the_rest() -> None:
+    """A steady wind of 2 N, as a bias, is what the force has to balance."""
+
+    class Wind(ZeroBias):
+        def correction(self, x: Array, u: Array) -> Array:
+            dt = 0.02
+            return np.zeros(x.shape) + 2.0 * dt * np.array([dt, 1.0])
+
+    model = point_mass()
+    x, u = rest(Model(model.task, model.policy, model.nominal, Wind(2)))
+    assert u == pytest.approx(-2.0, abs=1e-3)
+    np.testing.assert_allclose(x, 0.0, atol=1e-3)
+
+
+def test_slopes_are_those_of_the_equations() -> None:
+    linear = linearised(point_mass())
+    dt = 0.02
+    np.testing.assert_allclose(linear.A, [[1.0, dt], [0.0, 1.0]], atol=1e-9)
+    np.testing.assert_allclose(linear.B, [[dt**2], [dt]], atol=1e-9)
+
+
+def test_a_late_model_is_regulated_with_its_memory() -> None:
+    """Twenty inputs that are under way count as states; without them the loop would be unstable."""
+    study, model = bongoboard(*DELAY, delay=0.02)
+    linear = linearised(model)
+    assert linear.A.shape == (6 + model.nominal.memory_size,) * 2
+    K = regulator(linear, 100.0 * np.diag(study.task.input_limit**-2.0))
+    assert K is not None
+    blind = np.where(np.arange(len(linear.A)) < 6, K, 0.0)
+    radius, without = (np.abs(np.linalg.eigvals(linear.A - linear.B @ gains)).max() for gains in (K, blind))
+    assert radius < 1.0 < without
+
+
+def test_a_policy_of_the_state_is_the_regulator_itself() -> None:
+    model = point_mass()
+    linear = linearised(model)
+    theta, *_ = regulated(model)
+    K = regulator(linear, np.diag(10.0 * model.task.input_limit**-2.0))
+    assert K is not None
+    np.testing.assert_allclose(signed_exponential(theta), -K[0], rtol=1e-6)
+
+
+def test_what_cannot_be_regulated_has_no_candidates() -> None:
+    class Stuck(WithoutWind):
+        """The force does nothing, and the mass runs away."""
+
+        def step(self, x: Array, u: Array) -> Array:
+            return 1.5 * x
+
+    assert regulated(point_mass(Stuck)) == []
+
+
+def test_a_model_that_is_not_finite_has_none() -> None:
+    class Burst(WithoutWind):
+        def step(self, x: Array, u: Array) -> Array:
+            return np.nan * x
+
+    assert regulated(point_mass(Burst)) == []
+
+
+def test_a_policy_that_imitates_nothing_has_none() -> None:
+    class Other(OutputFeedback):  # type: ignore[misc]
+        def imitating(self, states: Array, inputs: Array) -> None:
+            return None
+
+    assert regulated(point_mass(policy=Other)) == []
+
+
+def test_other_models_are_drawn_and_the_same_each_time() -> None:
+    _, model = bongoboard(*DELAY)
+    once, again = (designs(model, 3) for _ in range(2))
+    assert len(once) == 3 * len(PRICES)
+    np.testing.assert_array_equal(once, again)
+    np.testing.assert_array_equal(once[: len(PRICES)], regulated(model))
+    assert not np.allclose(once[0], once[len(PRICES)])
+    assert designs(model, 0) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("overrides", "values"),
+    [
+        ([*SLOPE, *CONSTANT], {"slope": 0.02}),
+        ([*DELAY, *CONSTANT, "policy.delay_seconds=0.02"], {"delay": 0.02}),
+        ([*PAYLOAD, *CONSTANT, "task.outputs=states"], {"payload_mass": 6.0, "payload_x": 0.1}),
+    ],
+)
+def test_one_of_them_balances_where_searches_find_none(
+    overrides: list[str], values: dict[str, float]
+) -> None:
+    """From eight starts, for five seconds, with the gap known."""
+    study, model = bongoboard(*overrides, **values)
+    rng = np.random.default_rng(1)
+    starts = [study.task.draw_start(rng) for _ in range(8)]
+
+    def held(theta: Array) -> int:
+        rollouts = [study.simulate(theta, None, start, model.nominal) for start in starts]
+        return sum(rollout.failure is None for rollout in rollouts)
+
+    assert max(map(held, regulated(model))) == 8
+
+
+def test_searches_that_begin_without_regulators_say_so() -> None:
+    """Where a policy has no `imitating`; the candidates that were given are kept."""
+
+    class Gain(Policy):
+        """u = theta x, without `imitating`."""
+
+        def __init__(self, task: PointMass) -> None:
+            self.n_parameters, self.bounds = 2, (np.full(2, -5.0), np.full(2, 5.0))
+
+        def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+            return np.sum(theta * x, axis=-1, keepdims=True), memory
+
+        def outputs(self, x: Array) -> Array:
+            return x
+
+    given = [np.array([1.0, 2.0])]
+    with pytest.warns(SlowWarning, match="begin without regulators: Gain imitates none"):
+        assert list(Candidates(given, point_mass(policy=Gain), 3)) == given
+    assert list(Candidates(given, point_mass(policy=Gain), 0)) == given
+    assert len(Candidates(given, point_mass(), 1)) > 1

@@ -1,0 +1,158 @@
+"""The predicted cost under noise, from several starts, on sampled models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import simbias
+from simbias.core import Cost
+from simbias.core.records import Array, Indices, Rollout
+from simbias.search.evaluation.robust import CostOfScenarios, Robust, Scenario
+from simbias.simulation.numpy_loop import costs_of
+from simbias.trial.study import Study
+
+NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
+MAX_COST = 100.0
+
+
+def objective(study: Study, seed: int = 0, **options: object) -> CostOfScenarios:
+    evaluation = Robust(study.task, noise=NOISE, **options)  # type: ignore[arg-type]
+    made = evaluation.objective(study.model(), study.cost, np.random.default_rng(seed))
+    assert isinstance(made, CostOfScenarios)
+    return made
+
+
+class FakeSimulator:
+    """Gives out rollouts whose costs are known, and remembers who asked."""
+
+    def __init__(self, costs: Sequence[float]) -> None:
+        self.known = dict(enumerate(costs))
+        self.asked: list[int] = []
+
+    def rollout(self, theta: Array, start: Array) -> Rollout:
+        self.asked.append(int(theta[0]))
+        return Rollout(np.zeros((1, 1)), np.zeros((0, 1)), cost=self.known[int(theta[0])])
+
+    def rollouts(self, thetas: Array, starts: Array) -> list[Rollout]:
+        return [self.rollout(theta, start) for theta, start in zip(thetas, starts, strict=True)]
+
+    def costs(self, cost: Cost, thetas: Array, starts: Array) -> tuple[Array, Indices]:
+        return costs_of(cost, self.rollouts(thetas, starts))
+
+
+class RolloutsOwn:
+    """A cost that was known before."""
+
+    max_cost = MAX_COST
+
+    def of(self, rollout: Rollout) -> float:
+        return rollout.cost
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.integers(1, 6).flatmap(
+        lambda k: st.lists(st.lists(st.floats(0.0, 200.0), min_size=k, max_size=k), min_size=1, max_size=6)
+    ),
+    st.integers(1, 6),
+    st.integers(1, 6),
+)
+def test_aggregate_and_screening(table: list[list[float]], worst: int, screening: int) -> None:
+    """Rows are policies. Hopeless ones, failed in all screening rollouts, are asked for no further."""
+    simulators = [FakeSimulator(column) for column in zip(*table, strict=True)]
+    scenarios = [Scenario(simulator, np.zeros(1)) for simulator in simulators]
+    thetas = np.arange(len(table), dtype=float)[:, None]
+    costs = CostOfScenarios(scenarios, RolloutsOwn(), worst, screening).together(thetas)  # type: ignore[arg-type]
+    for policy, row in enumerate(table):
+        hopeless = len(row) >= screening and min(row[:screening]) > MAX_COST
+        seen = row[:screening] if hopeless else row
+        assert [policy in simulator.asked for simulator in simulators] == [
+            index < len(seen) for index in range(len(row))
+        ]
+        assert costs[policy] == pytest.approx(np.mean(sorted(seen)[-worst:]))
+
+
+def test_together_is_one_by_one(study: Study) -> None:
+    thetas = np.random.default_rng(1).uniform(-3, 3, (5, 5))
+    made = objective(study, rollouts=3, sample_nominal=True)
+    np.testing.assert_allclose(made.together(thetas), [made(theta) for theta in thetas], rtol=1e-9)
+
+
+def test_random_numbers_are_common_to_a_search_and_repeat(study: Study) -> None:
+    theta = np.random.default_rng(1).uniform(-3, 3, 5)
+    first, second, other = (objective(study, seed, rollouts=3) for seed in (0, 0, 1))
+    assert first(theta) == first(theta) == second(theta) != other(theta)
+
+
+def test_options_change_only_what_they_name(study: Study) -> None:
+    plain = objective(study, rollouts=3).scenarios
+    drawn = objective(study, rollouts=3, sample_nominal=True).scenarios
+    fixed = objective(study, rollouts=3, sample_starts=False).scenarios
+    for a, b, c in zip(plain, drawn, fixed, strict=True):
+        np.testing.assert_array_equal(a.start, b.start)
+        np.testing.assert_array_equal(c.start, study.task.start_mean)
+        for other in (b, c):
+            np.testing.assert_array_equal(a.simulator.noise, other.simulator.noise)
+    assert len({scenario.start.tobytes() for scenario in plain}) == 3
+
+
+def test_without_noise_and_sampling_it_is_the_papers(study: Study) -> None:
+    """One quiet rollout from the mean start is what `nominal_start` predicts."""
+    evaluation = Robust(study.task, rollouts=1, sample_starts=False)
+    rng = np.random.default_rng(0)
+    theta = np.array([1.0, 1.0, -2.0, -1.0, 2.0])
+    quiet = evaluation.objective(study.model(), study.cost, rng)
+    assert quiet(theta) == study.evaluation.objective(study.model(), study.cost, rng)(theta)
+
+
+def test_by_default_the_declared_noise_is_the_hardwares() -> None:
+    study = simbias.load(
+        ["tracking=none", "evaluation=robust", "hardware.noise.torque_variance=0.1", "task.horizon=50"]
+    )
+    scenarios = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0)).scenarios
+    noise = np.concatenate([scenario.simulator.noise for scenario in scenarios])
+    assert np.var(noise[:, :-1, 0]) == pytest.approx(0.1, rel=0.3)
+    assert not noise[..., 1:].any()
+
+
+def test_a_hardware_without_noise_is_evaluated_without_any() -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none", "evaluation=robust_models"], OWN_CONF)
+    costs = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0))
+    assert [scenario.simulator.noise.shape for scenario in costs.scenarios] == [(1, 0, 3)] * 8
+    assert np.isfinite(costs(np.array([9.0, 4.0, 0.0])))
+
+
+def test_a_drawn_model_has_masses_as_uncertain_as_declared() -> None:
+    study = simbias.load(
+        ["tracking=none", "nominal.uncertainty.masses=0.1", "nominal.uncertainty.foot_mass=0"]
+    )
+    rng = np.random.default_rng(0)
+    c9 = np.array([study.nominal.draw(rng).kernel.parameters[-1] for _ in range(2000)])
+    robot = study.task.robot
+    share = np.array([robot.leg_mass, robot.pelvis_mass]) / (robot.leg_mass + robot.pelvis_mass)
+    deviation = 0.1 * np.linalg.norm(share)  # c9 = g l (m_l + m_p), to first order in the deviations
+    assert np.std(c9) / np.mean(c9) == pytest.approx(deviation, rel=0.1)
+    certain = simbias.load(
+        ["tracking=none", "nominal.uncertainty.masses=0", "nominal.uncertainty.foot_mass=0"]
+    )
+    np.testing.assert_array_equal(
+        certain.nominal.draw(rng).kernel.parameters, certain.nominal.kernel.parameters
+    )
+    assert study.nominal.draw(rng).accelerations(study.task.start_mean, np.zeros(1)).shape == (3,)
+
+
+def test_rollouts_may_take_longer_than_experiments(study: Study) -> None:
+    """Costs are those of rollouts of so many seconds; the experiments stay as long as they are."""
+    made = objective(study, rollouts=3, seconds=0.05)
+    cost = study.cost.with_horizon(50)
+    for theta in np.random.default_rng(3).uniform(-3, 3, (3, 5)):
+        rollouts = [scenario.simulator.rollout(theta, scenario.start) for scenario in made.scenarios]
+        assert {rollout.frames for rollout in rollouts} == {50}
+        assert made(theta) == pytest.approx(np.mean([cost.of(rollout) for rollout in rollouts]), rel=1e-9)
+    assert study.task.horizon == 5000

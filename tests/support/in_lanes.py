@@ -1,0 +1,45 @@
+"""Compiled functions, called on their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from simbias.core import FittedBias
+from simbias.core.records import Array
+from simbias.simulation.compiler.compilation import Compilation
+from simbias.simulation.compiler.kernels import LANES
+
+
+def from_python(function: Callable, inline: bool = True) -> Any:
+    """A function, compiled as a part of compiled code, that Python can call all the same."""
+    part = Compilation().compiled(function, inline)
+
+    @njit
+    def call(*arguments):
+        return part(*arguments)
+
+    return call
+
+
+def corrections(fitted: FittedBias, inputs: Array, n: int = 6) -> Array:
+    """What it adds (k, n) at raw inputs (k, n+m), up to LANES of them at a time."""
+    assert fitted.kernel is not None
+    correct = from_python(fitted.kernel.function, inline=False)
+    values = []
+    for first in range(0, len(inputs), LANES):
+        some = inputs[first : first + LANES]
+        rows = np.pad(some, ((0, LANES - len(some)), (0, 0))).T
+        x, u = (_before_nothing(part) for part in np.split(rows, [n]))
+        correction = np.empty((n, LANES))
+        correct(x, u, fitted.kernel.parameters, correction)
+        values.append(correction.T[: len(some)])
+    return np.concatenate(values)
+
+
+def _before_nothing(rows: Array) -> Array:
+    """The same, with no numbers behind: what reads beyond the last row gets them."""
+    return np.ascontiguousarray(np.concatenate([rows, np.full((1, LANES), np.nan)]))[: len(rows)]

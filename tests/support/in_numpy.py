@@ -1,0 +1,108 @@
+"""Components as somebody writes them who knows NumPy and no kernels; and one that only NumPy can run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from functools import wraps
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Nominal, Policy, Task
+from simbias.core.records import Array
+
+
+class CartPole(Nominal):
+    """`simbias.robots.cartpole.CartPole` in matrices: M q'' = f, by Runge and Kutta's method."""
+
+    def __init__(self, task: Task, values: Array) -> None:
+        self._dt = task.time_step
+        self.values = values  # masses of cart and pole, length, damping of cart and hinge, gravity
+
+    def step(self, x: Array, u: Array) -> Array:
+        k1 = self.rates(x, u)
+        k2 = self.rates(x + self._dt / 2 * k1, u)
+        k3 = self.rates(x + self._dt / 2 * k2, u)
+        k4 = self.rates(x + self._dt * k3, u)
+        return x + self._dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    def rates(self, x: Array, u: Array) -> Array:
+        cart, pole, length, cart_damping, hinge_damping, gravity = self.values
+        q, v = x[..., 1], x[..., 2:]
+        mass = np.empty_like(x, shape=(*q.shape, 2, 2))
+        mass[..., 0, 0] = cart + pole
+        mass[..., 0, 1] = mass[..., 1, 0] = pole * length / 2 * np.cos(q)
+        mass[..., 1, 1] = pole * length**2 / 3
+        centrifugal = pole * length / 2 * np.sin(q) * v[..., 1] ** 2
+        weight = pole * gravity * length / 2 * np.sin(q)
+        forces = np.stack([u[..., 0] + centrifugal, weight], axis=-1) - v * [cart_damping, hinge_damping]
+        return np.concatenate([v, np.linalg.solve(mass, forces[..., None])[..., 0]], axis=-1)
+
+    def with_parameters(self, values: Array) -> CartPole:
+        changed = copy(self)
+        changed.values = np.array(values)
+        return changed
+
+
+class DoublePendulum(Nominal):
+    """`simbias.robots.double_pendulum.DoublePendulum`: the same equations, of arrays."""
+
+    def __init__(self, parameters: Array, sub_steps: int) -> None:
+        self._parameters = parameters
+        self._sub_steps = sub_steps
+
+    def step(self, x: Array, u: Array) -> Array:
+        h = self._parameters[0]
+        for _ in range(self._sub_steps):
+            q, v = x[..., :2], x[..., 2:]
+            w = self._velocities(v, u, x, h / 2)
+            middle = np.concatenate([q + h / 2 * v, w], axis=-1)
+            x = np.concatenate([q + h * w, self._velocities(v, u, middle, h)], axis=-1)
+        return x
+
+    def _velocities(self, v: Array, u: Array, at: Array, h: float) -> Array:
+        _, a_1, a_2, a_3, rotor, gear, g_1, g_2, *friction = self._parameters
+        damping, coulomb = np.array(friction[:2]), np.array(friction[2:])
+        q_1, q_2, w_1, w_2 = np.moveaxis(at, -1, 0)
+        slope = damping + coulomb * 100 / (1 + (100 * v) ** 2)
+        rubbing = damping * v + coulomb * np.arctan(100 * v)
+        m_11 = a_1 + a_2 + 2 * a_3 * np.cos(q_2) + (gear**2 + 1) * rotor + h / 2 * slope[..., 0]
+        m_12 = a_2 + a_3 * np.cos(q_2) - gear * rotor
+        m_22 = a_2 + gear**2 * rotor + h / 2 * slope[..., 1]
+        turning = a_3 * np.sin(q_2) * np.stack([w_2 * (2 * w_1 + w_2), -(w_1**2)], axis=-1).T
+        f = u - rubbing - np.stack([g_1 * np.sin(q_1) + g_2 * np.sin(q_1 + q_2), g_2 * np.sin(q_1 + q_2)], -1)
+        f_1, f_2 = np.moveaxis(f, -1, 0) + turning
+        det = m_11 * m_22 - m_12**2
+        return v + h * np.stack([(m_22 * f_1 - m_12 * f_2) / det, (m_11 * f_2 - m_12 * f_1) / det], axis=-1)
+
+
+class Feedback(Policy):
+    """`simbias.policy.output_feedback.OutputFeedback`, of arrays."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        self.n_parameters = len(task.inputs) * len(task.outputs)
+        self.bounds = np.full(self.n_parameters, -10.0), np.full(self.n_parameters, 10.0)
+
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        gains = np.sign(theta) * np.expm1(np.abs(theta))
+        H = gains.reshape(*theta.shape[:-1], len(self._task.inputs), len(self._task.outputs))
+        u = np.einsum("...ij,...j->...i", H, self.outputs(x))
+        return np.clip(u, -self._task.input_limit, self._task.input_limit), memory
+
+    def outputs(self, x: Array) -> Array:
+        return self._task.output(x)
+
+
+def by_value(method: Callable) -> Callable:
+    """A method that looks at values, so that its closed loop is simulated in NumPy."""
+
+    @wraps(method)
+    def call(*arguments: Any) -> Any:
+        for each in arguments:
+            if isinstance(each, np.ndarray):
+                np.asarray(each, np.float64)
+        return method(*arguments)
+
+    return call

@@ -1,0 +1,69 @@
+"""Files of a pole on a cart, and tasks for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from simbias.config.components import construct
+from simbias.core import Task
+from simbias.robots.declared.task import Declared
+
+DOUBLE = "gymnasium:envs/mujoco/assets/inverted_double_pendulum.xml"
+MJCF = """
+<mujoco>
+  <option integrator="RK4" timestep="{step}" gravity="0 0 -9.81"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="slider" type="slide" axis="1 0 0" damping="{damping}"/>
+      <inertial mass="2" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>
+      <body name="pole">
+        <joint name="hinge" type="hinge" axis="0 1 0" damping="{damping}"/>
+        <inertial mass="0.5" pos="0 0 {half}" diaginertia="{inertia} {inertia} {inertia}"/>
+        <geom name="rod" type="capsule" fromto="0 0 0 0 0 {length}" size="0.01" contype="0" conaffinity="0"/>
+        <body name="tip" pos="0 0 {length}">
+          <inertial mass="0.1" pos="0 0 0" diaginertia="1e-6 1e-6 1e-6"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+MOTOR = '<motor name="push" joint="slider" gear="20" ctrllimited="true" ctrlrange="-1 1"/>'
+URDF = """
+<robot name="slider">
+  <link name="cart">
+    <inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <link name="base">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="rail" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+    <limit lower="-9" upper="9" effort="20" velocity="9"/></joint>
+</robot>
+"""
+
+
+def mjcf(
+    folder: Path, *, length: float = 0.8, damping: float = 0.0, actuators: str = MOTOR, step: float = 0.005
+) -> str:
+    """A file of a thin, uniform pole of 0.5 kg on a cart of 2 kg, and a weight of 0.1 kg at its tip."""
+    file = folder / f"pole_{length}.xml"
+    values = {"length": length, "half": length / 2, "inertia": 0.5 * length**2 / 12}
+    file.write_text(MJCF.format(**values, damping=damping, actuators=actuators, step=step))
+    return str(file)
+
+
+def cart_pole(**changes: Any) -> Declared:
+    """A task for that file; or for another, with other states."""
+    states = {"position": "m", "angle": "rad", "d_position": "m/s", "d_angle": "rad/s"}
+    config = {
+        "_target_": "simbias.robots.declared.task.Declared",
+        "time_step": 0.02,
+        "horizon": 50,
+        "states": {name: {"unit": unit, "deviation": 0.1} for name, unit in states.items()},
+        "inputs": {"force": {"unit": "N", "limit": 20.0}},
+        "failure": {"falls": {"value": "abs(angle)", "above": 1.0}},
+    }
+    return construct({**config, **changes}, Task, "task")

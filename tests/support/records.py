@@ -1,0 +1,36 @@
+"""Comparing records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from simbias.trial.run import TrialRecord
+
+
+def assert_equal(a: Any, b: Any, where: str = "") -> None:
+    """Two records are the same to the last bit, but for fitted biases, which follow from the data."""
+    if isinstance(b, np.ndarray):
+        np.testing.assert_array_equal(a, b, err_msg=where)
+    elif is_dataclass(b):
+        assert type(a) is type(b), where
+        for field in fields(b):
+            if field.name not in ("fitted_bias", "nominal", "traceback"):
+                assert_equal(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(b, tuple):
+        assert len(a) == len(b), where
+        for index, (one, other) in enumerate(zip(a, b, strict=True)):
+            assert_equal(one, other, f"{where}[{index}]")
+    elif isinstance(b, Mapping):
+        assert dict(a) == dict(b), where
+    else:
+        assert a == b or (a != a and b != b), where
+
+
+def timeless(record: TrialRecord) -> TrialRecord:
+    """A record without its times."""
+    iterations = tuple(replace(iteration, seconds={}) for iteration in record.iterations)
+    return replace(record, iterations=iterations, started=0.0, seconds=0.0)

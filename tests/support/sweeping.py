@@ -1,0 +1,169 @@
+"""Sweeps as a person starts them, and what the store holds of them afterwards."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote, urlparse
+
+import numpy as np
+import psutil
+from conftest import PYTHONPATH
+from forked import Forked
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+NO_FIGURES = "+sweep.figures={}"  # to draw them takes a second
+QUICK = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"]
+FOUR_CELLS = """
+task: {horizon: 600}
+optimizer: {max_evaluations: 30}
+method: {max_iterations: 2}
+tracking: {pictures: false}
+sweep:
+  trials: 5
+  figures: {}
+  axes:
+    hardware.noise.torque_variance: [0.0, 0.1]
+    hardware.inertia_error: [0.0, 0.2]
+"""
+
+
+def write_sweep(folder: Path, name: str, text: str) -> Path:
+    """A config dir with a sweep."""
+    (folder / "conf" / "sweeps").mkdir(parents=True, exist_ok=True)
+    (folder / "conf" / "sweeps" / f"{name}.yaml").write_text(text)
+    return folder / "conf"
+
+
+SIMBIAS = ("-m", "simbias")
+
+
+def start(
+    *arguments: str,
+    folder: Path,
+    program: Sequence[str] = SIMBIAS,
+    temporary: Path | None = None,
+    largest_file: int | None = None,  # bytes; of a fork
+) -> subprocess.Popen[str] | Forked:
+    """A process of its own session, so that signals to it reach no one else."""
+    environment = os.environ | {"PYTHONPATH": PYTHONPATH, "COLUMNS": "120"}
+    if temporary is not None:
+        environment["TMPDIR"] = str(temporary)
+    if "PYTEST_CURRENT_TEST" in os.environ and program is SIMBIAS:  # but studies
+        return Forked(arguments, folder, environment, largest_file)
+    return subprocess.Popen(
+        [sys.executable, "-u", *program, *arguments],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def run(*arguments: str, folder: Path, timeout: float = 120, **options: Any) -> tuple[int, str, str]:
+    """Exit status, stdout and stderr; whatever hangs is killed with its workers."""
+    process = start(*arguments, folder=folder, **options)
+    return finish(process, timeout)
+
+
+def simbias(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """What `python -m simbias` has done."""
+    return subprocess.CompletedProcess(arguments, *run(*arguments, folder=folder))
+
+
+def finish(process: subprocess.Popen[str] | Forked, timeout: float = 120) -> tuple[int, str, str]:
+    """Wait for a process, but not for ever."""
+    killer = threading.Timer(timeout, lambda: os.killpg(process.pid, signal.SIGKILL))
+    killer.start()
+    try:
+        out, err = process.communicate()
+    finally:
+        killer.cancel()
+    return process.returncode, out, err
+
+
+def until_trials(process: subprocess.Popen[str] | Forked, count: int) -> None:
+    """Read the process' lines until it has told of so many more trials."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        count -= bool(re.match(r"\[\d+/", line))
+        if not count:
+            return
+    raise AssertionError(f"ended early: {process.communicate()}")
+
+
+def workers(process: subprocess.Popen[str] | Forked) -> list[int]:
+    """Processes of loky's that are children of the process."""
+    children = psutil.Process(process.pid).children()
+    return [child.pid for child in children if any("popen_loky" in word for word in child.cmdline())]
+
+
+def client_of(folder: Path) -> MlflowClient:
+    """Of the store in a folder."""
+    from mlflow import MlflowClient  # lazily: it takes seconds
+
+    return MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
+
+
+def runs(folder: Path) -> tuple[list[Run], list[Run]]:
+    """Parent runs and trials' runs of the store in a folder."""
+    client = client_of(folder)
+    experiment = client.get_experiment_by_name("simbias")
+    assert experiment is not None
+    found = list(client.search_runs([experiment.experiment_id], max_results=1000))
+    parents = [run for run in found if "sweep" in run.data.tags]
+    return parents, [run for run in found if "mlflow.parentRunId" in run.data.tags]
+
+
+def artifacts(run: Run) -> Path:
+    return Path(unquote(urlparse(run.info.artifact_uri).path))
+
+
+def trial_by_trial(folder: Path) -> dict[str, Any]:
+    """Everything that trials found, by their hashes; asserts that each is there once, and finished."""
+    parents, trials = runs(folder)
+    assert len(parents) == 1
+    assert {run.data.tags["mlflow.parentRunId"] for run in trials} == {parents[0].info.run_id}
+    assert {run.info.status for run in trials} == {"FINISHED"}
+    assert len({run.data.tags["hash"] for run in trials}) == len(trials)
+    client = client_of(folder)
+    return {run.data.tags["hash"]: everything(client, run) for run in trials}
+
+
+def everything(client: MlflowClient, run: Run) -> dict[str, Any]:
+    """Parameters, metrics of every iteration, and files, without times and pictures."""
+    names = sorted(name for name in run.data.metrics if not name.startswith(("seconds/", "trial/seconds")))
+    histories = {
+        name: [(m.step, m.value) for m in client.get_metric_history(run.info.run_id, name)] for name in names
+    }
+    root = artifacts(run)
+    paths = [path for path in sorted(root.rglob("*")) if path.is_file() and path.parent.name != "pictures"]
+    files = {str(path.relative_to(root)): content(path) for path in paths}
+    params = {key: value for key, value in run.data.params.items() if not key.startswith("tracking")}
+    return {"params": params, "metrics": histories, "files": files, "outcome": run.data.tags["outcome"]}
+
+
+def content(path: Path) -> Any:
+    """A file's content, comparable."""
+    if path.suffix != ".npz":
+        return re.sub(r"tracking:(\n  .*)*", "", path.read_text())
+    with np.load(path) as file:
+        return {name: (file[name].shape, file[name].tobytes()) for name in file.files}
+
+
+def table(folder: Path) -> str:
+    """The table that the parent run keeps."""
+    (parent,) = runs(folder)[0]
+    return (artifacts(parent) / "table.csv").read_text()

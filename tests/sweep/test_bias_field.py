@@ -1,0 +1,127 @@
+"""Fig. 5: what is learned, against experiments that it was not learned from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import simbias
+from simbias.core import FittedBias, Hardware
+from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search
+from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.figures.bias_field import BiasField
+from simbias.sweep.grid import expand
+from simbias.sweep.picture import Picture
+from simbias.trial.study import Study
+
+STATES = ("alpha_w", "alpha_b", "theta")
+FALLING = np.array([8.118, 4.731, -6.740, -1.024, -4.0])  # in about a second
+EXPERIMENTS = 3
+
+
+class Trial(NamedTuple):
+    """As the store gives it back."""
+
+    study: Study
+    iterations: tuple[Iteration, ...]
+
+
+class Noting(Hardware):
+    """Hardware that notes where its experiments start."""
+
+    def __init__(self, hardware: Hardware) -> None:
+        self._hardware = hardware
+        self.starts: list[tuple[float, ...]] = []
+
+    def run(self, policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        self.starts.append(tuple(start))
+        return self._hardware.run(policy, theta, start, rng)
+
+
+def search(bias: FittedBias) -> Search:
+    return Search(Optimum(FALLING, 1.0, 1, "the test"), 1.0, bias)
+
+
+def trial_of(*overrides: str, replaced: Callable[[Study], Study] = lambda study: study) -> Trial:
+    """A trial of two iterations: one to learn from, one with what was learned."""
+    study = replaced(simbias.load(["task.horizon=1500", *overrides]))
+    rollouts = tuple(study.experiment(FALLING, rng) for rng in np.random.default_rng(study.seed).spawn(4))
+    selection = study.samples.select(rollouts, study.nominal)
+    data = selection.transitions
+    first = Iteration(
+        index=0,
+        parameters=FALLING,
+        experiments=rollouts,
+        hardware_cost=300.0,
+        succeeded=False,
+        total_experiments=4,
+        search=search(study.bias.fit(study.no_data)),
+        learning=Learning(selection, data),
+    )
+    last = replace(first, index=1, total_experiments=8, search=search(study.bias.fit(data)))
+    return Trial(study, (first, last))
+
+
+def picture_of(trial: Trial) -> Picture:
+    table = pd.DataFrame([{"run_id": "0", "outcome": "succeeded"}])
+    figure = BiasField(trial.study.task, STATES, EXPERIMENTS)
+    return figure.draw(SweptTrials(expand(["+sweep=fig5"]), table, lambda _: trial), ())
+
+
+@pytest.mark.slow
+def test_what_is_learned_predicts_what_was_not_seen() -> None:
+    """Without a bias, all of the residual is left."""
+    errors = picture_of(trial_of()).numbers.set_index("state")
+    assert (errors["samples"] > 50).all()
+    assert (errors.loc[["alpha_b", "d_alpha_b"], ["relative_mean", "relative_eq7"]] < 0.6).all(axis=None)
+    nothing = picture_of(trial_of("bias=none")).numbers
+    assert nothing["relative_mean"].tolist() == nothing["relative_eq7"].tolist() == [1.0] * 6
+    assert nothing["residual"].to_numpy() == pytest.approx(errors["residual"].to_numpy())
+
+
+@pytest.mark.slow
+def test_held_out_experiments_are_new() -> None:
+    trial = trial_of(replaced=lambda study: replace(study, hardware=Noting(study.hardware)))
+    hardware = trial.study.hardware
+    assert isinstance(hardware, Noting)
+    met = set(hardware.starts)
+    picture_of(trial)
+    assert len(met) == 4
+    assert len(set(hardware.starts)) == 4 + 2 * EXPERIMENTS
+
+
+@pytest.mark.slow
+def test_arrows_are_velocities() -> None:
+    """All arrows stand for the same time, in which the bias of the angles would carry the state along."""
+    trial = trial_of()
+    picture = picture_of(trial)
+    panels = [axes for axes in picture.figure.axes if axes.collections]
+    assert len(panels) == 3
+    data, truth, prediction = panels[0].collections[:3]
+    transitions = trial.iterations[0].learning.data
+    assert np.asarray(data.get_offsets()) == pytest.approx(transitions.inputs[:, :2])
+    ratio = np.concatenate([data.U, data.V]) / transitions.residuals[:, :2].T.ravel()
+    assert ratio == pytest.approx(np.full(len(ratio), ratio[0]))
+    assert np.asarray(truth.get_offsets()) == pytest.approx(np.asarray(prediction.get_offsets()))
+    assert len(truth.get_offsets()) == 40
+    assert np.corrcoef(truth.U, prediction.U)[0, 1] > 0.7
+
+
+@pytest.mark.slow
+def test_without_any_sample() -> None:
+    trial = trial_of("samples.limits.distance=1e-9")
+    with pytest.raises(FigureError, match="no held-out sample"):
+        picture_of(trial)
+
+
+@pytest.mark.slow
+def test_without_a_search() -> None:
+    trial = trial_of()
+    iterations = tuple(replace(iteration, search=None) for iteration in trial.iterations)
+    with pytest.raises(FigureError, match="not searched"):
+        picture_of(trial._replace(iterations=iterations))

@@ -1,0 +1,51 @@
+"""The figure of what last policies are worth, from trials that are made up."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.figures.last_policies import LastPolicies
+from simbias.sweep.grid import expand
+
+STARTS = {"slope 0.02 rad": ["1110", "1100"], "slope 0.05 rad": ["0000", "1110"]}  # nobody holds the last
+
+
+def made_up(starts: dict[str, list[str]]) -> SweptTrials:
+    """A sweep of which so many trials have ended, and one more that raised."""
+    rows = [
+        {"gap": gap, "repetition": i, "outcome": "succeeded" if i else "not succeeded", "experiments": 4 + i}
+        | {"held_out": text}
+        for gap, texts in starts.items()
+        for i, text in enumerate(texts)
+    ]
+    raised = {"gap": "lag 20 ms", "repetition": 0, "outcome": "error", "experiments": 1, "held_out": ""}
+    return SweptTrials(expand(["+sweep=gaps"]), pd.DataFrame([*rows, raised]), lambda _: None)  # type: ignore[arg-type]
+
+
+def test_shares_are_of_the_starts_that_a_policy_holds() -> None:
+    picture = LastPolicies().draw(made_up(STARTS), ())
+    assert picture.numbers["held"].tolist() == pytest.approx([1, 2 / 3, 0, 1])
+    assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
+    assert "of 3 held-out starts" in picture.caption
+    assert "2 of 4 trials end" in picture.caption
+    assert "in 0 of 2 cells" in picture.caption
+
+
+def test_every_trial_is_a_dot_that_no_other_hides() -> None:
+    """On the left by its experiments, on the right by its share; a row of the axes for each cell."""
+    alike = {"slope 0.02 rad": ["1111"] * 10}
+    figure = LastPolicies().draw(made_up(alike), ()).figure
+    FigureCanvasAgg(figure).draw()
+    left, right = figure.axes
+    assert len(left.get_yticklabels()) == 24
+    dots = [tuple(at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
+    assert len(set(dots)) == 10
+    assert all(abs(height) < 0.5 for _, height in dots)
+
+
+def test_without_tries_there_is_nothing_to_draw() -> None:
+    with pytest.raises(FigureError, match=r"held_out\.starts=20"):
+        LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())

@@ -1,0 +1,150 @@
+"""Making figures: what they need is run once and kept, whoever looks on; errors say of which figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+import simbias
+from simbias.core import HardwareError, Waiting
+from simbias.engine.sequential import Sequential
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.robots.bongoboard.pymunk import PymunkBongoboard
+from simbias.sweep.batches import Batch, Outcomes
+from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.figures.success_rates import Range, SuccessRates
+from simbias.sweep.grid import expand
+from simbias.sweep.interruption import Interruption
+from simbias.sweep.making import FigureObserver, make_figures
+from simbias.sweep.picture import Picture
+from simbias.trial.study import Study
+
+FALLING = np.array([8.118, 4.731, -6.740, -1.024, -4.0])
+STARTS = np.zeros((2, 6))
+
+
+class Store:
+    """Keeps what is made in memory."""
+
+    def __init__(self) -> None:
+        self.kept: dict[str, Outcomes] = {}
+        self.captions: dict[str, str] = {}
+
+    def results(self) -> pd.DataFrame:
+        return pd.DataFrame()
+
+    def load(self, run_id: str) -> Any:
+        raise AssertionError
+
+    def outcomes(self, hashes: Sequence[str]) -> dict[str, Outcomes]:
+        return {identity: self.kept[identity] for identity in hashes if identity in self.kept}
+
+    def keep_outcomes(self, identity: str, outcomes: Outcomes) -> None:
+        self.kept[identity] = outcomes
+
+    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        assert all(file.exists() for file in files)
+        self.captions[name] = caption
+
+
+class Notes(FigureObserver):
+    """What there was to hear of."""
+
+    def __init__(self) -> None:
+        self.lines: list[Any] = []
+
+    @contextmanager
+    def working(self, words: str, total: int, done: int) -> Iterator[Any]:
+        self.lines.append((words, total, done))
+        yield lambda: self.lines.append("step")
+
+    def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        self.lines.append((name, caption, [file.name for file in files]))
+
+
+class Tries(SweepFigure):
+    """A figure that tries a policy on hardware."""
+
+    def __init__(self, study: Study, seeds: int) -> None:
+        self._batches = [Batch.of(study.composition, FALLING, STARTS, seed) for seed in range(seeds)]
+
+    def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
+        return self._batches
+
+    def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
+        numbers = pd.DataFrame({"frames": [outcome.frames[0] for outcome in outcomes]})
+        return Picture(Figure(), numbers, f"{len(outcomes)} batches.")
+
+
+@pytest.fixture(scope="module")
+def brief() -> Study:
+    return simbias.load(["task.horizon=50"])
+
+
+def make(figure: SweepFigure, store: Store, observer: FigureObserver, folder: Path) -> None:
+    sweep = SimpleNamespace(figures={"tries": figure}, figures_to=str(folder))
+    with Interruption() as interruption:
+        make_figures(sweep, Sequential(), store, observer, interruption)
+
+
+def test_batches_are_run_once_and_kept(brief: Study, tmp_path: Path) -> None:
+    store, notes = Store(), Notes()
+    make(Tries(brief, 1), store, FigureObserver(), tmp_path)
+    assert len(store.kept) == 1
+    make(Tries(brief, 3), store, notes, tmp_path)
+    files = ["tries.png", "tries.svg", "tries.csv", "tries.md"]
+    progress = ("tries: batches of experiments", 3, 1)
+    assert notes.lines == [progress, "step", "step", ("tries", "3 batches.", files)]
+    assert len(store.kept) == 3
+    assert {outcome.successes for outcome in store.kept.values()} == {(True, True)}
+    assert store.captions == {"tries": "3 batches."}
+
+
+@pytest.mark.parametrize("error", [HardwareError("a leg broke"), Waiting("the lab is closed until Monday")])
+def test_hardware_that_gives_no_result(
+    brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(self, policy, theta, start, rng) -> None:
+        raise error
+
+    monkeypatch.setattr(PymunkBongoboard, "run", fail)
+    store = Store()
+    with pytest.raises(FigureError, match=f"^tries: hardware: {error}$"):
+        make(Tries(brief, 1), store, FigureObserver(), tmp_path)
+    assert not store.kept
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (NoPictureError("nothing to see"), "tries: nothing to see"),
+        (Waiting("later"), "tries: hardware: later"),
+    ],
+)
+def test_what_cannot_be_drawn(
+    brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, message: str
+) -> None:
+    def fail(self, trials, outcomes) -> None:
+        raise error
+
+    monkeypatch.setattr(Tries, "draw", fail)
+    with pytest.raises(FigureError, match=f"^{message}$"):
+        make(Tries(brief, 0), Store(), FigureObserver(), tmp_path)
+
+
+def test_hardware_without_starts_has_no_grid_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    sweep = expand(["+sweep=fig7"])
+    x, y = Range("alpha_w", -0.1, 0.1, 2), Range("alpha_b", -0.1, 0.1, 2)
+    label = "learned with noise"
+    figure = SuccessRates(simbias.load().task, sweep.cells, x, y, 1, label)
+    monkeypatch.setattr(PymunkBongoboard, "sets_start", False)
+    with pytest.raises(FigureError, match="pymunk begins where it stands"):
+        figure.experiments(SweptTrials(sweep, pd.DataFrame(), lambda _: None))

@@ -1,0 +1,116 @@
+"""Figures of many series: each is told from all others, and nothing is cut off."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from simbias.pictures.elements.series import COLOURS, MARKERS, look
+from simbias.sweep.figure import SweptTrials
+from simbias.sweep.figures import costs
+from simbias.sweep.figures.experiments import Experiments
+from simbias.sweep.grid import expand
+
+LEARNERS = ["gp", "sparse_gp", "gp_learned", "none"]
+EVALUATIONS = ["nominal_start", "robust_posterior"]
+EIGHT_SERIES = f"""
+sweep:
+  trials: 3
+  axes:
+    hardware.inertia_error: [0.0, 0.05]
+    bias: {LEARNERS}
+    evaluation: {EVALUATIONS}
+"""
+
+
+def picture_of(name: str, config_dir: Path | None = None) -> Figure:
+    """The figure of a sweep whose trials are random numbers."""
+    sweep, rng = expand([f"+sweep={name}"], config_dir), np.random.default_rng(0)
+    rows = [
+        {
+            **dict(zip((axis.name for axis in sweep.axes), cell.labels, strict=True)),
+            "outcome": "succeeded",
+            "experiments": rng.integers(2, 20),
+            "iterations": 3,
+        }
+        for cell in sweep.cells
+        for _ in range(3)
+    ]
+    return Experiments().draw(SweptTrials(sweep, pd.DataFrame(rows), lambda _: None), ()).figure
+
+
+def assert_nothing_is_cut(figure: Figure) -> None:
+    """The legend is inside of the figure, above all axes."""
+    FigureCanvasAgg(figure).draw()
+    (legend,) = figure.legends
+    box, whole = legend.get_window_extent(), figure.bbox
+    assert whole.x0 <= box.x0 < box.x1 <= whole.x1
+    assert box.y1 <= whole.y1
+    for axes in figure.axes:
+        assert axes.get_window_extent().y1 <= box.y0 + 1
+
+
+def test_looks_differ() -> None:
+    looks = [look(index) for index in range(len(COLOURS) * len(MARKERS))]
+    assert len(set(looks)) == len(looks)
+    assert len({one.colour for one in looks[:8]}) == len({one.marker for one in looks[:8]}) == 8
+
+
+@pytest.mark.slow
+def test_eight_series(tmp_path: Path) -> None:
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "sweeps" / "eight.yaml").write_text(EIGHT_SERIES)
+    figure = picture_of("eight", tmp_path)
+    assert_nothing_is_cut(figure)
+    (axes,) = figure.axes
+    points = [container.lines[0] for container in axes.containers]
+    assert len({to_hex(line.get_color()) for line in points}) == 8
+    assert len({line.get_marker() for line in points}) == 8
+    (legend,) = figure.legends
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts == [f"{bias}, {evaluation}" for bias, evaluation in itertools.product(LEARNERS, EVALUATIONS)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["table2", "smoke", "learners", "learning"])
+def test_legends_of_shipped_sweeps(name: str) -> None:
+    figure = picture_of(name)
+    if figure.legends:
+        assert_nothing_is_cut(figure)
+
+
+def test_labels_longer_than_the_figure_are_wrapped() -> None:
+    labels = ["short", "a series whose name goes on and on " * 4]
+    figure = Figure(figsize=(4.0, 3.0), layout="constrained")
+    lines = [figure.add_subplot().plot([0, 1])[0] for _ in labels]
+    costs.draw_legend(figure, lines, labels)
+    assert_nothing_is_cut(figure)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cells", [1, 2, 8])
+def test_costs_of_many_cells(cells: int) -> None:
+    """A panel for each, in rows; their legend is whole."""
+    rng = np.random.default_rng(0)
+    panels = {
+        f"hardware with an inertia error of {cell}": pd.DataFrame(
+            {
+                "repetition": np.repeat([0, 1], 3),
+                "iteration": np.tile([0, 1, 2], 2),
+                "hardware_cost": np.exp(rng.normal(5.0, 2.0, 6)),
+                "succeeded": [False, False, True, False, False, False],
+            }
+        )
+        for cell in range(cells)
+    }
+    figure = costs._figure(panels, 200.0)
+    assert_nothing_is_cut(figure)
+    assert sum(bool(axes.lines) for axes in figure.axes) == cells
+    assert figure.get_figwidth() < 15.0

@@ -1,0 +1,84 @@
+"""`python -m simbias new`: the folder runs as it is, and goes through the conformance suite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from sweeping import simbias
+
+from simbias.__main__ import BAD_INPUT, main
+from simbias.terminal.new import TEMPLATE
+
+
+@pytest.mark.slow
+def test_a_new_robot_keeps_its_contracts_and_learns(tmp_path: Path) -> None:
+    made = simbias("new", "arm", folder=tmp_path)
+    assert made.returncode == 0, made.stderr
+    folder = tmp_path / "arm"
+    files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    groups = ("cost", "hardware", "nominal", "preset", "task")
+    assert files == {"arm.py", "test_arm.py", "README.md", *(f"conf/{group}/arm.yaml" for group in groups)}
+    assert not any("my_robot" in (folder / file).read_text() for file in files)
+    commands = [line.split(" -m simbias ")[1].split() for line in made.stdout.splitlines() if " -m " in line]
+    assert [command[0] for command in commands] == ["check", "preview", "--config-dir"]
+    checked = simbias(*commands[0], "hardware=arm", "nominal=arm", "task=arm", folder=folder)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    assert "hardware arm, nominal arm, task arm: all checks hold." in checked.stdout
+    ran = simbias(*commands[2], "tracking=none", folder=folder)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "Succeeded after 3 hardware experiments" in ran.stdout
+
+
+@pytest.mark.slow
+def test_what_is_broken_in_it_is_one_line(tmp_path: Path) -> None:
+    """A typo in YAML, a method without its name, and one that raises in the middle of an experiment."""
+    simbias("new", "arm", folder=tmp_path)
+    folder = tmp_path / "arm"
+    text = (folder / "arm.py").read_text()
+
+    def line(*overrides: str) -> str:
+        done = simbias("--config-dir", "conf", "preset=arm", "tracking=none", *overrides, folder=folder)
+        assert done.returncode in (1, 2), done.stdout
+        assert "Traceback" not in done.stderr
+        (last,) = [each for each in done.stderr.splitlines() if each.startswith("simbias: ")]
+        return last
+
+    assert line("+nominal.lenght=1") == "simbias: nominal.lenght: no such key"
+    (folder / "arm.py").write_text(text.replace("def step(", "def stepp("))
+    assert "Can't instantiate abstract class Belief" in line()
+    (folder / "arm.py").write_text(text.replace("np.sin(x[0]) + torque", "np.sin(x[2]) + torque"))
+    broken = line()
+    assert "HardwareError: Robot.run: expected a Rollout, got IndexError: index 2 is out of bounds" in broken
+    trace = broken.split("traceback in ")[1].split(";")[0]
+    assert "np.sin(x[2])" in Path(trace).read_text()
+    Path(trace).unlink()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ([], "new: expected one name"),
+        (["a", "b"], "new: expected one name"),
+        (["my robot"], "new: expected the name of a Python module"),
+        (["class"], "new: expected the name of a Python module"),
+        (["numpy"], "new: a module of the name numpy is installed"),
+        (["taken"], "taken: is there already"),
+    ],
+)
+def test_a_name_that_does_not_do_is_bad_input(
+    names: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").touch()
+    assert main(["new", *names]) == BAD_INPUT
+    assert capsys.readouterr().err.startswith(f"simbias: {message}")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_the_template_is_shipped() -> None:
+    assert (TEMPLATE / "my_robot.py").is_file()
