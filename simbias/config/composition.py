@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
 from simbias.config.files import check_file
+from simbias.config.renamed import unknown
 from simbias.config.resources import check_no_primary, register_sweeps, resource_folder
 from simbias.core.errors import ConfigError, reason
 
@@ -231,7 +233,8 @@ def _in_one_line(error: Exception) -> ConfigError:
 
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
-        return ConfigError(f"{group}={option}", f"no such option; {group} has {', '.join(error.options)}")
+        choice = f"{group}={option}"
+        return unknown([choice], choice, f"no such option; {group} has {', '.join(error.options)}")
     cause = error.__cause__
     if isinstance(error, ConfigAttributeError | ConfigKeyError):
         return _no_such_key(error.full_key or "")
@@ -243,11 +246,11 @@ def _in_one_line(error: Exception) -> ConfigError:
         return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
-    return ConfigError("", ": ".join(lines[:2]))
+    return unknown(re.findall("'(.+?)'", lines[0]), "", ": ".join(lines[:2]))
 
 
 def _no_such_key(key: str) -> ConfigError:
     """What to say of a key that the config has not."""
     if key.startswith("sweep."):
-        return ConfigError(key, f"no such key; +{key}=... if the sweep's file only leaves it out")
-    return ConfigError(key, "no such key; --cfg job shows them all, --help the groups")
+        return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
+    return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")
