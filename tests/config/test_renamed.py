@@ -37,7 +37,7 @@ def _exists(name: str) -> bool:
         return option in options().get(group, [])
     if name.startswith("simbias."):
         return _imports(name)
-    group, _, key = name.partition(".")
+    group = name.partition(".")[0]
     names = options().get(group, [])
     found = [compose().config, *({group: shipped(group, each)} for each in names if group != "preset")]
     return any(_has(config, name.split(".")) for config in found)
