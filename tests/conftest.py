@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import gc
 import os
-import pickle
 import re
 import sys
 from collections.abc import Iterator
@@ -11,12 +10,9 @@ from typing import Any
 
 import pytest
 from filelock import FileLock
-from hydra._internal.sources_registry import SourcesRegistry
-from hydra.core.plugins import Plugins
 from threadpoolctl import threadpool_limits
 
 import simbias
-from simbias.config import Variations
 from simbias.core.cache import cache_folder
 from simbias.trial.study import Study
 
@@ -77,43 +73,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _one_thread() -> Iterator[None]:
     """Linear algebra on one thread, as in a trial: its threads wait for each other in a busy loop."""
     with threadpool_limits(1, user_api="blas"):
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _composed_once() -> Iterator[None]:
-    """Have Hydra, which takes a tenth of a second, compose each of the same files once for all."""
-    compose, known = Variations._compose, {}
-
-    def compose_once(self: Variations, options: tuple[str, ...]) -> Any:
-        if self._folders not in ([], [OWN_CONF]):  # files that tests write
-            return compose(self, options)
-        key = (tuple(self.overrides), str(self._config_dir), options)
-        if key not in known:
-            known[key] = compose(self, options)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Variations, "_compose", compose_once)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _read_once() -> Iterator[None]:
-    """Have Hydra parse each shipped file once: it does so for each composition, for a quarter of its time."""
-    Plugins.instance()
-    source = SourcesRegistry.instance().resolve("file")
-    load, known = source.load_config, {}
-
-    def load_once(self: Any, config_path: str) -> Any:
-        if self.path != str(ROOT / "conf"):  # files that tests write
-            return load(self, config_path)
-        if (self.provider, config_path) not in known:
-            known[self.provider, config_path] = pickle.dumps(load(self, config_path))
-        return pickle.loads(known[self.provider, config_path])  # Hydra changes what it gets
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(source, "load_config", load_once)
         yield
 
 

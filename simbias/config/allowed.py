@@ -13,7 +13,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from simbias.config.files import check_file
 from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, words
 
@@ -55,7 +54,6 @@ def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
 
 def _of_file(file: Path) -> list[str]:
     """What a folder's file allows; nothing if there is none."""
-    check_file(file)
     if not file.is_file():
         return []
     from omegaconf import OmegaConf  # lazily: --help needs none

@@ -12,7 +12,6 @@ from simbias.config.components import construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
 from simbias.config.identity import LATER
-from simbias.config.memory import check_memory
 from simbias.config.renamed import unknown
 from simbias.core import Hardware, Task
 from simbias.core.errors import ConfigError
@@ -34,8 +33,7 @@ def build(composition: Composition) -> Study:
     Raises
     ------
     ConfigError
-        If a key is unknown or missing, a value has the wrong type or range, a constructor refuses, or the
-        study does not fit into memory.
+        If a key is unknown or missing, a value has the wrong type or range, or a constructor refuses.
     """
     composition = composition.trial
     config = {**LATER, **composition.config}
@@ -58,7 +56,7 @@ def build(composition: Composition) -> Study:
         for group, contract in contracts.items()
         if group != "task"
     }
-    study = Study(
+    return Study(
         task=task,
         **components,
         **values,
@@ -66,8 +64,6 @@ def build(composition: Composition) -> Study:
         hardware_of=partial(_hardware, config[HARDWARE], allowed),
         conditions=conditions(whole, task, timeout),
     )
-    check_memory(study)
-    return study
 
 
 def _hardware(config: Any, allowed: Sequence[str], task: Task) -> Hardware:

@@ -6,14 +6,13 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
-from simbias.config.files import check_file
 from simbias.config.renamed import unknown
-from simbias.config.resources import check_no_primary, register_sweeps, resource_folder
+from simbias.config.resources import check_no_primary, register_sweep, resource_folder, state
 from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
@@ -33,11 +32,11 @@ class Composition:
     allowed: tuple[str, ...] = field(default=(), compare=False)  # modules of which it may name classes
 
     @cached_property
-    def essence(self) -> Mapping[str, Any]:
-        """What affects a trial's result (`simbias.config.identity`)."""
-        from simbias.config.identity import essence  # lazily: --help needs no components
+    def identity_fields(self) -> Mapping[str, Any]:
+        """The config as far as it affects a trial's result (`simbias.config.identity`)."""
+        from simbias.config.identity import identity_fields  # lazily: --help needs no components
 
-        return essence(self.config, NOT_HASHED, self.allowed)
+        return identity_fields(self.config, NOT_HASHED, self.allowed)
 
     @cached_property
     def hash(self) -> str:
@@ -45,17 +44,17 @@ class Composition:
         return self.hash_with({})
 
     @cached_property
-    def cell(self) -> str:
+    def group_hash(self) -> str:
         """Identity of what repeated trials share: a hash of all but the seed."""
-        from simbias.config.identity import digest
+        from simbias.config.identity import sha
 
-        return digest({key: value for key, value in self.essence.items() if key != "seed"})
+        return sha({key: value for key, value in self.identity_fields.items() if key != "seed"})
 
     def hash_with(self, changes: Mapping[str, Any]) -> str:
         """Identity of a trial with other values outside of components, as of its seed."""
-        from simbias.config.identity import digest
+        from simbias.config.identity import sha
 
-        return digest({**self.essence, **changes})
+        return sha({**self.identity_fields, **changes})
 
     @property
     def trial(self) -> Composition:
@@ -80,13 +79,6 @@ def compose(
     return Variations(overrides, config_dir, allow).composition({})
 
 
-class _Composed(NamedTuple):
-    """What Hydra composed."""
-
-    config: DictConfig  # interpolations not yet resolved
-    choices: dict[str, str]
-
-
 class Variations:
     """Compositions that differ in a few settings, the same as if these were further overrides.
 
@@ -99,15 +91,12 @@ class Variations:
         config_dir: Path | str | None = None,
         allow: Sequence[str] = (),
     ) -> None:
-        for override in overrides:
-            _check_text(override)
-        self.overrides = list(overrides)
-        self._config_dir = config_dir
-        self._composed: dict[tuple[str, ...], _Composed] = {}
         if config_dir is not None and not Path(config_dir).is_dir():
             raise ConfigError("--config-dir", f"no such folder: {config_dir}")
         check_no_primary(config_dir)
-        self._folders = [Path(config_dir)] if config_dir is not None else _searched(overrides)
+        self.overrides = list(overrides)
+        self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
+        self._folders = _searched(overrides) if config_dir is None else [Path(config_dir)]
         self._allowed = prefixes(self._folders, allow)
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
@@ -128,7 +117,7 @@ class Variations:
                 groups = self._compose(()).choices if settings else {}
                 options = tuple(f"{key}={value}" for key, value in settings.items() if key in groups)
                 composed = self._compose(options)
-                config = composed.config.copy()
+                config = composed.config.copy() if settings else composed.config
                 for key, value in settings.items():
                     if key not in groups:
                         OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
@@ -139,41 +128,41 @@ class Variations:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self.overrides), reason(error)) from error
-        return Composition(plain, composed.choices, (*self._allowed, *beside(plain, self._folders)))
+        return Composition(plain, dict(composed.choices), (*self._allowed, *beside(plain, self._folders)))
 
     def _compose(self, options: tuple[str, ...]) -> _Composed:
-        """Hydra's work: once for each choice of options."""
-        import hydra
-        from omegaconf import OmegaConf
+        """Hydra's work: once for each choice of options, while no file changes."""
+        files = state([resource_folder("conf"), resource_folder("sweeps"), *self._folders])
+        return _composed((*self.overrides, *options), self._config_dir, files)
 
-        if options not in self._composed:
-            overrides = [*self.overrides, *options]
-            if self._config_dir is not None:
-                overrides.append(
-                    f"hydra.searchpath=[{_quoted(f'file://{Path(self._config_dir).resolve()}')}]"
-                )
-            parsed = _parsed(overrides)
-            self._check_files(parsed)
-            sweeps = [each.value() for each in parsed if each.key_or_group == "sweep"]
-            if sweeps:
-                register_sweeps(self._config_dir, sweeps[-1])
-            with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
-                composed = hydra.compose("config", overrides, return_hydra_config=True)
-            runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
-            choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
-            presets = [each.value() for each in parsed if each.key_or_group == "preset"]
-            if presets and isinstance(presets[-1], list):  # of which Hydra does not tell
-                choices["preset"] = ",".join(map(str, presets[-1]))
-            own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
-            OmegaConf.set_struct(own, True)
-            self._composed[options] = _Composed(own, choices)
-        return self._composed[options]
 
-    def _check_files(self, overrides: Sequence[Override]) -> None:
-        """Refuse an option that Hydra would wait for."""
-        for each in overrides:
-            for folder in self._folders:
-                check_file(folder / each.key_or_group / f"{each.value()}.yaml")
+class _Composed(NamedTuple):
+    """What Hydra composed."""
+
+    config: DictConfig  # interpolations not yet resolved
+    choices: Mapping[str, str]
+
+
+@lru_cache(maxsize=200)
+def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset) -> _Composed:
+    """Hydra's composition, which takes 40 ms; `files` is the state of what it reads."""
+    import hydra
+    from omegaconf import OmegaConf
+
+    if config_dir is not None:
+        overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'file://{config_dir}')}]"]
+    values = {each.key_or_group: each.value() for each in _parsed(overrides)}  # the last of each
+    if isinstance(sweep := values.get("sweep"), str):
+        register_sweep(sweep, config_dir)
+    with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
+        composed = hydra.compose("config", list(overrides), return_hydra_config=True)
+    runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
+    choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
+    if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell
+        choices["preset"] = ",".join(map(str, presets))
+    own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
+    OmegaConf.set_struct(own, True)
+    return _Composed(own, choices)
 
 
 def overridden(overrides: Sequence[str]) -> list[str]:
@@ -216,14 +205,6 @@ def _searched(overrides: Sequence[str]) -> list[Path]:
         return []
     paths = [str(path) for value in values if isinstance(value, list) for path in value]
     return [Path(path.removeprefix("file://")) for path in paths if path.startswith("file://")]
-
-
-def _check_text(override: str) -> None:
-    """Refuse what no store can keep: bytes of a command line that are no UTF-8."""
-    try:
-        override.encode()
-    except UnicodeEncodeError as error:
-        raise ConfigError(override, "is no UTF-8") from error
 
 
 def _in_one_line(error: Exception) -> ConfigError:

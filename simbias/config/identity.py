@@ -28,7 +28,7 @@ LATER = {  # groups that came later, and what does nothing in their place: earli
 DIGITS = 12  # hexadecimal
 
 
-def essence(
+def identity_fields(
     config: Mapping[str, Any], left_out: Sequence[str], allowed: Sequence[str] = ()
 ) -> dict[str, Any]:
     """What a config says of a trial, some groups left out, in plain containers; `allowed` as of `construct`.
@@ -51,9 +51,9 @@ def essence(
     return {**found, "safety": _plain(limits)} if limits.limits else found
 
 
-def digest(essence: Mapping[str, Any]) -> str:
-    """A hash of it."""
-    text = json.dumps({"scheme": SCHEME, **essence}, sort_keys=True, default=str)
+def sha(fields: Mapping[str, Any]) -> str:
+    """The first hexadecimal digits of a SHA-256 of these fields and of the scheme."""
+    text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 

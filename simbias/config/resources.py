@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from simbias.config.files import check_file
+from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
-
-if TYPE_CHECKING:
-    from hydra.core.config_store import ConfigNode
 
 PRIMARY = "config.yaml"  # the one that names the defaults
 
@@ -27,62 +25,77 @@ def options(config_dir: Path | str | None = None) -> dict[str, list[str]]:
     from omegaconf import OmegaConf
 
     root = resource_folder("conf")
-    own = Path(config_dir) if config_dir is not None else root
+    folders = [root, *([Path(config_dir)] if config_dir is not None else [])]
     defaults = OmegaConf.load(root / PRIMARY).defaults
     chosen = {group: option for entry in defaults if entry != "_self_" for group, option in entry.items()}
     return {
-        group: [
-            option,
-            *sorted({f.stem for folder in (root, own) for f in _files(folder / group)} - {option}),
-        ]
+        group: [option, *sorted(_names(folder / group for folder in folders) - {option})]
         for group, option in chosen.items()
     }
 
 
 def sweeps(config_dir: Path | str | None = None) -> list[str]:
     """The sweeps that are shipped, and those of the user's folder."""
-    folders = [resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir is not None else [])]
-    return sorted({file.stem for folder in folders for file in _files(folder)})
+    return sorted(_names(_sweep_folders(config_dir)))
 
 
-def _files(folder: Path) -> list[Path]:
-    """The configs of a folder by name, but for what is no file, or has a name that cannot be written."""
-    return sorted(file for file in folder.glob("*.yaml") if file.is_file() and file.stem.isprintable())
+def _names(folders: Iterator[Path]) -> set[str]:
+    """The names of the configs in some folders."""
+    return {file.stem for folder in folders for file in folder.glob("*.yaml")}
 
 
-def register_sweeps(config_dir: Path | str | None, wanted: Any) -> None:
-    """Make the files of `sweeps` options of Hydra's group `sweep`; those of `config_dir` come first.
+def _sweep_folders(config_dir: Path | str | None) -> Iterator[Path]:
+    """The folders of sweeps, the user's first."""
+    if config_dir is not None:
+        yield Path(config_dir) / "sweeps"
+    yield resource_folder("sweeps")
 
-    A file that cannot be read is passed over, unless it is the wanted one.
+
+def register_sweep(name: str, config_dir: Path | str | None, known: frozenset[str] = frozenset()) -> None:
+    """Make a file of `sweeps`, and those that its defaults list names, options of Hydra's group `sweep`.
+
+    A search path would make the folder a group of the name `sweeps`, and each file need a package header.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or it cannot be read.
     """
     from hydra.core.config_store import ConfigStore
-
-    group: dict[str, Any] = {}
-    for folder in (resource_folder("sweeps"), *([Path(config_dir) / "sweeps"] if config_dir else [])):
-        for file in _files(folder):
-            try:
-                about = file.stat()
-                group[file.name] = _sweep(file, about.st_mtime_ns, about.st_size)
-            except Exception as error:  # OmegaConf's, YAML's or the system's
-                if file.stem != wanted:
-                    continue
-                if isinstance(error, ConfigError):
-                    raise
-                raise ConfigError(str(file), reason(error)) from error
-    ConfigStore.instance().repo["sweep"] = group  # in place of those of another config_dir
-
-
-@cache
-def _sweep(file: Path, time: int, size: int) -> ConfigNode:
-    """What is in a file that was changed last at that time; Hydra copies what it uses of it."""
-    from hydra.core.config_store import ConfigNode
     from omegaconf import DictConfig, OmegaConf
 
-    check_file(file)
-    node = OmegaConf.load(file)
+    found = (folder / f"{name}.yaml" for folder in _sweep_folders(config_dir))
+    file = next((file for file in found if file.exists()), None)
+    if file is None:
+        choice = f"sweep={name}"
+        names = ", ".join(sweeps(config_dir))
+        raise unknown([choice], choice, f"no such option; sweep has {names}")
+    try:
+        node = OmegaConf.load(file)
+    except Exception as error:  # OmegaConf's, YAML's or the system's
+        raise ConfigError(str(file), reason(error)) from error
     if not isinstance(node, DictConfig):
         raise ConfigError(str(file), "must be a mapping")
-    return ConfigNode(file.name, node, group="sweep", package="_global_", provider=None)
+    ConfigStore.instance().store(name, node, "sweep", "_global_")
+    for other in node.get("defaults") or []:
+        if isinstance(other, str) and other not in {"_self_", name, *known}:
+            register_sweep(other, config_dir, known | {name})
+
+
+def state(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:
+    """Name, time and size of every YAML file in these folders: another state, another composition."""
+    return frozenset(entry for folder in folders for entry in _files(folder))
+
+
+def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
+    """The YAML files in a folder and below it, but for hidden folders, as environments are."""
+    for root, inner, names in os.walk(folder):
+        inner[:] = [name for name in inner if not name.startswith(".")]
+        for name in names:
+            if name.endswith(".yaml"):
+                with suppress(OSError):  # a link that leads nowhere
+                    about = os.stat(path := os.path.join(root, name))
+                    yield path, about.st_mtime_ns, about.st_size
 
 
 def check_no_primary(config_dir: Path | str | None) -> None:

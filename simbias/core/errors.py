@@ -22,7 +22,7 @@ class ConfigError(ValueError):
 def reason(error: Exception) -> str:
     """What is wrong with a file or a value, in words."""
     if isinstance(error, RecursionError):
-        return "values nested too deeply, or a defaults list that leads back to itself"
+        return "a defaults list that leads back to itself, or values nested too deeply"
     return (
         f"{error.strerror}: {error.filename}"
         if isinstance(error, OSError) and error.strerror

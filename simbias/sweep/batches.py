@@ -43,7 +43,7 @@ class Batch:
     @property
     def hash(self) -> str:
         """Identity: 12 hexadecimal digits of everything that affects the outcomes."""
-        parts = [self.composition.cell, self.parameters, self.starts, self.seed]
+        parts = [self.composition.group_hash, self.parameters, self.starts, self.seed]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
 
 

@@ -212,11 +212,13 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
             seeding |= {} if axis.name in common_seeds else axis.settings(index)
         composition = _composed(variations, settings, axes)
         labels = tuple(axis.labels[index] for axis, index in zip(axes, point, strict=True))
-        twin = known.setdefault(composition.cell, labels)
+        twin = known.setdefault(composition.group_hash, labels)
         if twin != labels:
             raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")
         if (key := repr(seeding)) not in identities:
-            identities[key] = variations.composition(seeding).trial.cell if common_seeds else composition.cell
+            identities[key] = (
+                variations.composition(seeding).trial.group_hash if common_seeds else composition.group_hash
+            )
         yield Cell(labels, composition, identities[key])
 
 

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 import simbias
 from simbias.config import ConfigError
 from simbias.config.components import construct
-from simbias.config.identity import essence
+from simbias.config.identity import identity_fields
 from simbias.core import Task
 from simbias.robots.declared.task import Declared
 from simbias.simulation.compiled import CompiledSimulator
@@ -201,7 +201,7 @@ def test_a_bad_declaration_is_one_line(changes: dict[str, Any], message: str) ->
 def test_the_order_of_states_counts_in_the_identity() -> None:
     """A policy and a cost know them by their places."""
     turned = {**CARTPOLE, "states": dict(reversed(CARTPOLE["states"].items()))}
-    one, other = (str(essence({"task": config}, ())) for config in (CARTPOLE, turned))
+    one, other = (str(identity_fields({"task": config}, ())) for config in (CARTPOLE, turned))
     assert one != other
 
 

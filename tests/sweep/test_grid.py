@@ -191,7 +191,7 @@ def test_an_axis_may_add_a_key() -> None:
         {"force_variance": 0.1},
     ]
     alone = compose(["preset=cartpole", "bias=sparse_gp", "+hardware.noise.force_variance=0.1"])
-    assert sweep.cells[1].composition.cell == alone.trial.cell
+    assert sweep.cells[1].composition.group_hash == alone.trial.group_hash
     assert sweep.axes[0].keys == ("hardware.noise.force_variance",)
     assert expand(["+sweep=fig6", "preset=cartpole", noise.replace("+", "++")]).trials == sweep.trials
     with pytest.raises(ConfigError, match="is an axis of the sweep"):
