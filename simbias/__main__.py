@@ -1,4 +1,4 @@
-"""The command line: `python -m simbias [override ...]`."""
+"""The command line: `python -m simbias [run | check | new | preview] [override ...]`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import gc
 import os
 import shlex
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Any
 
 from simbias import __version__
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     from simbias.sweep.tracking import TrackedTrial
     from simbias.trial.study import Study
 
+PROGRAM = "python -m simbias"
 GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
 SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
 
-CHECK = "check"  # in place of a first override: put components through the conformance suite
-PREVIEW = "preview"  # likewise: show what the first experiment is predicted to do
-NEW = "new"  # likewise: lay out a folder for a robot of one's own
+RUN = "run"  # the command that is meant where none is named
 
 EXAMPLES = """\
 values that people change most (--cfg job shows all):
@@ -52,7 +51,7 @@ examples:
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
-             (the same command goes on), 130 interrupted (likewise)
+             (the same command resumes), 130 interrupted (likewise)
 of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2, 3 and 130 as above
 """
 
@@ -60,9 +59,9 @@ of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an er
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
     gc.set_threshold(GARBAGE)
-    parsed = _parser(_config_dir(arguments)).parse_intermixed_args(arguments)
+    parsed = _parsed(arguments)
     try:
-        status = _run_or_show(parsed)
+        status: int = parsed.command(parsed)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # who reads our output, `head` say, has seen enough
@@ -80,7 +79,7 @@ def _trace_of_own_code(error: ConfigError) -> str:
     """Where the traceback is of an error that came from the user's own code."""
     from simbias.core.error_origin import has_own_code
     from simbias.core.messages import with_trace
-    from simbias.terminal.trial import temporary_traceback
+    from simbias.terminal.lines import temporary_traceback
 
     if error.__cause__ is None or not has_own_code(error.__cause__):
         return ""
@@ -88,22 +87,80 @@ def _trace_of_own_code(error: ConfigError) -> str:
     return f" (traceback in {file})" if file else ""
 
 
+def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The arguments, and the `command` that is to be called with them; options may stand anywhere."""
+    own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
+    add_own_components(own)
+    own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
+    own.add_argument("--version", action="version", version=f"simbias {__version__}")
+    known, rest = own.parse_known_args(arguments)
+    parser, commands = _parser(own, known.config_dir)
+    if not rest or rest[0] not in (*commands, "-h", "--help"):
+        rest = [RUN, *rest]
+    return argparse.Namespace(**{**vars(parser.parse_args(rest)), **vars(known)})
+
+
+def _parser(
+    own: argparse.ArgumentParser, config_dir: str | None
+) -> tuple[argparse.ArgumentParser, Collection[str]]:
+    """The command line's grammar and its commands; help tells of the options in a folder of configs too."""
+    text: dict[str, Any] = {
+        "parents": [own],
+        "epilog": _groups(config_dir) + EXAMPLES,
+        "formatter_class": argparse.RawDescriptionHelpFormatter,
+    }
+    about = "Learn a simulation's bias and optimise a policy with few hardware experiments."
+    usage = "%(prog)s [command] [override ...] [--config-dir DIR] [--allow MODULE] [--cfg job]"
+    parser = argparse.ArgumentParser(prog=PROGRAM, usage=usage, description=about, **text)
+    commands = parser.add_subparsers(metavar="command", title="commands")
+    run = commands.add_parser(RUN, help="run a trial or a sweep, or resume it: the default", **text)
+    check = commands.add_parser("check", help="put components through the conformance suite", parents=[own])
+    preview = commands.add_parser(
+        "preview", help="show what the first experiment is predicted to do", parents=[own]
+    )
+    new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
+    for each, command in ((run, _run_or_show), (check, _check), (preview, _preview)):
+        each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
+        each.set_defaults(command=command)
+    new.add_argument("name", help="of a Python module, as my_robot")
+    new.set_defaults(command=_new)
+    return parser, commands.choices
+
+
+def _groups(config_dir: str | None) -> str:
+    """The groups with their options, and the sweeps, as help shows them."""
+    groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
+    return (
+        f"groups and their options, the default first (group=option):\n{groups}\n\n"
+        f"sweeps, many trials in a grid (+sweep=name):\n  {' | '.join(sweeps(config_dir))}\n\n"
+    )
+
+
+def _check(parsed: argparse.Namespace) -> int:
+    """Put components through the conformance suite."""
+    from simbias.terminal.check import check
+
+    return SUCCEEDED if check(parsed.overrides, parsed.config_dir, parsed.allow) else FAILED
+
+
+def _preview(parsed: argparse.Namespace) -> int:
+    """Show what the first experiment is predicted to do."""
+    from simbias.terminal.preview import preview
+
+    preview(parsed.overrides, parsed.config_dir, parsed.allow)
+    return SUCCEEDED
+
+
+def _new(parsed: argparse.Namespace) -> int:
+    """Lay out a folder for a robot of the user's own."""
+    from simbias.terminal.new import new
+
+    new(parsed.name)
+    return SUCCEEDED
+
+
 def _run_or_show(parsed: argparse.Namespace) -> int:
-    """A trial, a sweep or a config, as told."""
-    if parsed.overrides[:1] == [CHECK]:
-        from simbias.terminal.check import check
-
-        return SUCCEEDED if check(parsed.overrides[1:], parsed.config_dir, parsed.allow) else FAILED
-    if parsed.overrides[:1] == [NEW]:
-        from simbias.terminal.new import new
-
-        new(parsed.overrides[1:])
-        return SUCCEEDED
-    if parsed.overrides[:1] == [PREVIEW]:
-        from simbias.terminal.preview import preview
-
-        preview(parsed.overrides[1:], parsed.config_dir, parsed.allow)
-        return SUCCEEDED
+    """Run a trial or a sweep, or print its config."""
     variations = Variations(parsed.overrides, parsed.config_dir, parsed.allow)
     composition = variations.composition({})
     if parsed.cfg:
@@ -112,31 +169,6 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
     if "sweep" in composition.config:
         return _sweep(parsed, composition, variations)
     return _run(parsed, composition)
-
-
-def _config_dir(arguments: Sequence[str] | None) -> str | None:
-    """The folder of configs that a command line names, which --help tells of too."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--config-dir", nargs="?")
-    return parser.parse_known_args(arguments)[0].config_dir
-
-
-def _parser(config_dir: str | None) -> argparse.ArgumentParser:
-    """The command line's grammar; its help tells of the options in a folder of configs too."""
-    groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
-    shipped = f"  {' | '.join(sweeps(config_dir))}"
-    parser = argparse.ArgumentParser(
-        prog="python -m simbias",
-        description="Learn a simulation's bias and optimise a policy with few hardware experiments.",
-        epilog=f"groups and their options, the default first (group=option):\n{groups}\n\n"
-        f"sweeps, many trials in a grid (+sweep=name):\n{shipped}\n\n{EXAMPLES}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
-    parser.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
-    add_own_components(parser)
-    parser.add_argument("--version", action="version", version=f"simbias {__version__}")
-    return parser
 
 
 def _as_yaml(composition: Composition) -> str:
@@ -150,7 +182,7 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
     """Run one trial in the terminal, or go on with it."""
     from simbias.config.build import build
     from simbias.sweep.services import engine, tracking
-    from simbias.terminal.trial import preparing, slowness_in_one_line
+    from simbias.terminal.notices import preparing, slowness_in_one_line
     from simbias.testing.rehearsal import rehearse
 
     engine(composition)  # a single trial needs none, but a bad one is bad input
@@ -200,8 +232,8 @@ def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Var
     from simbias.mlflow.store import cause
     from simbias.sweep.running import prepare, run_sweep
     from simbias.sweep.services import engine, tracking
+    from simbias.terminal.notices import preparing, slowness_in_one_line
     from simbias.terminal.sweep import SweepConsole, dry_run
-    from simbias.terminal.trial import preparing, slowness_in_one_line
 
     trials_engine, store = engine(composition), tracking(composition)
     with preparing(), slowness_in_one_line():

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rich.console import Console
+from rich.markup import escape
 
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.config.composition import overridden
 from simbias.core.messages import counted, with_trace
-from simbias.terminal.trial import temporary_traceback
+from simbias.terminal.lines import say, temporary_traceback
 from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts
 
 
@@ -30,12 +31,12 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
     for verdict in verdicts(study, groups):
         problems += bool(verdict.problem)
         mark = "[red]fails[/red]" if verdict.problem else "[green]holds[/green]"
-        console.print(f"{mark}  {verdict.check}", soft_wrap=True)
+        say(console, f"{mark}  {escape(str(verdict.check))}", markup=True)
         if verdict.problem:
-            console.print(f"       {verdict.problem}{_trace(verdict)}", soft_wrap=True, markup=False)
+            say(console, f"       {verdict.problem}{_trace(verdict)}")
     chosen = ", ".join(f"{group} {study.choices[group]}" for group in sorted(groups))
     end = f"{counted(problems, 'check')} failed" if problems else "all checks hold"
-    console.print(f"{chosen}: {end}.", soft_wrap=True, markup=False)
+    say(console, f"{chosen}: {end}.")
     return not problems
 
 

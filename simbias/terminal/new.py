@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import keyword
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,17 +14,14 @@ TEMPLATE = Path(__file__).resolve().parent.parent / "templates" / "robot"
 NAME = "my_robot"  # of the template
 
 
-def new(arguments: Sequence[str]) -> None:
-    """Lay out the folder, and say how to go on.
+def new(name: str) -> None:
+    """Lay out the folder, and say how to use it.
 
     Raises
     ------
     ConfigError
         If the name is none of a module, or taken.
     """
-    if len(arguments) != 1:
-        raise ConfigError("new", f"expected one name, as in: new {NAME}")
-    (name,) = arguments
     if not name.isidentifier() or keyword.iskeyword(name) or not name.isascii():
         raise ConfigError("new", f"expected the name of a Python module, as {NAME}, got {quote(name)}")
     folder = Path(name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -14,7 +13,8 @@ from simbias.config.build import build
 from simbias.lab.safety import Bounds
 from simbias.pictures.elements.style import save
 from simbias.pictures.preview import preview as picture
-from simbias.terminal.trial import preparing, slowness_in_one_line
+from simbias.terminal.lines import say
+from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.prediction import DRAWS, Prediction, predict
 from simbias.trial.study import Study
@@ -30,23 +30,23 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
     ConfigError
         If an override is bad, a component breaks its contract, or the picture cannot be written.
     """
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False)
     with slowness_in_one_line():
         with preparing():
             study = build(compose(overrides, config_dir, allow))
             rehearse(study)
-        console.print("Searching the trial's first policy; no experiment is made ...")
+        say(console, "Searching the trial's first policy; no experiment is made ...")
         order = study.ask()
         assert order is not None  # a trial begins with one
         prediction = predict(study, order.theta, order.start)
     bounds = study.conditions.safety.bounds(study.task)
     for line in describe(study, prediction, bounds):
-        console.print(line, markup=False)
+        say(console, line)
     try:
         save(picture(study, prediction, bounds), FILE)
     except OSError as error:
         raise ConfigError(FILE, f"cannot be written ({error.strerror})") from error
-    console.print(f"Look at it:  {Path(FILE)}", markup=False)
+    say(console, f"Look at it:  {FILE}")
 
 
 def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[str]:

@@ -24,6 +24,7 @@ from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
+from simbias.terminal.lines import say
 from simbias.terminal.trial import traceback_file
 from simbias.trial import diagnostics as remarks
 from simbias.trial.run import Outcome, TrialRecord
@@ -66,7 +67,7 @@ class SweepConsole(SweepObserver):
         self._announced = True
         resumed = f", {done} of them finished already" if done else ""
         counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {len(sweep.trials)}"
-        self._console.print(f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", soft_wrap=True)
+        say(self._console, f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", markup=True)
 
     def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
         """Tell what will run, and follow it."""
@@ -79,7 +80,7 @@ class SweepConsole(SweepObserver):
         self._bar = self._progress.add_task("", total=self._total, completed=done, state="")
         self.announce(sweep, done)
         if not keeps:
-            self._console.print("No trial is kept (tracking=none): once interrupted, it starts anew.")
+            say(self._console, "No trial is kept (tracking=none): once interrupted, it starts again.")
         self._start = time.monotonic()
         if self._console.is_terminal:
             self._live = Live(get_renderable=self._view, console=self._console, refresh_per_second=2)
@@ -104,7 +105,7 @@ class SweepConsole(SweepObserver):
             if file := self._traceback_file(record):
                 outcome += f" (traceback in {file})"
             line = f"{done} {trial.name}: {outcome}, {record.seconds:.1f} s; {self._state()}"
-            self._console.print(line, soft_wrap=True, markup=False)
+            say(self._console, line)
 
     def _traceback_file(self, record: TrialRecord) -> str:
         """The file with a record's traceback, of which no more are made than anyone reads."""
@@ -141,7 +142,7 @@ class SweepConsole(SweepObserver):
             def advance() -> None:
                 progress.advance(bar)
                 if not self._console.is_terminal:
-                    self._console.print(f"[{next(steps)}/{total}] {words}", soft_wrap=True, markup=False)
+                    say(self._console, f"[{next(steps)}/{total}] {words}")
 
             yield advance
 
@@ -152,28 +153,27 @@ class SweepConsole(SweepObserver):
     def conclude(self, trials: DataFrame, where: str | None) -> None:
         """The table, what it means, and how to look at the rest."""
         arrangement = layout(cells(trials, self._sweep), self._sweep)
-        self._console.print(plain(arrangement), soft_wrap=True, markup=False)
-        self._console.print(legend(self._sweep, trials), soft_wrap=True, markup=False)
+        say(self._console, plain(arrangement))
+        say(self._console, legend(self._sweep, trials))
         raised = [row for row in trials.to_dict("records") if row["outcome"] == Outcome.ERROR]
         for row in raised[:SHOWN_ERRORS]:
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)
             line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
-            self._console.print(line, style="red", soft_wrap=True, markup=False)
+            say(self._console, line, "red")
         for words, trials_with in self._remarks.most_common():
             ran = counted(self._ran, "trial")
-            self._console.print(f"In {trials_with} of {ran}: {words}.", soft_wrap=True)
+            say(self._console, f"In {trials_with} of {ran}: {words}.")
         if raised:
-            told = counted(len(raised), "trial")
-            self._console.print(f"{told} raised an error; the same command goes on.")
+            say(self._console, f"{counted(len(raised), 'trial')} raised an error; the same command resumes.")
         if self.waiting:
-            told = counted(self.waiting, "trial")
-            self._console.print(f"Hardware is awaited in {told}; the same command goes on.")
+            trials_waiting = counted(self.waiting, "trial")
+            say(self._console, f"Hardware is awaited in {trials_waiting}; the same command resumes.")
         for name, caption, files in self._figures:
             if files:
                 shown = " ".join(map(str, files))
-                self._console.print(f"{name}: {caption}\n  {shown}", soft_wrap=True, markup=False)
+                say(self._console, f"{name}: {caption}\n  {shown}")
         if where:
-            self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
+            say(self._console, f"Look at it:  {where}")
 
     @property
     def waiting(self) -> int:

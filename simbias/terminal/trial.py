@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from tempfile import NamedTemporaryFile
-from typing import TextIO
 
-from numba.core.event import Event, Listener, install_listener
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from simbias.core import SlowWarning
 from simbias.core.messages import brief, counted
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
+from simbias.terminal.lines import say, temporary_traceback
 from simbias.trial import diagnostics as remarks
 from simbias.trial.model_selection import WINDOW
 from simbias.trial.prediction import predict
 from simbias.trial.run import Outcome, TrialRecord
 from simbias.trial.study import Observer, Study
-
-TRACEBACK = "simbias-error-"  # of files that are kept for a person
-COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
 
 
 def cost_text(cost: float) -> str:
@@ -39,7 +30,7 @@ class TrialConsole(Observer):
 
     def __init__(self, study: Study, console: Console | None = None) -> None:
         self._study = study
-        self._console = console or Console(highlight=False, soft_wrap=True)  # a hardware may print
+        self._console = console or Console(highlight=False, soft_wrap=True)  # also what a hardware prints
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -58,13 +49,10 @@ class TrialConsole(Observer):
 
     def __enter__(self) -> TrialConsole:
         study = self._study
-        self._console.print(f"[bold]{escape(brief(study.title))}[/bold]", soft_wrap=True)
-        self._console.print(f"seed {study.seed}, trial {study.hash}", soft_wrap=True)
-        self._console.print(
-            f"\n[dim]{'':>3}  {'predicted':>9}  {'cost on hardware (lasted)':<{self._width}}"
-            f"  {'data':>5}  {'seconds':>7}[/dim]",
-            soft_wrap=True,
-        )
+        say(self._console, brief(study.title), "bold")
+        say(self._console, f"seed {study.seed}, trial {study.hash}\n")
+        cost = f"{'cost on hardware (lasted)':<{self._width}}"
+        say(self._console, f"{'':>3}  {'predicted':>9}  {cost}  {'data':>5}  {'seconds':>7}", "dim")
         self._progress.start()
         return self
 
@@ -89,7 +77,7 @@ class TrialConsole(Observer):
     def _remark(self, lines: Iterable[str]) -> None:
         """Lines between those of the iterations."""
         for line in lines:
-            self._console.print(f"     [yellow]{escape(brief(line))}[/yellow]", soft_wrap=True)
+            say(self._console, f"     {brief(line)}", "yellow")
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
@@ -105,7 +93,7 @@ class TrialConsole(Observer):
         bias, nominal = (search.fitted_bias, search.nominal) if search else (None, None)
         bounds = study.conditions.safety.bounds(study.task)
         for line in describe(study, predict(study, theta, start, bias, nominal), bounds):
-            self._console.print(line, soft_wrap=True, markup=False)
+            say(self._console, line)
         allowed = ask(theta, start)
         self._progress.start()
         return allowed
@@ -128,13 +116,10 @@ class TrialConsole(Observer):
         samples = str(len(learning.data)) if learning else ""
         experiments = "  ".join(self._experiment_text(rollout) for rollout in iteration.experiments)
         notes = "  [yellow]model cleared[/yellow]" if learning and learning.reset else ""
-        self._console.print(
-            f"{iteration.index:>3}  {predicted:>9}  {experiments:<{self._width}}"
-            f"  {samples:>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
-            soft_wrap=True,
-        )
+        line = f"{iteration.index:>3}  {predicted:>9}  {experiments:<{self._width}}  {samples:>5}"
+        say(self._console, f"{line}  {sum(iteration.seconds.values()):>7.1f}{notes}", markup=True)
         if learning and learning.evidence:
-            self._console.print(f"     {evidence_text(learning.evidence)}", soft_wrap=True)
+            say(self._console, f"     {evidence_text(learning.evidence)}")
         if learning and not iteration.succeeded:
             self._remark(remarks.of_selection(learning.selection))
         self._iterations.append(iteration)
@@ -154,9 +139,9 @@ class TrialConsole(Observer):
         self._progress.update(self._bar, visible=False)
         names = {each.failure for each in record.iterations[-1].experiments if each.failure}
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
-        self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
+        say(self._console, f"\n{verdict} {experiments} ({effort}{reason}).", markup=True)
         if record.held_out:
-            self._console.print(record.held_out.words, soft_wrap=True)
+            say(self._console, record.held_out.words)
         self.look(where)
 
     def recall(self, iterations: Sequence[Iteration], where: str | None) -> None:
@@ -166,16 +151,14 @@ class TrialConsole(Observer):
         last = iterations[-1]
         verdict = "[green]Succeeded[/green]" if last.succeeded else "[red]Did not succeed[/red]"
         experiments = f"after {counted(last.total_experiments, 'hardware experiment')}"
-        self._console.print(
-            f"\n{verdict} {experiments}, in an earlier run of this command; seed=N makes another trial.",
-            soft_wrap=True,
-        )
+        end = "in an earlier run of this command; seed=N makes another trial."
+        say(self._console, f"\n{verdict} {experiments}, {end}", markup=True)
         self.look(where)
 
     def look(self, where: str | None) -> None:
         """How to look at the trial."""
         if where:
-            self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
+            say(self._console, f"Look at it:  {where}")
 
 
 def asking(study: Study, console: TrialConsole) -> Study:
@@ -190,68 +173,8 @@ def traceback_file(record: TrialRecord) -> str:
     return temporary_traceback(record.traceback)
 
 
-def temporary_traceback(traceback: str) -> str:
-    """A new file with a traceback, for a person; "" if none can be written."""
-    try:
-        with NamedTemporaryFile("w", prefix=TRACEBACK, suffix=".txt", delete=False) as file:
-            file.write(traceback)
-    except OSError:
-        return ""
-    return file.name
-
-
 def evidence_text(evidence: Mapping[str, float]) -> str:
     """What the experiments so far say for each model, and which one the next policy is searched on."""
     values = ", ".join(f"{name} {value:.1f}" for name, value in evidence.items())
     best = max(evidence, key=lambda name: evidence[name])
     return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
-
-
-class _Announcer(Listener):
-    """Says once that something is being compiled."""
-
-    def __init__(self) -> None:
-        self._told = False
-
-    def on_start(self, event: Event) -> None:
-        """A compilation begins."""
-        if not self._told:
-            print(COMPILING, file=sys.stderr, flush=True)
-        self._told = True
-
-    def on_end(self, event: Event) -> None:
-        """A compilation has ended."""
-
-
-@contextmanager
-def preparing() -> Iterator[None]:
-    """Say so if something is compiled meanwhile, and not taken from the cache."""
-    with install_listener("numba:compile", _Announcer()):
-        yield
-
-
-@contextmanager
-def slowness_in_one_line() -> Iterator[None]:
-    """Meanwhile, a warning that something is slow is one line, once, without the place in the code."""
-    shown_otherwise = warnings.showwarning
-    said: set[str] = set()
-
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        if issubclass(category, SlowWarning):
-            if str(message) not in said:
-                print(f"simbias: {message}", file=sys.stderr)
-            said.add(str(message))
-        else:
-            shown_otherwise(message, category, filename, lineno, file, line)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", SlowWarning)
-        warnings.showwarning = show
-        yield

@@ -22,7 +22,7 @@ from simbias.learning.bias.posterior import exact
 from simbias.simulation.compiler.fused import compiled_loop
 from simbias.simulation.compiler.kernels import LANES
 from simbias.sweep.worker import Plan, run_plan
-from simbias.terminal.trial import slowness_in_one_line
+from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
 
 SCALE = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])  # of plausible states and torques

@@ -36,8 +36,8 @@ from simbias.sweep.running import SweepObserver
 from simbias.sweep.services import tracking
 from simbias.sweep.tables import cells, interval, layout, legend, markdown
 from simbias.sweep.worker import Plan, run_plan
+from simbias.terminal.notices import COMPILING
 from simbias.terminal.sweep import SweepConsole
-from simbias.terminal.trial import COMPILING
 from simbias.trial.run import Outcome, TrialRecord
 
 pytestmark = pytest.mark.slow

@@ -55,28 +55,22 @@ def test_what_is_broken_in_it_is_one_line(tmp_path: Path) -> None:
     Path(trace).unlink()
 
 
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        ([], "new: expected one name"),
-        (["a", "b"], "new: expected one name"),
-        (["my robot"], "new: expected the name of a Python module"),
-        (["class"], "new: expected the name of a Python module"),
-        (["numpy"], "new: a module of the name numpy is installed"),
-        (["taken"], "taken: is there already"),
-    ],
-)
 def test_a_name_that_does_not_do_is_bad_input(
-    names: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").touch()
-    assert main(["new", *names]) == BAD_INPUT
-    assert capsys.readouterr().err.startswith(f"simbias: {message}")
+    for name, message in (
+        ("my robot", "new: expected the name of a Python module"),
+        ("class", "new: expected the name of a Python module"),
+        ("numpy", "new: a module of the name numpy is installed"),
+        ("taken", "taken: is there already"),
+    ):
+        assert main(["new", name]) == BAD_INPUT
+        assert capsys.readouterr().err.startswith(f"simbias: {message}")
+    for names in ([], ["a", "b"]):
+        with pytest.raises(SystemExit, match=str(BAD_INPUT)):
+            main(["new", *names])
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 

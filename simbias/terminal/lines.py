@@ -1,0 +1,24 @@
+"""Lines on a terminal, and files with tracebacks that they name."""
+
+from __future__ import annotations
+
+from tempfile import NamedTemporaryFile
+
+from rich.console import Console
+
+TRACEBACK = "simbias-error-"  # of files that are kept for a person
+
+
+def say(console: Console, line: str, style: str = "", markup: bool = False) -> None:
+    """Print a line that stays one line when it is copied, however narrow the terminal is."""
+    console.print(line, style=style, markup=markup, soft_wrap=True)
+
+
+def temporary_traceback(traceback: str) -> str:
+    """A new file with a traceback, for a person; "" if none can be written."""
+    try:
+        with NamedTemporaryFile("w", prefix=TRACEBACK, suffix=".txt", delete=False) as file:
+            file.write(traceback)
+    except OSError:
+        return ""
+    return file.name

@@ -1,0 +1,64 @@
+"""Notices on stderr: that something is compiled, or is slow."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+from numba.core.event import Event, Listener, install_listener
+
+from simbias.core import SlowWarning
+
+COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
+
+
+class _Announcer(Listener):
+    """Says once that something is being compiled."""
+
+    def __init__(self) -> None:
+        self._announced = False
+
+    def on_start(self, event: Event) -> None:
+        """A compilation begins."""
+        if not self._announced:
+            print(COMPILING, file=sys.stderr, flush=True)
+        self._announced = True
+
+    def on_end(self, event: Event) -> None:
+        """A compilation has ended."""
+
+
+@contextmanager
+def preparing() -> Iterator[None]:
+    """Say so if something is compiled meanwhile, and not taken from the cache."""
+    with install_listener("numba:compile", _Announcer()):
+        yield
+
+
+@contextmanager
+def slowness_in_one_line() -> Iterator[None]:
+    """Show each warning that something is slow as one line, once, without its place in the code."""
+    shown_otherwise = warnings.showwarning
+    shown: set[str] = set()
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if not issubclass(category, SlowWarning):
+            shown_otherwise(message, category, filename, lineno, file, line)
+        elif str(message) not in shown:
+            print(f"simbias: {message}", file=sys.stderr)
+            shown.add(str(message))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SlowWarning)
+        warnings.showwarning = show
+        yield
