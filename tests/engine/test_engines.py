@@ -28,9 +28,9 @@ from simbias.sweep.services import engine
 
 pytestmark = pytest.mark.slow
 
-needs_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="needs dask")
-DASK = pytest.param(Dask(n_jobs=2), marks=needs_dask)
-WORKERS = [Loky(n_jobs=2), DASK]
+HAS_DASK = importlib.util.find_spec("distributed") is not None
+NAMES = ["loky", *(["dask"] if HAS_DASK else [])]
+WORKERS = [Loky(n_jobs=2), *([Dask(n_jobs=2)] if HAS_DASK else [])]
 ENGINES = [Sequential(), Loky(n_jobs=1), *WORKERS]
 
 
@@ -150,7 +150,7 @@ from pathlib import Path
 from engine_tasks import begin
 from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky
-import psutil, threading, time
+import psutil, signal, threading, time
 
 def tell():
     while not Path(sys.argv[3]).exists():
@@ -161,6 +161,7 @@ def tell():
     print("all", flush=True)
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in background jobs
     threading.Thread(target=tell, daemon=True).start()
     for result in {"dask": Dask, "loky": Loky}[sys.argv[2]](n_jobs=3).run(begin, [sys.argv[3]]):
         pass
@@ -183,7 +184,7 @@ def busy(name: str, folder: Path) -> Iterator[Any]:
     yield [int(line) for line in iter(process.stdout.readline, "all\n")]
 
 
-@pytest.mark.parametrize("name", ["loky", pytest.param("dask", marks=needs_dask)])
+@pytest.mark.parametrize("name", NAMES)
 def test_workers_end_with_their_parent(name: str, tmp_path: Path) -> None:
     """Even if that was killed, and workers that never had a task."""
     process, pids = busy(name, tmp_path)
@@ -198,7 +199,7 @@ def test_workers_end_with_their_parent(name: str, tmp_path: Path) -> None:
                 os.kill(pid, signal.SIGKILL)
 
 
-@pytest.mark.parametrize("name", ["loky", pytest.param("dask", marks=needs_dask)])
+@pytest.mark.parametrize("name", NAMES)
 def test_an_interruption_is_the_parents_business(name: str, tmp_path: Path) -> None:
     """Ctrl-C goes to workers too, which say nothing about it."""
     process, pids = busy(name, tmp_path)
@@ -229,7 +230,7 @@ def test_no_innocent_is_blamed() -> None:
     assert all(alone and len(batch) == 1 for batch, alone in rounds[2:])
 
 
-@pytest.mark.parametrize("name", ["loky", "sequential", "dask"])
+@pytest.mark.parametrize("name", ["sequential", *NAMES])
 def test_engines_are_built_from_their_yaml(name: str) -> None:
     subject = engine(compose([f"engine={name}"]))
     assert type(subject).__module__ == f"simbias.engine.{name}"
