@@ -6,6 +6,7 @@ import platform
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 # Vector instructions by which sums are ordered, and fused products: another set, other last bits.
 FEATURES = ("fma", "avx", "avx2", "avx512f", "neon", "sve")
@@ -20,11 +21,10 @@ def kind() -> str:
     """
     import numpy as np
     import scipy.linalg  # noqa: F401  (brings a BLAS of its own)
-    from numba.core.registry import cpu_target
     from threadpoolctl import threadpool_info
 
-    _, name, features = cpu_target.target_context.codegen().magic_tuple()
-    with_features = [each for each in FEATURES if f"+{each}" in features.split(",")]
+    name, features = _target()
+    with_features = [each for each in FEATURES if f"+{each}" in features]
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     libraries = sorted(
         {
@@ -35,6 +35,20 @@ def kind() -> str:
     )
     parts = [" ".join([name, *with_features]), " ".join(["NumPy", *found]), *libraries]
     return f"{platform.machine()}: {', '.join(parts)}"
+
+
+def _target() -> tuple[str, list[str]]:
+    """The processor that Numba compiles for, and its features, each with a sign."""
+    import numba
+    from llvmlite import binding
+
+    config: Any = numba.config  # of the environment
+    if config.CPU_FEATURES is not None:
+        features = config.CPU_FEATURES.split(",")
+    else:
+        features = binding.get_host_cpu_features().flatten().split(",")
+        features = [each for each in features if config.ENABLE_AVX or not each.startswith("+avx")]
+    return config.CPU_NAME or binding.get_host_cpu_name(), features
 
 
 @cache

@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from multiprocessing.util import Finalize
@@ -92,27 +92,25 @@ def run_rounds(run_round: Round, tasks: Sequence[T]) -> Iterator[tuple[int, R | 
     rest = dict(enumerate(tasks))
     losses: Counter[int] = Counter()
     while rest:
-        suspects = [index for index in rest if losses[index] >= MOST_LOSSES - 1]
-        alone = len(suspects) == len(rest)
-        batch = suspects[:1] if alone else [index for index in rest if index not in suspects]
+        batch = [index for index in rest if losses[index] < MOST_LOSSES - 1]
         starts: list[int] = []
-        calls = ((index, _start(starts, index, rest[index])) for index in batch)
+        calls = _noted(starts, {index: rest[index] for index in batch or list(rest)[:1]})
         try:
-            for index, result in run_round(calls, alone):
+            for index, result in run_round(calls, not batch):
                 del rest[index]
                 yield index, result
         except RoundBrokenError as error:
-            for index in starts:
-                losses[index] += index in rest
+            losses.update(index for index in starts if index in rest)
             for index in [index for index in rest if losses[index] >= MOST_LOSSES]:
                 del rest[index]
                 yield index, WorkerLostError(f"its worker died {MOST_LOSSES} times: {error}")
 
 
-def _start(starts: list[int], index: int, task: T) -> T:
-    """The task, with a note that it starts."""
-    starts.append(index)
-    return task
+def _noted(starts: list[int], tasks: Mapping[int, T]) -> Iterator[tuple[int, T]]:
+    """The tasks, each with a note that it starts."""
+    for index, task in tasks.items():
+        starts.append(index)
+        yield index, task
 
 
 def _reason(error: BaseException) -> str:
@@ -137,25 +135,23 @@ def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tupl
 def _follow(parent: int) -> None:
     """In a worker: leave Ctrl-C to the parent, and end with it, whatever components started here."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _end_with(parent)
+    _in_background(_end_with, parent)
     if sys.platform != "win32":  # which knows no forks
         forks = [os.getpid()]
         os.register_at_fork(
             before=lambda: forks.__setitem__(0, os.getpid()),
-            after_in_child=lambda: _end_with(forks[0]),  # else it holds the pipes that tell of our death
+            after_in_child=lambda: _in_background(
+                _end_with, forks[0]
+            ),  # it holds pipes that tell of our death
         )
     Finalize(None, lambda: _in_background(_end_after, LEAVE_SECONDS), exitpriority=0)  # Python waits for them
 
 
 def _end_with(parent: int) -> None:
     """End this process when its parent has ended, however that ended."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_SECONDS)
-        os._exit(1)
-
-    _in_background(watch)
+    while os.getppid() == parent:
+        time.sleep(WATCH_SECONDS)
+    os._exit(1)
 
 
 def _end_after(seconds: float) -> None:
@@ -164,6 +160,6 @@ def _end_after(seconds: float) -> None:
     os._exit(0)
 
 
-def _in_background(function: Callable, *arguments: Any) -> None:
+def _in_background(function: Callable[[Any], None], argument: Any) -> None:
     """Call a function in a thread that nobody waits for."""
-    threading.Thread(target=function, args=arguments, daemon=True).start()
+    threading.Thread(target=function, args=(argument,), daemon=True).start()

@@ -19,7 +19,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -44,11 +43,6 @@ def begun(folder: Path) -> Counter[str]:
     """How often an experiment from each start was begun."""
     log = folder / LOG
     return Counter(log.read_text().splitlines() if log.exists() else [])
-
-
-def semaphores(pids: Sequence[int]) -> int:
-    """How many are left of processes of these numbers."""
-    return sum(len(list(Path("/dev/shm").glob(f"sem.loky-{pid}-*"))) for pid in pids)
 
 
 def ended(folder: Path) -> bool:
@@ -129,7 +123,7 @@ def campaign(
                 struck, at_the_end = struck + 1, at_the_end + ended(folder)
             finally:
                 finish(process)
-        left_by_kills = semaphores(pids), len(list(Path(temporary).iterdir()))
+        left_by_kills = len(list(Path(temporary).iterdir()))
         status, _, err = run(*command, folder=folder, timeout=300, temporary=Path(temporary))
         made = begun(folder)
         return {
@@ -143,9 +137,7 @@ def campaign(
             "missing": sum((experiments - made).values()),
             "strange": len(set(made) - set(experiments)),
             "journals_left": (folder / "journals").exists(),
-            "semaphores_by_kills": left_by_kills[0],
-            "semaphores_left": semaphores(pids),  # when the last process has ended in peace
-            "temporary_by_kills": left_by_kills[1],
+            "temporary_by_kills": left_by_kills,
             "temporary_left": len(list(Path(temporary).iterdir())),
             "said": json.dumps(err[-200:]),
         }
