@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NotRequired, Required, get_type_hints
 
@@ -13,16 +13,17 @@ from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
 from simbias.config.identity import LATER
 from simbias.config.memory import check_memory
+from simbias.config.renamed import unknown
 from simbias.core import Hardware, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
-from simbias.trial.study import HeldOut, Study
+from simbias.trial.study import PolicyTest, Study
 
-NO_COMPONENTS = ("seed", "conditions", "held_out", "composition", "hardware_of")
+NO_COMPONENTS = ("seed", "conditions", "policy_test", "composition", "hardware_of")
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],
-    "held_out": NotRequired[HeldOut],
+    "policy_test": NotRequired[PolicyTest],
 }
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
@@ -41,7 +42,9 @@ def build(composition: Composition) -> Study:
     contracts = {k: v for k, v in get_type_hints(Study).items() if k not in NO_COMPONENTS}
     for key in config:
         if key not in contracts and key not in (*VALUES, *BESIDE_STUDIES):
-            raise ConfigError(key, f"no such group; there are {', '.join([*contracts, *BESIDE_STUDIES])}")
+            keys = [f"{key}.{each}" for each in config[key]] if isinstance(config[key], Mapping) else []
+            problem = f"no such group; there are {', '.join([*contracts, *BESIDE_STUDIES])}"
+            raise unknown([*keys, key], key, problem)
     for key in (*contracts, "seed"):
         if key not in config:
             raise ConfigError(key, "missing")

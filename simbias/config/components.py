@@ -13,6 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import TARGET, check_allowed
+from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import quote, with_type, words
 
@@ -64,9 +65,9 @@ def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
         raise
     except BaseException as error:  # a module of one's own may raise anything, and may exit
         kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
-        raise ConfigError(
-            f"{key}.{TARGET}", f"cannot import {quote(target)} ({kind}{words(error)})"
-        ) from error
+        names = [str(target), str(getattr(error, "name", ""))]  # of a missing module
+        problem = f"cannot import {quote(target)} ({kind}{words(error)})"
+        raise unknown(names, f"{key}.{TARGET}", problem) from error
     if not inspect.isclass(component):
         raise ConfigError(f"{key}.{TARGET}", f"{target} is not a class")
     return component
@@ -156,10 +157,11 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
 
 def _in_one_line(error: ValidationError, key: str) -> ConfigError:
     """The first of pydantic's errors, as one line that names the key."""
-    first = error.errors(include_url=False)[0]
+    errors = error.errors(include_url=False)
+    first = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])  # a typo
     where = ".".join(str(part) for part in ((key,) if key else ()) + first["loc"])
     if first["type"] == "extra_forbidden":
-        return ConfigError(where, "no such key")
+        return unknown([where], where, "no such key")
     if first["type"] == "missing":
         return ConfigError(where, "missing")
     problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import beside, prefixes
 from simbias.config.files import check_file
+from simbias.config.renamed import unknown
 from simbias.config.resources import check_no_primary, register_sweeps, resource_folder
 from simbias.core.errors import ConfigError, reason
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-NOT_HASHED = ("tracking", "experiment_timeout", "held_out", *OF_SWEEPS)  # do not affect a trial's result
+NOT_HASHED = ("tracking", "experiment_timeout", "policy_test", *OF_SWEEPS)  # do not affect a trial's result
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,13 @@ class Composition:
         from simbias.config.identity import essence  # lazily: --help needs no components
 
         return essence(self.config, NOT_HASHED, self.allowed)
+
+    @property
+    def code(self) -> Mapping[str, str]:
+        """Digests of the user's own modules; the components have been built (`simbias.config.own_code`)."""
+        from simbias.config.own_code import digests
+
+        return digests(self.config)
 
     @cached_property
     def hash(self) -> str:
@@ -231,7 +240,8 @@ def _in_one_line(error: Exception) -> ConfigError:
 
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
-        return ConfigError(f"{group}={option}", f"no such option; {group} has {', '.join(error.options)}")
+        choice = f"{group}={option}"
+        return unknown([choice], choice, f"no such option; {group} has {', '.join(error.options)}")
     cause = error.__cause__
     if isinstance(error, ConfigAttributeError | ConfigKeyError):
         return _no_such_key(error.full_key or "")
@@ -243,11 +253,11 @@ def _in_one_line(error: Exception) -> ConfigError:
         return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
-    return ConfigError("", ": ".join(lines[:2]))
+    return unknown(re.findall("'(.+?)'", lines[0]), "", ": ".join(lines[:2]))
 
 
 def _no_such_key(key: str) -> ConfigError:
     """What to say of a key that the config has not."""
     if key.startswith("sweep."):
-        return ConfigError(key, f"no such key; +{key}=... if the sweep's file only leaves it out")
-    return ConfigError(key, "no such key; --cfg job shows them all, --help the groups")
+        return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
+    return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

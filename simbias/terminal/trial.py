@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import TextIO
 
@@ -20,10 +21,13 @@ from simbias.core.messages import brief, counted
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
 from simbias.trial import diagnostics as remarks
+from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.model_selection import WINDOW
+from simbias.trial.origin import changed_code
 from simbias.trial.prediction import predict
-from simbias.trial.run import Outcome, TrialRecord
+from simbias.trial.run import TrialRecord
 from simbias.trial.study import Observer, Study
+from simbias.trial.summary import Outcome, TrialSummary
 
 TRACEBACK = "simbias-error-"  # of files that are kept for a person
 COMPILING = "Compiling the simulation for this machine; later starts take it from the cache ..."
@@ -116,8 +120,8 @@ class TrialConsole(Observer):
         self._progress.update(self._bar, description=f"hardware experiment {self._experiments} done")
 
     def trying(self, number: int, count: int) -> None:
-        """Tell that the last policy is being tried."""
-        words = f"held-out start {number + 1} of {count}"
+        """Tell that a test episode is under way."""
+        words = f"test episode {number + 1} of {count}"
         self._progress.update(self._bar, description=words, visible=True)
 
     def iterated(self, iteration: Iteration) -> None:
@@ -144,36 +148,22 @@ class TrialConsole(Observer):
         seconds = rollout.frames * self._study.task.time_step
         return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s)"
 
-    def conclude(self, record: TrialRecord, where: str | None) -> None:
+    def conclude(self, record: TrialRecord, where: str, replayed: bool = False) -> None:
         """The closing line: what came out, after how many experiments, and how to look at it."""
-        succeeded = record.outcome is Outcome.SUCCEEDED
+        summary = record.summary
+        succeeded = summary.outcome is Outcome.SUCCEEDED
         verdict = "[green]Succeeded[/green]" if succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {counted(record.experiments, 'hardware experiment')}"
-        effort = f"{counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
+        experiments = f"after {counted(summary.experiments, 'hardware experiment')}"
+        effort = f"{counted(summary.iterations, 'iteration')}, {summary.seconds:.0f} s"
         words = self._study.task.words
         self._progress.update(self._bar, visible=False)
-        names = {each.failure for each in record.iterations[-1].experiments if each.failure}
+        last = record.iterations[-1:]
+        names = {each.failure for iteration in last for each in iteration.experiments if each.failure}
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
-        self._console.print(f"\n{verdict} {experiments} ({effort}{reason}).", soft_wrap=True)
-        if record.held_out:
-            self._console.print(record.held_out.words, soft_wrap=True)
-        self.look(where)
-
-    def recall(self, iterations: Sequence[Iteration], where: str | None) -> None:
-        """Tell of a trial that came to its end before."""
-        for iteration in iterations:
-            self.iterated(iteration)
-        last = iterations[-1]
-        verdict = "[green]Succeeded[/green]" if last.succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {counted(last.total_experiments, 'hardware experiment')}"
-        self._console.print(
-            f"\n{verdict} {experiments}, in an earlier run of this command; seed=N makes another trial.",
-            soft_wrap=True,
-        )
-        self.look(where)
-
-    def look(self, where: str | None) -> None:
-        """How to look at the trial."""
+        earlier = ", in an earlier run of this command; seed=N makes another trial" * replayed
+        self._console.print(f"\n{verdict} {experiments} ({effort}{reason}){earlier}.", soft_wrap=True)
+        if summary.test_words:
+            self._console.print(summary.test_words, soft_wrap=True)
         if where:
             self._console.print(f"Look at it:  {where}", soft_wrap=True, markup=False)
 
@@ -183,11 +173,19 @@ def asking(study: Study, console: TrialConsole) -> Study:
     return replace(study, conditions=replace(study.conditions, ask=console.ask))
 
 
-def traceback_file(record: TrialRecord) -> str:
-    """The file with a record's traceback: that of its journal, else a new temporary one; "" without any."""
-    if not record.traceback or record.traceback_file:
-        return record.traceback_file
-    return temporary_traceback(record.traceback)
+def changed_since(study: Study, folder: Path) -> str:
+    """The user's modules that changed since the trial of a folder began, in a line; "" if none did."""
+    if not (folder / TRIAL).exists() or not (
+        modules := changed_code(TrialFolder(folder).description(), study)
+    ):
+        return ""
+    what = "is shown as it was; its" if TrialFolder(folder).ended else "resumes, but its"
+    return f"the trial {what} code has changed since it began ({modules}); seed=N makes a new one"
+
+
+def traceback_file(summary: TrialSummary, traceback: str) -> str:
+    """The file with a traceback: that of the trial's folder, else a new temporary one; "" without any."""
+    return summary.traceback_file or (temporary_traceback(traceback) if traceback else "")
 
 
 def temporary_traceback(traceback: str) -> str:

@@ -1,0 +1,108 @@
+"""What had another name before is one line that tells the new one, wherever it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from shipped import shipped
+
+import simbias
+from simbias.config import ConfigError, compose, options
+from simbias.config.renamed import RENAMED, new_name
+from simbias.sweep.grid import expand
+
+RENAMES = {
+    "bias.reach": "bias.d",
+    "bias=gaussian": "bias=gp",
+    "old_group": "optimizer",
+    "simbias.old": "simbias.bias",
+}
+
+
+def test_new_names_exist_and_old_ones_do_not() -> None:
+    for old, new in RENAMED.items():
+        assert _exists(new_name(old) or ""), new
+        assert not _exists(old), old
+    assert list(RENAMED) == sorted(RENAMED)
+
+
+def _exists(name: str) -> bool:
+    """Whether there is such an option, module, class or key."""
+    group, equals, option = name.partition("=")
+    if equals:
+        return option in options().get(group, [])
+    if name.startswith("simbias."):
+        return _imports(name)
+    group = name.partition(".")[0]
+    names = options().get(group, [])
+    found = [compose().config, *({group: shipped(group, each)} for each in names if group != "preset")]
+    return any(_has(config, name.split(".")) for config in found)
+
+
+def _imports(name: str) -> bool:
+    """Whether there is a module or a class of this name."""
+    try:
+        if find_spec(name) is not None:
+            return True
+        module, _, attribute = name.rpartition(".")
+        return hasattr(import_module(module), attribute)
+    except ImportError:
+        return False
+
+
+def _has(config: object, parts: list[str]) -> bool:
+    """Whether a config has a key."""
+    return not parts or (
+        isinstance(config, Mapping) and parts[0] in config and _has(config[parts[0]], parts[1:])
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of configs, while there are a few renames more."""
+    for old, new in RENAMES.items():
+        monkeypatch.setitem(RENAMED, old, new)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("bias.reach=2", "bias.reach: is now bias.d"),
+        ("+bias.reach=2", "bias.reach: is now bias.d"),
+        ("bias=gaussian", "bias=gaussian: is now bias=gp"),
+        ("old_group.seed=3", "old_group.seed: is now optimizer.seed"),
+        ("+old_group.seed=3", "old_group.seed: is now optimizer.seed"),
+        ("bias._target_=simbias.old.gp.Gp", "simbias.old.gp.Gp: is now simbias.learning.bias.gp.Gp"),
+    ],
+)
+def test_on_the_command_line(folder: Path, override: str, line: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        simbias.load([override, "tracking=none"])
+    assert str(error.value) == line
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "override", "line"),
+    [
+        ("bias/mine", "{_target_: simbias.old.gp.Gp}", "bias=mine", "simbias.learning.bias.gp.Gp"),
+        ("preset/mine", "# @package _global_\nbias: {reach: 2}", "preset=mine", "bias.reach: is now bias.d"),
+        ("preset/mine", "# @package _global_\nold_group: {a: 2}", "preset=mine", "is now optimizer.a"),
+        ("preset/mine", "# @package _global_\ndefaults: [{override /bias: gaussian}]", "preset=mine", "=gp"),
+        ("preset/mine", "# @package _global_\ndefaults: [{override /old_group: a}]", "preset=mine", "optimi"),
+        ("sweeps/mine", "sweep: {trials: 1, axes: {bias.reach: [1, 2]}}", "+sweep=mine", "is now bias.d"),
+        ("sweeps/mine", "sweep: {trials: 1, axes: {bias: [gaussian]}}", "+sweep=mine", "is now bias=gp"),
+    ],
+)
+def test_in_a_file(folder: Path, file: str, text: str, override: str, line: str) -> None:
+    (folder / file).parent.mkdir()
+    (folder / f"{file}.yaml").write_text(text)
+    overrides = [override, "tracking=none"]
+    with pytest.raises(ConfigError) as error:
+        expand(overrides, folder) if "sweep" in override else simbias.load(overrides, folder)
+    assert line in str(error.value)
+    assert "\n" not in str(error.value)
