@@ -1,8 +1,9 @@
 """Are the published trials of a sweep those that it runs today?
 
-`python sweeps/studies/published.py SWEEP ... [--trials 1] [--out FILE]` runs the first trials of each cell again,
-and compares each with the published one: outcome, experiments, iterations, time on the hardware and, if it was
-tested, the episodes of its last policy. The exit status is 0 if all agree. FILE gets a row for each trial.
+`python sweeps/studies/published.py SWEEP ... [--trials 1] [--out FILE]` runs the first trials of each cell
+again, and compares each with the published one: outcome, experiments, iterations, time on the hardware and,
+if it was tested, the episodes of its last policy. The exit status is 0 if all agree. FILE gets a row for each
+trial.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ SAME = ("outcome", "experiments", "iterations", "test_episodes", "hardware_secon
 
 def compared(name: str, trials: int) -> pd.DataFrame:
     """A row for each trial that was run again: published and new values, and whether they are the same."""
-    overrides = [f"+sweep={name}", f"sweep.trials={trials}", "sweep.figures={}"]
+    overrides = [f"+sweep={name}", f"sweep.trials={trials}"]
     new = simbias.run_sweep([*overrides, "tracking=folders", "tracking.pictures=false"])
     before = published(expand([f"+sweep={name}"])).set_index("hash").loc[new["hash"]].reset_index()
     rows = pd.DataFrame({"sweep": name, "hash": new["hash"], "repetition": new["repetition"]})
