@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from simbias.sweep.running import SweepObserver
-    from simbias.trial.run import RecordedTrial
+    from simbias.trial.run import TrialRecord
     from simbias.trial.study import Study
 
 __version__ = "0.1.0"
@@ -37,21 +37,31 @@ def load(
 
 
 def load_trial(
-    run_id: str,
+    trial: Path | str,
     uri: str = "sqlite:///mlflow.db",
     config_dir: Path | str | None = None,
     allow: Sequence[str] = (),
-) -> RecordedTrial:
-    """Read a trial back from a store: its study and its iterations; components of your own as for `load`.
+) -> TrialRecord:
+    """Read a trial back: its study, its iterations and how it ended; it may be under way.
+
+    >>> trial = load_trial("trials/7a29f4c5425f")
+
+    In place of its folder, `trial` may be the id of its run in the MLflow store `uri`. Components of your own
+    as for `load`.
 
     Raises
     ------
     simbias.config.ConfigError
-        If the store has no such trial; the message is one line.
+        If there is no such trial, or it cannot be read; the message is one line.
     """
-    from simbias.mlflow import trials
+    from simbias.config.stored import read_folder
 
-    return trials.load_trial(run_id, uri, config_dir, allow)
+    if Path(trial).is_dir():
+        return read_folder(Path(trial), config_dir, allow)
+    from simbias.mlflow.stored import trial_folder  # lazily: MLflow takes seconds
+
+    with trial_folder(str(trial), uri) as folder:
+        return read_folder(folder, config_dir, allow)
 
 
 def run_sweep(
@@ -60,7 +70,7 @@ def run_sweep(
     observer: SweepObserver | None = None,
     allow: Sequence[str] = (),
 ) -> DataFrame:
-    """Run a sweep, or go on with it; return its trials, a row for each.
+    """Run a sweep, or resume it; return its trials, a row for each.
 
     >>> trials = run_sweep(["+sweep=smoke", "engine=sequential"])
 

@@ -15,7 +15,7 @@ from simbias.config import Composition, ConfigError, Variations, options, sweeps
 from simbias.core.commands import add_own_components, python
 
 if TYPE_CHECKING:
-    from simbias.sweep.tracking import TrackedTrial
+    from simbias.sweep.tracking import Tracking
     from simbias.trial.study import Study
 
 PROGRAM = "python -m simbias"
@@ -48,6 +48,7 @@ examples:
   python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
+  python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -118,8 +119,10 @@ def _parser(
     preview = commands.add_parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
+    export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
-    for each, command in ((run, _run_or_show), (check, _check), (preview, _preview)):
+    takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
+    for each, command in takes_overrides:
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
     new.add_argument("name", help="of a Python module, as my_robot")
@@ -179,7 +182,7 @@ def _as_yaml(composition: Composition) -> str:
 
 
 def _run(parsed: argparse.Namespace, composition: Composition) -> int:
-    """Run one trial in the terminal, or go on with it."""
+    """Run one trial in the terminal, or resume it."""
     from simbias.config.build import build
     from simbias.sweep.services import engine, tracking
     from simbias.terminal.notices import preparing, slowness_in_one_line
@@ -191,46 +194,52 @@ def _run(parsed: argparse.Namespace, composition: Composition) -> int:
         with preparing():
             study = build(composition)
             rehearse(study)
-        tracked = store.open(study)
-        return _go_on(study, tracked, _command(parsed))
+        return _run_study(study, store, _command(parsed))
 
 
-def _go_on(study: Study, tracked: TrackedTrial, again: str) -> int:
-    """Run a trial as far as it goes; `again` is the command that goes on with it."""
+def _run_study(study: Study, store: Tracking, again: str) -> int:
+    """Run a trial as far as it gets, resume or replay it; `again` is the command that resumes it."""
     from simbias.core.messages import counted, with_type
-    from simbias.terminal.trial import TrialConsole, asking, traceback_file
-    from simbias.trial.run import Outcome, run_trial
+    from simbias.sweep.tracking import Export
+    from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
+    from simbias.trial.folder import TrialFolder
+    from simbias.trial.run import run_trial
+    from simbias.trial.study import Observers
+    from simbias.trial.summary import Outcome
 
-    if tracked.changed:
-        print(f"simbias: {tracked.changed}", file=sys.stderr)
-    with TrialConsole(study) as console:
-        if (before := tracked.finished()) is not None:
-            console.recall(before.iterations, tracked.where)
-            return SUCCEEDED if before.iterations[-1].succeeded else FAILED
-        try:
-            record = run_trial(asking(study, console), tracked, console)
-            if tracked.pictures:
-                from simbias.pictures.trial.gallery import illustrated
+    folder = store.trial_folder(study.hash)
+    export = store.export_trial(folder, live=True) if folder else Export()
+    replayed = folder is not None and TrialFolder(folder).ended
+    if folder is not None and (changed := changed_since(study, folder)):
+        print(f"simbias: {changed}", file=sys.stderr)
+    try:
+        with TrialConsole(study) as console:
+            record = run_trial(asking(study, console), folder, Observers(console, export))
+        if folder is not None and store.pictures:
+            from simbias.pictures.trial.gallery import illustrate
 
-                record = illustrated(study, record, tracked)
-        except Exception as error:  # of the store: what a component raises is in the record
-            print(f"simbias: {with_type(error)} (go on with:  {again})", file=sys.stderr)
-            return FAILED
-    if record.outcome.final:
-        console.conclude(record, tracked.where)
-        return SUCCEEDED if record.outcome is Outcome.SUCCEEDED else FAILED
-    kept = (
-        f"{counted(record.experiments, 'hardware experiment')} kept" if tracked.where else "nothing is kept"
-    )
-    trace = f"; traceback in {file}" if (file := traceback_file(record)) else ""
-    print(f"simbias: {record.reason} ({kept}{trace}; go on with:  {again})", file=sys.stderr)
-    return WAITING if record.outcome is Outcome.WAITING else FAILED
+            illustrate(record, folder)
+    except (ConfigError, KeyboardInterrupt):
+        raise
+    except Exception as error:  # of the disk: what a component raises is in the record
+        print(f"simbias: {with_type(error)} (resume with:  {again})", file=sys.stderr)
+        return FAILED
+    finally:
+        export.update(final=True)
+    summary = record.summary
+    if summary.outcome.final:
+        console.conclude(record, export.where, replayed)
+        return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
+    kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
+    trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
+    print(f"simbias: {summary.reason} ({kept}{trace}; resume with:  {again})", file=sys.stderr)
+    return WAITING if summary.outcome is Outcome.WAITING else FAILED
 
 
 def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Variations) -> int:
     """Run a sweep in the terminal, or tell what it would run."""
     from simbias.mlflow.store import cause
-    from simbias.sweep.running import prepare, run_sweep
+    from simbias.sweep.running import changed_trials, prepare, run_sweep
     from simbias.sweep.services import engine, tracking
     from simbias.terminal.notices import preparing, slowness_in_one_line
     from simbias.terminal.sweep import SweepConsole, dry_run
@@ -242,13 +251,10 @@ def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Var
         dry_run(sweep, study, finished, trials_engine)
         return SUCCEEDED
     console, again = SweepConsole(), _command(parsed)
-    if len(finished) == len(sweep.trials):
-        console.announce(sweep, len(finished))  # at once: MLflow takes two seconds until the store is open
-    tracked = store.open_sweep(sweep, again)
-    if tracked.changed:
-        print(f"simbias: {tracked.changed}", file=sys.stderr)
+    if changed := changed_trials(sweep, store):
+        print(f"simbias: {changed}", file=sys.stderr)
     try:
-        trials = run_sweep(sweep, trials_engine, tracked, console)
+        trials, where = run_sweep(sweep, trials_engine, store, again, console)
     except KeyboardInterrupt:
         console.stopped("interrupted", again)
         return INTERRUPTED
@@ -257,10 +263,23 @@ def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Var
     except Exception as error:  # of the store or the engine: what a trial raises is in its record
         console.stopped(f"{type(error).__name__}: {cause(error)}", again)
         return FAILED
-    console.conclude(trials, tracked.where)
+    console.conclude(trials, where)
     if console.waiting:
         return WAITING
     return FAILED if (trials["outcome"] == "error").any() else SUCCEEDED
+
+
+def _export(parsed: argparse.Namespace) -> int:
+    """Show the trials and sweeps of a folder in MLflow."""
+    from simbias.mlflow.tracking import Mlflow
+    from simbias.sweep.services import tracking
+
+    store = tracking(Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({}))
+    if not isinstance(store, Mlflow):
+        raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
+    for line in store.export_all():
+        print(line)
+    return SUCCEEDED
 
 
 def _command(parsed: argparse.Namespace) -> str:

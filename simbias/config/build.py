@@ -16,13 +16,13 @@ from simbias.config.renamed import unknown
 from simbias.core import Hardware, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
-from simbias.trial.study import HeldOut, Study
+from simbias.trial.study import PolicyTest, Study
 
-NO_COMPONENTS = ("seed", "conditions", "held_out", "composition", "hardware_of")
+NO_COMPONENTS = ("seed", "conditions", "policy_test", "composition", "hardware_of")
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],
-    "held_out": NotRequired[HeldOut],
+    "policy_test": NotRequired[PolicyTest],
 }
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-NOT_HASHED = ("tracking", "experiment_timeout", "held_out", *OF_SWEEPS)  # do not affect a trial's result
+NOT_HASHED = ("tracking", "experiment_timeout", "policy_test", *OF_SWEEPS)  # do not affect a trial's result
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,13 @@ class Composition:
         from simbias.config.identity import identity_fields  # lazily: --help needs no components
 
         return identity_fields(self.config, NOT_HASHED, self.allowed)
+
+    @property
+    def code(self) -> Mapping[str, str]:
+        """Digests of the user's own modules; the components have been built (`simbias.config.own_code`)."""
+        from simbias.config.own_code import digests
+
+        return digests(self.config)
 
     @cached_property
     def hash(self) -> str:

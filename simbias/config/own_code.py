@@ -37,11 +37,6 @@ def digests(config: Mapping[str, Any]) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """The modules whose code is another than before, in words; "" if none is."""
-    return ", ".join(sorted(name for name in {*before, *now} if before.get(name) != now.get(name)))
-
-
 def _with_imported(module: str) -> Iterator[str]:
     """A module and those of the same home that it imports, directly or over others."""
     home, waiting, seen = _home(module), [module], set()

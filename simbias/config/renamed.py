@@ -9,6 +9,9 @@ from simbias.core.errors import ConfigError
 # An old key (`group.key`), option (`group=option`), module or class -> the new one. A key or module stands
 # for all that is below it. Sorted.
 RENAMED: Mapping[str, str] = {
+    "held_out.lasting": "policy_test.long_episodes",
+    "held_out.seconds": "policy_test.long_seconds",
+    "held_out.starts": "policy_test.episodes",
     "simbias.bias": "simbias.learning.bias",
     "simbias.evaluation": "simbias.search.evaluation",
     "simbias.hardware.box2d": "simbias.robots.bongoboard.box2d",
@@ -34,7 +37,8 @@ RENAMED: Mapping[str, str] = {
     "simbias.task.bongoboard": "simbias.robots.bongoboard.task",
     "simbias.task.declared": "simbias.robots.declared.task",
     "simbias.tracking.mlflow": "simbias.mlflow.tracking",
-    "simbias.tracking.none": "simbias.mlflow.none",
+    "simbias.tracking.none": "simbias.sweep.tracking",
+    "tracking.journals": "tracking.trials",
 }
 
 

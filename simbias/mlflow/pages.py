@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 import time
-from typing import TYPE_CHECKING, Any
-
-from simbias.mlflow import fields
-
-if TYPE_CHECKING:
-    from simbias.sweep.axes import Axis
-    from simbias.sweep.grid import Sweep
+from collections.abc import Mapping
+from typing import Any
 
 MODE = "workflowType=machine_learning"  # else the UI opens in its mode for language models
 VIEW = "mlflow.sharedViewState."  # MLflow's prefix of an experiment's tags that hold views
+PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
+AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 EXPERIMENTS, OUTCOME = "metrics.`experiments/total`", "tags.`outcome`"
 
 
@@ -23,16 +20,16 @@ def run_page(experiment_id: str, run_id: str, file: str = "") -> str:
     return f"#/experiments/{experiment_id}/runs/{run_id}{artifact}?{MODE}"
 
 
-def trials_page(experiment_id: str, sweep: Sweep) -> str:
-    """Address of a sweep's trials, listed as by `trials_view`, within the UI."""
-    return f"#/experiments/{experiment_id}/runs?{MODE}&viewStateShareKey={sweep.hash}"
+def trials_page(experiment_id: str, sweep: str) -> str:
+    """Address of the trials of the sweep of this hash, listed as by `trials_view`, within the UI."""
+    return f"#/experiments/{experiment_id}/runs?{MODE}&viewStateShareKey={sweep}"
 
 
-def trials_view(sweep: Sweep, parent: str) -> tuple[str, str]:
+def trials_view(sweep: Mapping[str, Any], parent: str) -> tuple[str, str]:
     """Tag of the experiment (key, value) for MLflow to list a sweep's trials: fewest experiments first."""
-    columns = [EXPERIMENTS, OUTCOME, *map(_column, sweep.axes)]
+    columns = [EXPERIMENTS, OUTCOME, *map(_column, sweep["axes"])]
     state: dict[str, Any] = {
-        "searchFilter": f"tags.`{fields.PARENT}` = '{parent}'",
+        "searchFilter": f"tags.`{PARENT}` = '{parent}'",
         "orderByKey": EXPERIMENTS,
         "orderByAsc": True,
         "startTime": "ALL",
@@ -43,13 +40,17 @@ def trials_view(sweep: Sweep, parent: str) -> tuple[str, str]:
         "columnOrder": columns,
         "columnWidths": {column: _width(column) for column in columns},
     }
-    view = {"name": f"sweep {sweep.name}", "createdAt": int(1000 * time.time()), "state": json.dumps(state)}
-    return VIEW + sweep.hash, json.dumps({**view, **state})  # views without a name are the state itself
+    view = {
+        "name": f"sweep {sweep['name']}",
+        "createdAt": int(1000 * time.time()),
+        "state": json.dumps(state),
+    }
+    return VIEW + sweep["hash"], json.dumps({**view, **state})  # views without a name are the state itself
 
 
-def _column(axis: Axis) -> str:
+def _column(axis: Mapping[str, Any]) -> str:
     """The column that tells where on an axis a trial lies: its parameter, or of several the label."""
-    return f"params.`{axis.keys[0]}`" if len(axis.keys) == 1 else f"tags.`{fields.AXIS}{axis.name}`"
+    return f"params.`{axis['keys'][0]}`" if len(axis["keys"]) == 1 else f"tags.`{AXIS}{axis['name']}`"
 
 
 def _width(column: str) -> int:

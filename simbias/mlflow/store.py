@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 from simbias.core.cache import cache_folder
 from simbias.core.errors import ConfigError
-from simbias.mlflow.fields import redact
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -37,6 +36,11 @@ TABLES = frozenset(  # that every store has; in place of those that are gone, ML
 PLAIN = re.compile(r"sqlite:///([^?%@]+)")  # an address whose file is what stands there
 PART = ".part"  # suffix of a SQLite store that is being made
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
+
+
+def redact(uri: str) -> str:
+    """A URI without its user and password."""
+    return re.sub(r"//[^/]*@", "//", uri)
 
 
 def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:

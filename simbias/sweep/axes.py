@@ -13,8 +13,8 @@ from simbias.core.messages import quote
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [
         *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
-        *("hardware_seconds", "held_out", "lasted", "lasted_seconds"),
-        *("run_id", "trials", "succeeded", "mean", "low", "high", "held", "reliable", "paper"),
+        *("hardware_seconds", "test_episodes", "long_success_rate", "long_seconds"),
+        *("trials", "succeeded", "mean", "low", "high", "success_rate", "reliable", "paper"),
     ]
 )
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from simbias.sweep.batches import Batch, Outcomes
     from simbias.sweep.grid import Sweep
     from simbias.sweep.picture import Picture
-    from simbias.trial.run import RecordedTrial
+    from simbias.trial.run import TrialRecord
 
 
 Row = Mapping[Any, Any]  # of a table of trials
@@ -42,8 +42,8 @@ class SweptTrials:
     """What a sweep found: a table of its trials, and each trial in full."""
 
     sweep: Sweep
-    table: DataFrame  # as `simbias.mlflow.results` describes it
-    load: Callable[[str], RecordedTrial]  # of a run_id
+    table: DataFrame  # as `simbias.sweep.results` describes it
+    load: Callable[[str], TrialRecord]  # by hash
 
     @property
     def rows(self) -> list[Row]:
@@ -59,10 +59,10 @@ class SweptTrials:
             raise FigureError("no trial of the sweep ran to an end")
         return rows
 
-    def in_full(self) -> Iterator[tuple[Row, RecordedTrial]]:
+    def in_full(self) -> Iterator[tuple[Row, TrialRecord]]:
         """The same trials in full, read back one by one, with their rows."""
         for row in self.rows:
-            yield row, self.load(row["run_id"])
+            yield row, self.load(row["hash"])
 
     def cell(self, row: Row) -> str:
         """The cell of a trial, by its labels."""
@@ -72,7 +72,7 @@ class SweptTrials:
 class SweepFigure(ABC):
     """A figure of a sweep, drawn once all trials have ended."""
 
-    reads_trials = True  # in full, from the store; else only their table
+    reads_trials = True  # in full, from their folders; else only their table
 
     def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
         """Hardware experiments that it needs besides those of the trials; none, if not said otherwise."""

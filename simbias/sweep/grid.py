@@ -24,7 +24,14 @@ MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
 FileName = Annotated[str, Field(pattern=r"^\w[\w-]*$")]
 Measure = Literal[
-    "experiments", "iterations", "succeeded", "hardware_seconds", "held", "reliable", "lasted", "paper"
+    "experiments",
+    "iterations",
+    "succeeded",
+    "hardware_seconds",
+    "success_rate",
+    "reliable",
+    "long_success_rate",
+    "paper",
 ]
 FIGURES = {
     "experiments": {"_target_": "simbias.sweep.figures.experiments.Experiments"}

@@ -13,12 +13,12 @@ from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
-from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.figure import FigureError
 from simbias.sweep.interruption import Interruption, stopping_workers
 
 if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep
-    from simbias.sweep.tracking import TrackedSweep
+    from simbias.sweep.running import SweepState
 
 
 class FigureObserver:
@@ -36,7 +36,7 @@ class FigureObserver:
 def make_figures(
     sweep: Sweep,
     engine: Engine,
-    tracked: TrackedSweep,
+    state: SweepState,
     observer: FigureObserver,
     interruption: Interruption,
 ) -> None:
@@ -51,13 +51,13 @@ def make_figures(
     """
     for name, figure in sweep.figures.items():
         with _errors_of(name):
-            trials = SweptTrials(sweep, tracked.results(), tracked.load)
+            trials = state.swept()
             batches = figure.experiments(trials)
-            outcomes = _outcomes(name, batches, engine, tracked, observer, interruption)
+            outcomes = _outcomes(name, batches, engine, state, observer, interruption)
             picture = figure.draw(trials, outcomes)
         with temporary_folder() as folder, interruption.defer():
             files = picture.write(Path(folder), name)
-            tracked.publish(name, picture.caption, files)
+            state.publish(name, picture.caption, files)
             observer.drawn(name, picture.caption, _copy(files, sweep.figures_to))
 
 
@@ -76,13 +76,13 @@ def _outcomes(
     name: str,
     batches: Sequence[Batch],
     engine: Engine,
-    tracked: TrackedSweep,
+    state: SweepState,
     observer: FigureObserver,
     interruption: Interruption,
 ) -> list[Outcomes]:
     """The outcomes of all batches; those that are kept are not run again."""
     batch_of = {batch.hash: batch for batch in batches}
-    outcomes = tracked.outcomes(list(batch_of))
+    outcomes = state.outcomes(list(batch_of))
     missing = [identity for identity in batch_of if identity not in outcomes]
     if missing:
         tasks = [batch_of[identity] for identity in missing]
@@ -95,7 +95,7 @@ def _outcomes(
                     raise FigureError(str(getattr(result, "error", result)))
                 with interruption.defer():
                     outcomes[missing[index]] = result
-                    tracked.keep_outcomes(missing[index], result)
+                    state.keep_outcomes(missing[index], result)
                     advance()
     return [outcomes[batch.hash] for batch in batches]
 

@@ -1,37 +1,54 @@
-"""Running a sweep: what is missing is run and kept, trial by trial."""
+"""Running a sweep: trials whose folders have no outcome are run, then its figures are made."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import logging
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
+from uuid import uuid4
 
 from pandas import DataFrame
 
 from simbias.config import ConfigError, Variations
 from simbias.config.build import build
+from simbias.config.stored import read_folder
 from simbias.engine.contract import Engine, WorkerLostError
+from simbias.sweep import results, tables
+from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.services import engine, tracking
-from simbias.sweep.tracking import TrackedSweep, Tracking
-from simbias.sweep.worker import Plan, lost, run_plan
+from simbias.sweep.tracking import SweepExport, Tracking
+from simbias.sweep.worker import Plan, Result, lost, run_plan, unpack
 from simbias.testing.rehearsal import rehearse
-from simbias.trial.run import TrialRecord
+from simbias.trial.folder import LOCK, TrialFolder, locked
+from simbias.trial.origin import changed_code, provenance
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome, TrialSummary
+
+MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
+STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
+STATE_SHARE = 0.02  # unless it would take more than this of the time
+IN_SWEEPS = ("overview",)  # pictures of a cell's first trial; the others take long
 
 
 class SweepObserver(FigureObserver):
-    """Hears of what happens in a sweep, while it happens."""
+    """Follows a sweep; this one does nothing."""
 
     def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
         """The trials begin, but for those that are finished; `keeps` tells whether any is kept."""
 
-    def ended(self, trial: Trial, record: TrialRecord) -> None:
-        """A trial has ended, and is kept."""
+    def ended(self, trial: Trial, result: Result) -> None:
+        """A trial has ended or stopped, and is kept."""
 
     def all_ended(self) -> None:
-        """No trial runs any more, however that came about."""
+        """No trial runs any more, for whatever reason."""
 
 
 def run(
@@ -53,12 +70,11 @@ def run(
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
     trials_engine, store = engine(composition), tracking(composition)
     sweep, _, _ = prepare(store, variations)
-    again = f"simbias.run_sweep({list(overrides)!r})"
-    return run_sweep(sweep, trials_engine, store.open_sweep(sweep, again), observer)
+    return run_sweep(sweep, trials_engine, store, f"simbias.run_sweep({list(overrides)!r})", observer)[0]
 
 
 def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, DataFrame]:
-    """The sweep, the study of its first cell, and the finished trials that the store keeps.
+    """The sweep, the study of its first cell, and the trials that are finished.
 
     The components of every cell could be built. Where trials are missing, the simulation is compiled.
 
@@ -68,6 +84,9 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, Data
         If anything is bad about the sweep or one of its cells; nothing has run then.
     """
     sweep = expanded(variations)
+    for name, figure in sweep.figures.items():
+        if store.folder is None and figure.reads_trials:
+            raise ConfigError("tracking", f"none keeps no trials, which sweep.figures.{name} reads")
     studies: dict[tuple[str, ...], Study] = {}
     for cell in sweep.cells:
         try:
@@ -76,61 +95,260 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, Data
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
-    finished = store.finished(sweep)
+    finished = _finished(sweep, store)
     if len(finished) < len(sweep.trials):
         for study in studies.values():  # compiled here once, workers find it in the cache
             rehearse(study)
     return sweep, next(iter(studies.values())), finished
 
 
-def run_sweep(
-    sweep: Sweep, trials_engine: Engine, tracked: TrackedSweep, observer: SweepObserver | None = None
-) -> DataFrame:
-    """Run the trials that are not finished, and keep each as it ends; then make the figures.
+def _finished(sweep: Sweep, store: Tracking) -> DataFrame:
+    """The trials of a sweep that have ended."""
+    if store.folder is None:
+        return results.in_order({}, sweep)
+    trials = results.of_folders(sweep, store.folder)
+    return trials[trials["outcome"] != Outcome.ERROR]
 
-    Returns the trials, as `simbias.mlflow.results` describes them.
+
+def run_sweep(
+    sweep: Sweep,
+    trials_engine: Engine,
+    store: Tracking,
+    again: str,
+    observer: SweepObserver | None = None,
+) -> tuple[DataFrame, str]:
+    """Run the trials that have not ended, and make the figures; `again` is the command that resumes.
+
+    Returns the trials, as `simbias.sweep.results` describes them, and how a person looks at them.
 
     Raises
     ------
+    ConfigError
+        If the store cannot be used, or another process runs this sweep.
     KeyboardInterrupt
         On SIGINT or SIGTERM, between two trials; what has ended is kept.
     FigureError
         If a figure cannot be drawn from what there is.
     """
     observer = observer or SweepObserver()
-    missing = [trial for trial in sweep.trials if trial.hash not in tracked.finished]
-    try:
-        with Interruption() as interruption:
-            trials = tracked.results()
-            observer.begun(sweep, trials[trials["hash"].isin(tracked.finished)], tracked.keeps)
-            try:
-                for trial, record in _records(trials_engine, tracked, missing):
-                    with interruption.defer():
-                        tracked.keep(trial, build(trial.composition), record)
-                        observer.ended(trial, record)
-            finally:
-                observer.all_ended()
-            make_figures(sweep, trials_engine, tracked, observer, interruption)
-    except BaseException as error:
-        tracked.close(error)
-        raise
-    tracked.close()
-    return tracked.results()
+    folder = store.sweep_folder(sweep.name, sweep.hash)
+    with _alone(folder.path if folder else None):
+        state = SweepState(sweep, store, again)
+        try:
+            with Interruption() as interruption:
+                observer.begun(sweep, state.finished, store.folder is not None)
+                try:
+                    for trial, result in _results(trials_engine, state):
+                        with interruption.defer():
+                            state.keep(trial, result)
+                            observer.ended(trial, result)
+                finally:
+                    observer.all_ended()
+                make_figures(sweep, trials_engine, state, observer, interruption)
+        except BaseException as error:
+            state.close(error)
+            raise
+        state.close()
+        return state.results(), state.export.where
 
 
-def _records(
-    trials_engine: Engine, tracked: TrackedSweep, trials: Sequence[Trial]
-) -> Iterator[tuple[Trial, TrialRecord]]:
-    """Trials with their records, as they end."""
-    plans = [_plan(trial, tracked) for trial in trials]
-    with stopping_workers(trials_engine.run(run_plan, plans)) as results:
-        for index, result in results:
+@contextmanager
+def _alone(folder: Path | None) -> Iterator[None]:
+    """Run a sweep in no other process at the same time."""
+    if folder is None:
+        yield
+        return
+    with locked(folder / LOCK, 0.0, ConfigError("sweep", "another process is running this sweep")):
+        yield
+
+
+class SweepState:
+    """A sweep that runs: its trials so far, in its folder and exported from there."""
+
+    def __init__(self, sweep: Sweep, store: Tracking, again: str) -> None:
+        self._sweep, self._store, self._again = sweep, store, again
+        self.folder = store.sweep_folder(sweep.name, sweep.hash)
+        done = results.of_folders(sweep, store.folder) if store.folder else results.in_order({}, sweep)
+        self.finished = done[done["outcome"] != Outcome.ERROR]
+        self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
+        self._platforms: Counter[tuple[str, ...]] = Counter()
+        self._captions: dict[str, str] = {}  # of figures
+        self._due = 0.0
+        self._outcomes: dict[str, Any] = {}  # of batches of experiments, where nothing is kept
+        self._marker = ""
+        if self.folder is not None:
+            self.folder.begin(_description(sweep, again))
+            self._marker = str(self.folder.path / f".shared_{uuid4().hex}")
+            Path(self._marker).touch()
+        self.export = store.export_sweep(self.folder, live=True) if self.folder else SweepExport()
+        self._write("**Running**")
+
+    @property
+    def missing(self) -> list[Trial]:
+        """The trials that have not ended."""
+        ended = set(self.finished["hash"])
+        return [trial for trial in self._sweep.trials if trial.hash not in ended]
+
+    def plan(self, trial: Trial) -> Plan:
+        """What a worker needs of a trial; a cell's first trial has pictures that stand for all."""
+        folder, composition = self._store.trial_folder(trial.hash), trial.composition
+        pictures = IN_SWEEPS if self._store.pictures and not trial.repetition else ()
+        path = None if folder is None else str(folder.absolute())
+        marker = str(Path(self._marker).absolute()) if self._marker else ""
+        return Plan(composition.config, composition.choices, path, marker, pictures, composition.allowed)
+
+    def keep(self, trial: Trial, result: Result) -> None:
+        """Note a trial that ended or stopped, and export it."""
+        folder, summary = self._store.trial_folder(trial.hash), result.summary
+        if folder is not None and result.packed:
+            unpack(result.packed, folder)
+        self._rows.pop(trial.hash, None)  # of an attempt that raised
+        if summary.outcome in results.SHOWN:
+            self._rows[trial.hash] = results.row(trial, self._sweep, summary)
+        self._note_platforms(summary)
+        if folder is not None:
+            self.export.trial_ended(folder)
+        if time.monotonic() > self._due:
+            self._write("**Running**")
+
+    def _note_platforms(self, summary: TrialSummary) -> None:
+        """Count the platforms; say so when another comes in."""
+        if not summary.platforms:
+            return
+        mixed = bool(self._platforms) and summary.platforms not in self._platforms
+        self._platforms[summary.platforms] += 1
+        if mixed:
+            logging.getLogger(__name__).warning(MIXED, len(self._platforms), self._mixed())
+
+    def _mixed(self) -> str:
+        """The platforms and how many trials ran on each."""
+        return "; ".join(f"{count} on {' then '.join(each)}" for each, count in self._platforms.items())
+
+    def results(self) -> DataFrame:
+        """The trials that ended or raised."""
+        return results.in_order(self._rows, self._sweep)
+
+    def swept(self) -> SweptTrials:
+        """The trials for figures; each can be read back in full."""
+        allowed = sorted({name for cell in self._sweep.cells for name in cell.composition.allowed})
+        trials = self._store.folder or Path()
+        load = partial(_read, trials, allowed)
+        return SweptTrials(self._sweep, self.results(), load)
+
+    def outcomes(self, batches: Sequence[str]) -> dict[str, Any]:
+        """Those outcomes of batches of experiments that are kept."""
+        return self.folder.outcomes(batches) if self.folder else {}
+
+    def keep_outcomes(self, batch: str, outcomes: Any) -> None:
+        """Keep the outcomes of a batch of experiments, by its hash."""
+        if self.folder is not None:
+            self.folder.keep_outcomes(batch, outcomes)
+
+    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        """Keep a figure and its caption."""
+        self._captions[name] = caption
+        if self.folder is not None:
+            self.folder.publish(files)
+
+    def close(self, error: BaseException | None = None) -> None:
+        """Write how the sweep ended; the error says why it ended early."""
+        try:
+            self._write(_verdict(error, "error" in set(self.results()["outcome"])), final=True)
+        except Exception:
+            if error is None:
+                raise  # else what ended the sweep, as a full disk, may well end this too
+        finally:
+            if self._marker:
+                Path(self._marker).unlink(missing_ok=True)
+
+    def _write(self, verdict: str, final: bool = False) -> None:
+        """Write how far the sweep is, and export it."""
+        began = time.monotonic()
+        if self.folder is not None:
+            trials, sweep = self.results(), self._sweep
+            table = tables.cells(trials, sweep)
+            arrangement = tables.markdown(tables.layout(table, sweep))
+            state = {
+                "verdict": verdict,
+                "done": len(trials),
+                "trials": len(sweep.trials),
+                "outcomes": dict(Counter(trials["outcome"])),
+                "mean_experiments": None
+                if trials["experiments"].isna().all()
+                else trials["experiments"].mean(),
+                "platforms": self._mixed() if len(self._platforms) > 1 else "",
+                "table": arrangement,
+                "legend": tables.legend(sweep, trials),
+                "captions": self._captions,
+            }
+            files = {"trials.csv": results.csv(trials), "table.md": arrangement}
+            files["table.csv"] = table.to_csv(index=False)
+            self.folder.write_state(state, files if final else {})
+        self.export.update(final)
+        ended = time.monotonic()
+        self._due = ended + max(STATE_SECONDS, (ended - began) / STATE_SHARE)
+
+
+def _read(trials: Path, allowed: Sequence[str], identity: str) -> Any:
+    """A trial, read back."""
+    return read_folder(trials / identity, allow=allowed)
+
+
+def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
+    """Trials with their results, as they end."""
+    trials = state.missing
+    plans = [state.plan(trial) for trial in trials]
+    with stopping_workers(trials_engine.run(run_plan, plans)) as ended:
+        for index, result in ended:
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
 
 
-def _plan(trial: Trial, tracked: TrackedSweep) -> Plan:
-    """What a worker is told of a trial."""
-    journal, composition = tracked.journal(trial), trial.composition
-    folder = None if journal is None else str(journal.absolute())
-    pictures = () if trial.repetition else tuple(tracked.pictures)  # a cell's first trial stands for all
-    return Plan(composition.config, composition.choices, folder, pictures, composition.allowed)
+def _description(sweep: Sweep, again: str) -> dict[str, Any]:
+    """A sweep in JSON's types."""
+    config = {key: value for key, value in sweep.base.config.items() if key != "tracking"}
+    axes = [axis.name for axis in sweep.axes]
+    return {
+        "name": sweep.name,
+        "hash": sweep.hash,
+        "command": again,
+        "config": config,
+        "axes": [{"name": axis.name, "keys": list(axis.keys)} for axis in sweep.axes],
+        "trials": {
+            trial.hash: {
+                "name": trial.name,
+                "repetition": trial.repetition,
+                "labels": dict(zip(axes, trial.cell.labels, strict=True)),
+            }
+            for trial in sweep.trials
+        },
+        **provenance(),
+    }
+
+
+def _verdict(error: BaseException | None, raised: bool) -> str:
+    """First words on a sweep that ended."""
+    if error is None:
+        return "**Ended**, some trials with an error" if raised else "**Done**"
+    interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
+    return "**Interrupted**" if interrupted else "**Ended early** by an error"
+
+
+def changed_trials(sweep: Sweep, store: Tracking) -> str:
+    """Finished trials that ran on code of the user's that has changed since, in words; "" if none did."""
+    if store.folder is None:
+        return ""
+    studies: dict[str, Study] = {}
+    found, finished = [], 0
+    for trial in sweep.trials:
+        folder = TrialFolder(store.folder / trial.hash)
+        if folder.ended:
+            finished += 1
+            study = studies.setdefault(trial.cell.identity, build(trial.composition))
+            if study.composition.code and (modules := changed_code(folder.description(), study)):
+                found.append(modules)
+    if not found:
+        return ""
+    return (
+        f"{len(found)} of {finished} finished trials ran on code that has changed since ({found[0]}); "
+        "tracking.trials=FOLDER begins again"
+    )

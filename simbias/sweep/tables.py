@@ -20,10 +20,10 @@ RESAMPLES = 10_000
 AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
 CONFIDENCE = 0.95
 BLANK = "–"  # noqa: RUF001  where there is no number
-RELIABLE = 0.9  # of the held-out starts, at least so many are held by a policy that counts as reliable
+RELIABLE = 0.9  # success rate from which a policy counts as reliable
 MEASURES = (
     *("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "hardware_seconds"),
-    *("held", "reliable", "lasted", "paper"),
+    *("success_rate", "reliable", "long_success_rate", "paper"),
 )
 
 
@@ -34,11 +34,11 @@ class Layout(NamedTuple):
     body: list[list[str]]
 
 
-LATER: dict[str, Any] = {  # columns that trials of earlier versions lack
+LATER: dict[str, Any] = {  # columns that some published trials lack
     "hardware_seconds": nan,
-    "held_out": "",
-    "lasted": nan,
-    "lasted_seconds": nan,
+    "test_episodes": "",
+    "long_success_rate": nan,
+    "long_seconds": nan,
 }
 
 
@@ -64,29 +64,30 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     `trials` counts those that ran to an end, `succeeded` those with success; `mean`, and `low` to `high`, its
     bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
     trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
-    none. Means too are `hardware_seconds`, `held`, the share of held-out starts that the last policies hold
-    (of those that any of the sweep's holds), `reliable`, the share of trials in which this is at least
-    RELIABLE, and `lasted`, the share of the longer tries that last.
+    none. Means too are `hardware_seconds`, `success_rate`, the share of test episodes in which the last
+    policies succeed (of those in which any of the sweep's does), `reliable`, the share of trials in which
+    this is at least RELIABLE, and `long_success_rate`, the share of long test episodes that last to their
+    end.
     """
     names = [axis.name for axis in sweep.axes]
     trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)
-    paper, possible = sweep.report.paper, attainable_starts(trials)
+    paper, possible = sweep.report.paper, attainable(trials)
     rows = [[*labels, *_measures(own, possible), paper.get(labels, nan)] for labels, own in trials_of.items()]
     return pd.DataFrame(rows, columns=[*names, *MEASURES])
 
 
-def attainable_starts(trials: pd.DataFrame) -> list[bool]:
-    """Which held-out starts, the same for all trials, any of their last policies holds; all, if none does.
+def attainable(trials: pd.DataFrame) -> list[bool]:
+    """Test episodes, the same for all trials, in which any last policy succeeds; all, if none does.
 
-    So starts that nobody could hold count against no policy. What one policy of a sweep holds is possible;
-    the reverse is a guess, which more trials make better.
+    So episodes in which nobody could succeed count against no policy. What one policy of a sweep does is
+    possible; the reverse is a guess, which more trials make better.
     """
-    tried = [text for text in trials["held_out"] if text]
-    held = [any(start == "1" for start in starts) for starts in zip_longest(*tried)]
-    return held if any(held) else [True] * len(held)
+    tested = [text for text in trials["test_episodes"] if text]
+    possible = [any(each == "1" for each in episodes) for episodes in zip_longest(*tested)]
+    return possible if any(possible) else [True] * len(possible)
 
 
 def _measures(trials: Sequence[Mapping[str, Any]], possible: Sequence[bool]) -> list[float]:
@@ -97,16 +98,18 @@ def _measures(trials: Sequence[Mapping[str, Any]], possible: Sequence[bool]) -> 
         [float(trial[name]) for trial in ended] for name in ("experiments", "iterations")
     )
     counts = (len(ended), outcomes.count("succeeded"), outcomes.count("error"))
-    seconds, lasted = ([float(trial[name]) for trial in ended] for name in ("hardware_seconds", "lasted"))
-    held = [share_held(trial["held_out"], possible) for trial in ended if trial["held_out"]]
-    reliable = [float(share >= RELIABLE) for share in held]
-    worth = (_mean(seconds), _mean(held), _mean(reliable), _mean(lasted))
-    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *worth]
+    seconds, long = (
+        [float(trial[name]) for trial in ended] for name in ("hardware_seconds", "long_success_rate")
+    )
+    rates = [success_rate(trial["test_episodes"], possible) for trial in ended if trial["test_episodes"]]
+    reliable = [float(rate >= RELIABLE) for rate in rates]
+    tests = (_mean(seconds), _mean(rates), _mean(reliable), _mean(long))
+    return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *tests]
 
 
-def share_held(starts: str, possible: Sequence[bool]) -> float:
-    """The share of held-out starts that a policy holds, "101" of three, among those that are possible."""
-    return _mean([float(start == "1") for start, counts in zip(starts, possible, strict=False) if counts])
+def success_rate(episodes: str, possible: Sequence[bool]) -> float:
+    """The share of test episodes in which a policy succeeds, "101" of three, among the possible ones."""
+    return _mean([float(each == "1") for each, counts in zip(episodes, possible, strict=False) if counts])
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -181,9 +184,9 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
     "iterations": lambda row: _number(row["iterations"]),
     "succeeded": _succeeded,
     "hardware_seconds": lambda row: _number(row["hardware_seconds"]),
-    "held": lambda row: _share(row["held"]),
+    "success_rate": lambda row: _share(row["success_rate"]),
     "reliable": lambda row: _share(row["reliable"]),
-    "lasted": lambda row: _share(row["lasted"]),
+    "long_success_rate": lambda row: _share(row["long_success_rate"]),
     "paper": lambda row: _number(row["paper"]),
 }
 
@@ -211,18 +214,18 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
         f"interval]; {iterations}a trial that never succeeds counts all that it may make."
-        f"{_of_held_out(sweep, trials)}"
+        f"{_of_tests(sweep, trials)}"
     )
 
 
-def _of_held_out(sweep: Sweep, trials: pd.DataFrame) -> str:
-    """What the numbers of held-out starts are, where any is told."""
-    possible = attainable_starts(trials)
-    if not possible or not {"held", "reliable", "lasted"} & set(sweep.report.measures):
+def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
+    """What the numbers of test episodes are, where any is shown."""
+    possible = attainable(trials)
+    if not possible or not {"success_rate", "reliable", "long_success_rate"} & set(sweep.report.measures):
         return ""
     nobody = len(possible) - sum(possible)
     return (
-        f" held: mean share of {sum(possible)} held-out starts that a trial's last policy holds"
-        f"{f' ({nobody} more are held by none)' if nobody else ''}; reliable: trials whose policy holds at "
-        f"least {RELIABLE:.0%} of them; lasted: share of the longer tries that last to their end."
+        f" success_rate: mean share of {sum(possible)} test episodes in which a trial's last policy succeeds"
+        f"{f' (in {nobody} more none does)' if nobody else ''}; reliable: share of trials where that is at "
+        f"least {RELIABLE:.0%}; long_success_rate: share of long test episodes that last to their end."
     )

@@ -1,99 +1,102 @@
-"""The contract of stores: they keep trials and sweeps, and find them again."""
+"""Where trials are kept, and what they are exported to."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from simbias.trial.run import Recorder, TrialRecord
-from simbias.trial.study import Study
+from simbias.sweep.folder import SweepFolder
+from simbias.trial.study import Observer
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
-    from simbias.sweep.batches import Outcomes
-    from simbias.sweep.grid import Sweep, Trial
-    from simbias.trial.run import RecordedTrial
+class Export(Observer):
+    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing."""
+
+    where: str = ""  # one line that tells a person how to look at it
+
+    def update(self, final: bool = False) -> None:
+        """Bring it up to date with the folder; `final` tells that nothing more comes."""
+
+
+class SweepExport(Export):
+    """Shows a sweep elsewhere; this one shows nothing."""
+
+    def trial_ended(self, folder: Path) -> None:
+        """A trial of the sweep has ended or stopped."""
 
 
 class Tracking(ABC):
-    """A store."""
+    """Keeps trials in folders."""
+
+    folder: Path | None  # of all trials: each has its own, named by its hash; None: nothing is kept
+    pictures: bool = False  # whether pictures are drawn of each trial that has ended
+
+    def trial_folder(self, identity: str) -> Path | None:
+        """The folder of the trial of this hash; None where nothing is kept."""
+        return None if self.folder is None else self.folder / identity
+
+    def sweep_folder(self, name: str, identity: str) -> SweepFolder | None:
+        """The folder of the sweep of this name and hash; None where nothing is kept."""
+        return None if self.folder is None else SweepFolder(self.folder / "sweeps" / f"{name}_{identity}")
 
     @abstractmethod
-    def open(self, study: Study) -> TrackedTrial:
-        """Begin the record of a trial, or go on with it.
+    def export_trial(self, folder: Path, live: bool = False) -> Export:
+        """Show a trial elsewhere; `live` if it runs in this process.
 
         Raises
         ------
         ConfigError
-            If the store cannot be used, or another process runs this trial.
+            If the store cannot be used.
         """
 
     @abstractmethod
-    def open_sweep(self, sweep: Sweep, again: str) -> TrackedSweep:
-        """Begin the record of a sweep, or go on with it; `again` is the command that does so.
+    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
+        """Show a sweep elsewhere; `live` if it runs in this process.
 
         Raises
         ------
         ConfigError
-            If the store cannot be used, or another process runs this sweep.
+            If the store cannot be used.
         """
 
-    @abstractmethod
-    def finished(self, sweep: Sweep) -> DataFrame:
-        """What is kept of a sweep's finished trials: see `simbias.mlflow.results`; changes nothing."""
+
+class Folders(Tracking):
+    """Trials in folders, shown nowhere else.
+
+    Parameters
+    ----------
+    trials
+        Folder of the trials.
+    pictures
+        Whether pictures are drawn of each trial that has ended; in sweeps, of the first trial of each cell.
+    """
+
+    def __init__(self, trials: str = "trials", pictures: bool = True) -> None:
+        self.folder = Path(trials)
+        self.pictures = pictures
+
+    def export_trial(self, folder: Path, live: bool = False) -> Export:
+        """Show nothing but the folder."""
+        export = Export()
+        export.where = str(folder)
+        return export
+
+    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
+        """Show nothing but the folder."""
+        export = SweepExport()
+        export.where = str(folder.path)
+        return export
 
 
-class TrackedTrial(Recorder):
-    """The open record of one trial; every call returns after its data is safe. This one keeps nothing."""
+class NoTracking(Tracking):
+    """Nothing is kept."""
 
-    where: str | None = None  # one line that tells a person how to look at it
-    changed: str = ""  # which code of the user's has changed since the trial began, in one line
+    folder = None
 
-    def finished(self) -> RecordedTrial | None:
-        """The trial, if it has come to its end before."""
-        return None
+    def export_trial(self, folder: Path, live: bool = False) -> Export:
+        """Show nothing."""
+        return Export()
 
-
-class TrackedSweep(ABC):
-    """The open record of a sweep."""
-
-    where: str | None  # one line that tells a person how to look at it
-    changed: str = ""  # which code of the user's has changed since trials of it ran, in one line
-    keeps: bool  # whether a later process finds the finished trials
-    finished: frozenset[str]  # hashes of the trials that were finished before
-    pictures: Sequence[str] = ()  # of each trial, to be drawn at its end
-
-    @abstractmethod
-    def journal(self, trial: Trial) -> Path | None:
-        """The folder in which a worker keeps a trial while it runs, if anything is kept."""
-
-    @abstractmethod
-    def keep(self, trial: Trial, study: Study, record: TrialRecord) -> None:
-        """Keep all of a trial; it counts as finished once everything is written and it came to its end."""
-
-    @abstractmethod
-    def results(self) -> DataFrame:
-        """The trials that came to an end or raised, as `simbias.mlflow.results` describes them."""
-
-    @abstractmethod
-    def load(self, run_id: str) -> RecordedTrial:
-        """A trial that was kept, in full."""
-
-    @abstractmethod
-    def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
-        """Keep the outcomes of a batch of experiments, by its hash."""
-
-    @abstractmethod
-    def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
-        """Those outcomes that are kept, by the hashes of their batches."""
-
-    @abstractmethod
-    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
-        """Keep a figure; its files replace those of the same names."""
-
-    @abstractmethod
-    def close(self, error: BaseException | None = None) -> None:
-        """End the record with the table of what is there; the error says why it ended early."""
+    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
+        """Show nothing."""
+        return SweepExport()

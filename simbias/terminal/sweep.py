@@ -24,11 +24,11 @@ from simbias.sweep.estimate import estimate
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
+from simbias.sweep.worker import Result
 from simbias.terminal.lines import say
 from simbias.terminal.trial import traceback_file
-from simbias.trial import diagnostics as remarks
-from simbias.trial.run import Outcome, TrialRecord
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome
 
 SHOWN_ERRORS = 5
 
@@ -54,7 +54,7 @@ class SweepConsole(SweepObserver):
         self._experiments: dict[tuple[str, ...], list[float]] = defaultdict(list)
         self._figures: list[tuple[str, str, Sequence[Path]]] = []
         self._outcomes: list[str] = []
-        self._remarks: Counter[str] = Counter()  # in how many trials of this process
+        self._diagnostics: Counter[str] = Counter()  # in how many trials of this process
         self._progress = Progress(
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[state]}")
         )
@@ -91,26 +91,24 @@ class SweepConsole(SweepObserver):
         if self._live is not None:
             self._live.stop()
 
-    def ended(self, trial: Trial, record: TrialRecord) -> None:
-        """Tell of a trial that has ended and is kept."""
+    def ended(self, trial: Trial, result: Result) -> None:
+        """Tell of a trial that has ended or stopped, and is kept."""
+        summary = result.summary
         self._ran += 1
-        self._outcomes.append(record.outcome)
-        self._remarks.update(remarks.kinds(record.iterations))
-        if record.outcome.final:
-            self._experiments[trial.cell.labels].append(record.experiments_until_success)
+        self._outcomes.append(summary.outcome)
+        self._diagnostics.update(summary.diagnostics)
+        if summary.outcome.final:
+            self._experiments[trial.cell.labels].append(summary.experiments_until_success)
         self._progress.update(self._bar, completed=len(self._outcomes), state=self._state())
-        if not record.outcome.final or not self._console.is_terminal:
+        if not summary.outcome.final or not self._console.is_terminal:
             done = f"[{len(self._outcomes)}/{self._total}]"
-            outcome = record.reason or f"{record.outcome} after {counted(record.experiments, 'experiment')}"
-            if file := self._traceback_file(record):
+            made = counted(summary.experiments, "experiment")
+            outcome = summary.reason or f"{summary.outcome} after {made}"
+            few = self._outcomes.count(Outcome.ERROR) <= SHOWN_ERRORS  # files that anyone reads
+            if file := traceback_file(summary, result.traceback if few else ""):
                 outcome += f" (traceback in {file})"
-            line = f"{done} {trial.name}: {outcome}, {record.seconds:.1f} s; {self._state()}"
+            line = f"{done} {trial.name}: {outcome}, {summary.seconds:.1f} s; {self._state()}"
             say(self._console, line)
-
-    def _traceback_file(self, record: TrialRecord) -> str:
-        """The file with a record's traceback, of which no more are made than anyone reads."""
-        few = self._outcomes.count(Outcome.ERROR) <= SHOWN_ERRORS
-        return traceback_file(record) if few else record.traceback_file
 
     def _state(self) -> str:
         """Rate, time left and failures so far."""
@@ -150,7 +148,7 @@ class SweepConsole(SweepObserver):
         """Tell, at the end, of a figure and where its files are."""
         self._figures.append((name, caption, files))
 
-    def conclude(self, trials: DataFrame, where: str | None) -> None:
+    def conclude(self, trials: DataFrame, where: str) -> None:
         """The table, what it means, and how to look at the rest."""
         arrangement = layout(cells(trials, self._sweep), self._sweep)
         say(self._console, plain(arrangement))
@@ -160,7 +158,7 @@ class SweepConsole(SweepObserver):
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)
             line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
             say(self._console, line, "red")
-        for words, trials_with in self._remarks.most_common():
+        for words, trials_with in self._diagnostics.most_common():
             ran = counted(self._ran, "trial")
             say(self._console, f"In {trials_with} of {ran}: {words}.")
         if raised:
@@ -184,7 +182,7 @@ class SweepConsole(SweepObserver):
         """Tell that the sweep ended early, what is done, and how to go on."""
         done = sum(Outcome(outcome).final for outcome in self._outcomes)
         kept = f"{done} of {self._total} trials are done" + ("" if self._keeps else ", but not kept")
-        text = f"simbias: {' '.join(why.split())[:500]}; {kept}.\nGo on with:  {again}"
+        text = f"simbias: {' '.join(why.split())[:500]}; {kept}.\nResume with:  {again}"
         print(text, file=sys.stderr, flush=True)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
@@ -14,10 +15,13 @@ from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
 from simbias.terminal.lines import say, temporary_traceback
 from simbias.trial import diagnostics as remarks
+from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.model_selection import WINDOW
+from simbias.trial.origin import changed_code
 from simbias.trial.prediction import predict
-from simbias.trial.run import Outcome, TrialRecord
+from simbias.trial.run import TrialRecord
 from simbias.trial.study import Observer, Study
+from simbias.trial.summary import Outcome, TrialSummary
 
 
 def cost_text(cost: float) -> str:
@@ -104,8 +108,8 @@ class TrialConsole(Observer):
         self._progress.update(self._bar, description=f"hardware experiment {self._experiments} done")
 
     def trying(self, number: int, count: int) -> None:
-        """Tell that the last policy is being tried."""
-        words = f"held-out start {number + 1} of {count}"
+        """Tell that a test episode is under way."""
+        words = f"test episode {number + 1} of {count}"
         self._progress.update(self._bar, description=words, visible=True)
 
     def iterated(self, iteration: Iteration) -> None:
@@ -129,34 +133,22 @@ class TrialConsole(Observer):
         seconds = rollout.frames * self._study.task.time_step
         return f"{cost_text(rollout.cost):>8} ({seconds:.2f} s)"
 
-    def conclude(self, record: TrialRecord, where: str | None) -> None:
+    def conclude(self, record: TrialRecord, where: str, replayed: bool = False) -> None:
         """The closing line: what came out, after how many experiments, and how to look at it."""
-        succeeded = record.outcome is Outcome.SUCCEEDED
+        summary = record.summary
+        succeeded = summary.outcome is Outcome.SUCCEEDED
         verdict = "[green]Succeeded[/green]" if succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {counted(record.experiments, 'hardware experiment')}"
-        effort = f"{counted(len(record.iterations), 'iteration')}, {record.seconds:.0f} s"
+        experiments = f"after {counted(summary.experiments, 'hardware experiment')}"
+        effort = f"{counted(summary.iterations, 'iteration')}, {summary.seconds:.0f} s"
         words = self._study.task.words
         self._progress.update(self._bar, visible=False)
-        names = {each.failure for each in record.iterations[-1].experiments if each.failure}
+        last = record.iterations[-1:]
+        names = {each.failure for iteration in last for each in iteration.experiments if each.failure}
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
-        say(self._console, f"\n{verdict} {experiments} ({effort}{reason}).", markup=True)
-        if record.held_out:
-            say(self._console, record.held_out.words)
-        self.look(where)
-
-    def recall(self, iterations: Sequence[Iteration], where: str | None) -> None:
-        """Tell of a trial that came to its end before."""
-        for iteration in iterations:
-            self.iterated(iteration)
-        last = iterations[-1]
-        verdict = "[green]Succeeded[/green]" if last.succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {counted(last.total_experiments, 'hardware experiment')}"
-        end = "in an earlier run of this command; seed=N makes another trial."
-        say(self._console, f"\n{verdict} {experiments}, {end}", markup=True)
-        self.look(where)
-
-    def look(self, where: str | None) -> None:
-        """How to look at the trial."""
+        earlier = ", in an earlier run of this command; seed=N makes another trial" * replayed
+        say(self._console, f"\n{verdict} {experiments} ({effort}{reason}){earlier}.", markup=True)
+        if summary.test_words:
+            say(self._console, summary.test_words)
         if where:
             say(self._console, f"Look at it:  {where}")
 
@@ -166,11 +158,19 @@ def asking(study: Study, console: TrialConsole) -> Study:
     return replace(study, conditions=replace(study.conditions, ask=console.ask))
 
 
-def traceback_file(record: TrialRecord) -> str:
-    """The file with a record's traceback: that of its journal, else a new temporary one; "" without any."""
-    if not record.traceback or record.traceback_file:
-        return record.traceback_file
-    return temporary_traceback(record.traceback)
+def changed_since(study: Study, folder: Path) -> str:
+    """The user's modules that changed since the trial of a folder began, in a line; "" if none did."""
+    if not (folder / TRIAL).exists() or not (
+        modules := changed_code(TrialFolder(folder).description(), study)
+    ):
+        return ""
+    what = "is shown as it was; its" if TrialFolder(folder).ended else "resumes, but its"
+    return f"the trial {what} code has changed since it began ({modules}); seed=N makes a new one"
+
+
+def traceback_file(summary: TrialSummary, traceback: str) -> str:
+    """The file with a traceback: that of the trial's folder, else a new temporary one; "" without any."""
+    return summary.traceback_file or (temporary_traceback(traceback) if traceback else "")
 
 
 def evidence_text(evidence: Mapping[str, float]) -> str:

@@ -14,9 +14,9 @@ from simbias.testing.expectations import (
     equal,
     expect,
 )
-from simbias.trial.journal import Journal
-from simbias.trial.run import Outcome, run_trial
+from simbias.trial.run import run_trial
 from simbias.trial.study import Observer, Study
+from simbias.trial.summary import Outcome
 
 
 @check("optimizer", "a known minimum in the box, within the evaluations, the same each time")
@@ -64,10 +64,10 @@ def _method_counts_and_recalls(study: Study) -> None:
             counts.append(len(made))
 
     with tempfile.TemporaryDirectory() as folder:
-        first = run_trial(study, Journal(Path(folder)), Count())
+        first = run_trial(study, Path(folder, study.hash), Count())
         if first.outcome in (Outcome.ERROR, Outcome.WAITING):
             list(study.run())  # raises what the record only tells
-        again = run_trial(study, Journal(Path(folder)))
+        again = run_trial(study, Path(folder, study.hash))
     for iteration, count in zip(first.iterations, counts, strict=True):
         total = iteration.total_experiments
         expect(total == count, "method.run", f"{count} experiments so far", total)

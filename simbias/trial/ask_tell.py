@@ -1,118 +1,111 @@
-"""A trial turned inside out: it asks for experiments, and is told what came of them."""
+"""Ask and tell: a trial that asks for each experiment, and is told its rollout."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from simbias.core import Hardware, Optimizer, Policy, Task, Waiting
+from simbias.core import Hardware, Policy, Task, Waiting
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checks import check_rollout
 from simbias.lab.requests.order import Order
-from simbias.trial.replay import RecallingOptimizer
-
-Run = Callable[[Hardware, Optimizer], Iterator[Iteration]]  # a trial with these
+from simbias.trial.replay import EndOfRecord, Record
 
 
-class Dialogue:
-    """What a trial has been told so far.
+class AskTell:
+    """A trial whose experiments are made by who asks.
 
-    Each question begins the trial anew and recalls experiments and searches, as a trial that is started again
-    does; so the answer is the same as if the hardware had been there.
+    Each question runs the trial again and replays its steps, so the answer is the same as if the hardware had
+    been there.
 
     Parameters
     ----------
     task
         The trial's.
-    optimizer
-        Likewise.
     run
-        The trial, with another hardware and optimizer.
+        The trial, over the steps of a record and with another hardware.
     """
 
-    def __init__(self, task: Task, optimizer: Optimizer, run: Run) -> None:
+    def __init__(self, task: Task, run: Callable[[Record, Hardware], Iterator[Iteration]]) -> None:
         self._task = task
         self._run = run
-        self._told: list[Rollout] = []
-        self._optimizer = _Remembering(optimizer)
+        self._steps = _Steps()
         self._order: Order | None = None
         self.iterations: tuple[Iteration, ...] = ()  # those that have ended
 
     def ask(self) -> Order | None:
-        """The next experiment; None once the trial has come to its end."""
+        """The next experiment; None once the trial has ended."""
         if self._order is not None:
             return self._order
         iterations: list[Iteration] = []
-        self._optimizer.begin()
+        self._steps.begin()
+        asking = _Asking(self._task)
         try:
-            for iteration in self._run(_Told(self._task, self._told), self._optimizer):
+            for iteration in self._run(self._steps, asking):
                 iterations.append(iteration)
-        except _AskedError as asked:
-            self._order = asked.order
+        except EndOfRecord:
+            self._order = asking.order
         self.iterations = tuple(iterations)
         return self._order
 
     def tell(self, rollout: Rollout) -> None:
-        """What came of the experiment that was asked for.
+        """The rollout of the experiment that was asked for.
 
         Raises
         ------
         ValueError
             If none was asked for.
         HardwareError
-            If the rollout is not what the contract asks for; the question stays open.
+            If the rollout breaks the contract; the question stays open.
         """
         if self._order is None:
             raise ValueError("no experiment was asked for: ask() comes first")
-        checked = check_rollout(rollout, _Told(self._task, ()), self._task)
-        self._told.append(replace(checked, parameters=self._order.theta))
+        checked = check_rollout(rollout, _Asking(self._task), self._task)
+        self._steps.experiments.append(replace(checked, parameters=self._order.theta))
         self._order = None
 
 
-class _AskedError(Waiting):
-    """An experiment that nobody has told of."""
-
-    def __init__(self, order: Order) -> None:
-        super().__init__(order.name)
-        self.order = order
-
-
-class _Told(Hardware):
-    """Returns what was told, in its order."""
+class _Asking(Hardware):
+    """Asks for the experiment in place of making it."""
 
     sets_start = False
 
-    def __init__(self, task: Task, told: Sequence[Rollout]) -> None:
+    def __init__(self, task: Task) -> None:
         self._task = task
-        self._told = iter(tuple(told))
+        self.order: Order | None = None
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """The next one."""
-        rollout = next(self._told, None)
-        if rollout is None:
-            raise _AskedError(Order(self._task, policy, theta, start, int(rng.integers(2**62))))
-        return rollout
+        """End the trial's run at this experiment."""
+        self.order = Order(self._task, policy, theta, start, int(rng.integers(2**62)))
+        raise _AskedError(self.order.name)
 
 
-class _Remembering(RecallingOptimizer):
-    """An optimizer that remembers, as long as the dialogue lasts."""
+class _AskedError(Waiting, EndOfRecord):
+    """An experiment whose rollout was not told yet."""
 
-    def __init__(self, optimizer: Optimizer) -> None:
-        super().__init__(optimizer)
+
+class _Steps(Record):
+    """The steps of a trial, as long as it is asked and told."""
+
+    def __init__(self) -> None:
+        self.experiments: list[Rollout] = []
         self._optima: list[Optimum] = []
-        self._next = 0
+        self.begin()
 
     def begin(self) -> None:
-        """The trial begins anew."""
-        self._next = 0
+        """Replay from the first step."""
+        self._experiments, self._searches = iter(tuple(self.experiments)), iter(tuple(self._optima))
 
-    def recall(self) -> Optimum | None:
-        """The next one."""
-        self._next += 1
-        return self._optima[self._next - 1] if self._next <= len(self._optima) else None
+    def search(self, make: Callable[[], Optimum]) -> Optimum:
+        """The next search."""
+        optimum = next(self._searches, None)
+        if optimum is None:
+            optimum = make()
+            self._optima.append(optimum)
+        return optimum
 
-    def keep(self, optimum: Optimum) -> None:
-        """Remember it."""
-        self._optima.append(optimum)
+    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+        """The next experiment that was told; `make` asks for it."""
+        return next(self._experiments, None) or make()

@@ -1,56 +1,22 @@
-"""The files of a trial: hardware experiments, policies and the data set, written and read back."""
+"""Rollouts as files, and whatever else a hardware returns."""
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simbias.core import Policy, Quantity, Task
 from simbias.core.messages import printable, quote
-from simbias.core.parameters import Estimate
-from simbias.core.records import Iteration, Rollout, Transitions
-from simbias.trial.policy_test import Tries
+from simbias.core.records import Rollout
 
 TEXTS = "UST"  # kinds of NumPy's types that are no numbers
-HELD_OUT = "held_out.csv"  # the tries of the last policy
 SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
-
-
-def experiment_name(iteration: int, experiment: int) -> str:
-    """The file of a hardware experiment."""
-    return f"experiments/iteration_{iteration:02d}_experiment_{experiment}.npz"
-
-
-def policy_name(iteration: int) -> str:
-    """The file of an iteration's policy."""
-    return f"policies/iteration_{iteration:02d}.json"
-
-
-def parameters_name(iteration: int) -> str:
-    """The file of the nominal model's parameters, as identified before an iteration's policy was searched."""
-    return f"parameters/iteration_{iteration:02d}.json"
-
-
-def data_name(iteration: int) -> str:
-    """The file of the data set D that an iteration ended with."""
-    return f"data/iteration_{iteration:02d}.npz"
-
-
-def held_out_text(tries: Tries, task: Task) -> str:
-    """A row for each held-out start, with how long the policy was asked to last and how long it did."""
-    import pandas as pd  # lazily: workers do without it
-
-    names = [*(state.name for state in task.states), "asked_seconds", "lasted_seconds", "failure"]
-    rows = [(*one.start.tolist(), one.asked, one.seconds, one.failure or "") for one in tries.each]
-    return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")
 
 
 def save_rollout(file: Path | IO[bytes], rollout: Rollout) -> None:
@@ -135,62 +101,3 @@ def _text(thing: Any) -> str:
             return printable(repr(thing))
     except Exception:
         return f"a {type(thing).__name__} that cannot be shown"
-
-
-def save_transitions(path: Path, transitions: Transitions, task: Task) -> None:
-    """Write training data as npz, with the names and units of the columns.
-
-    Fields: inputs (N, n+m), input_names (n+m,), input_units (n+m,), residuals (N, n), residual_names (n,),
-    residual_units (n,).
-    """
-    input_names, input_units = _columns((*task.states, *task.inputs))
-    residual_names, residual_units = _columns(task.states)
-    np.savez(
-        path,
-        inputs=transitions.inputs,
-        input_names=input_names,
-        input_units=input_units,
-        residuals=transitions.residuals,
-        residual_names=residual_names,
-        residual_units=residual_units,
-    )
-
-
-def _columns(quantities: Sequence[Quantity]) -> tuple[list[str], list[str]]:
-    """Names and units."""
-    return [quantity.name for quantity in quantities], [quantity.unit for quantity in quantities]
-
-
-def load_transitions(path: Path) -> Transitions:
-    """Training data, as `save_transitions` wrote it."""
-    with np.load(path) as file:
-        return Transitions(file["inputs"], file["residuals"])
-
-
-def parameters_text(estimates: Sequence[Estimate]) -> str:
-    """Identified parameters as JSON: declared and most probable values, and a 90% interval."""
-    return json.dumps([estimate._asdict() for estimate in estimates], indent=2)
-
-
-def policy_text(policy: Policy, iteration: Iteration) -> str:
-    """An iteration's policy as JSON: theta (p,), its gains if the policy has such, costs and search."""
-    search, gains = iteration.search, getattr(policy, "gains", None)
-    content: dict[str, Any] = {
-        "iteration": iteration.index,
-        "parameters": iteration.parameters.tolist(),
-        **({"gains": np.asarray(gains(iteration.parameters)).tolist()} if callable(gains) else {}),
-        "hardware_cost": iteration.hardware_cost,
-        "succeeded": iteration.succeeded,
-    }
-    if search is not None:
-        optimum = search.optimum
-        content |= {
-            "predicted_cost": search.predicted_cost,
-            "search": {
-                "cost": optimum.cost,
-                "evaluations": optimum.evaluations,
-                "stopped_by": optimum.stopped_by,
-                **({"flat": True} if optimum.flat else {}),
-            },
-        }
-    return json.dumps(content, indent=2) + "\n"

@@ -1,9 +1,8 @@
-"""What a policy is worth: tried on the hardware from starts that no one learned from.
+"""The test of a trial's last policy: episodes on the hardware that nothing was learned from.
 
-A trial succeeds with a few experiments of a few seconds, which its policy may pass by luck. So after its end
-its last policy is tried: from starts that are the same in every trial of a task, whatever the seed. These
-tries are kept apart. They are no experiments of the trial, nothing is learned from them, and they change
-nothing in it.
+A trial succeeds by a few experiments of a few seconds, which its policy may pass by luck. So after its end
+its last policy is tested, from starts that are the same in every trial of a task, whatever the seed. These
+episodes are no experiments of the trial, and change nothing in it.
 """
 
 from __future__ import annotations
@@ -14,100 +13,110 @@ from typing import NamedTuple
 
 import numpy as np
 
+from simbias.core import Task
 from simbias.core.records import Array
-from simbias.trial.study import HeldOut, Study
+from simbias.trial.study import PolicyTest, Study
 
-SEED = 2015  # of the starts and of the noise from there: its own, which no trial's seed touches
+SEED = 2015  # of starts and noise: no trial's seed touches it
 
 
-class Try(NamedTuple):
-    """A policy, tried from one start."""
+class Episode(NamedTuple):
+    """One run of a policy on the hardware."""
 
     start: Array  # (n,)
-    asked: float  # s
-    seconds: float  # s that it lasted
+    asked_seconds: float  # that it was to last
+    seconds: float  # that it lasted
     failure: str | None
 
 
 @dataclass(frozen=True, eq=False)
-class Tries:
-    """A policy, tried from held-out starts."""
+class PolicyTestResult:
+    """The test episodes of a policy; the long ones come first."""
 
     horizon: float  # s, the task's
-    each: tuple[Try, ...]  # those that go on come first
+    episodes: tuple[Episode, ...]
 
     @property
-    def holds(self) -> tuple[bool, ...]:
-        """From which starts it lasts for the task's horizon."""
-        return tuple(one.seconds >= self.horizon or one.failure is None for one in self.each)
+    def successes(self) -> str:
+        """1 for each episode in which the policy lasts for the task's horizon, 0 for each other."""
+        return "".join(str(int(e.seconds >= self.horizon or e.failure is None)) for e in self.episodes)
 
     @property
-    def held(self) -> float:
-        """The share of starts from which it does."""
-        return float(np.mean(self.holds))
+    def success_rate(self) -> float:
+        """Share of episodes in which the policy lasts for the task's horizon."""
+        return float(np.mean([each == "1" for each in self.successes]))
 
     @property
-    def going_on(self) -> tuple[Try, ...]:
-        """Those that were to last longer."""
-        return tuple(one for one in self.each if one.asked > self.horizon)
+    def long_episodes(self) -> tuple[Episode, ...]:
+        """The episodes that are longer than the task's horizon."""
+        return tuple(episode for episode in self.episodes if episode.asked_seconds > self.horizon)
 
     @property
-    def lasted(self) -> float:
-        """The share of these that did; nan without any."""
-        return float(np.mean([float(one.failure is None) for one in self.going_on] or [np.nan]))
+    def long_success_rate(self) -> float:
+        """Share of long episodes in which the policy lasts to their end; nan without any."""
+        return float(np.mean([float(each.failure is None) for each in self.long_episodes] or [np.nan]))
 
     @property
-    def seconds(self) -> float:
-        """The mean time of these until they fell, or were ended; nan without any."""
-        return float(np.mean([one.seconds for one in self.going_on] or [np.nan]))
+    def long_seconds(self) -> float:
+        """Mean duration of the long episodes; nan without any."""
+        return float(np.mean([each.seconds for each in self.long_episodes] or [np.nan]))
 
     @property
     def words(self) -> str:
-        """What came out, in one sentence."""
-        held = f"Its last policy holds {sum(self.holds)} of {len(self.each)} held-out starts"
-        if not self.going_on:
-            return f"{held} for {self.horizon:g} s."
-        lasted = sum(one.failure is None for one in self.going_on)
+        """The result in one sentence."""
+        count = f"{self.successes.count('1')} of {len(self.episodes)} test episodes of {self.horizon:g} s"
+        if not self.long_episodes:
+            return f"Its last policy succeeds in {count}."
+        lasted = sum(each.failure is None for each in self.long_episodes)
         return (
-            f"{held} for {self.horizon:g} s, and {lasted} of {len(self.going_on)} for "
-            f"{self.going_on[0].asked:g} s ({self.seconds:.0f} s on average)."
+            f"Its last policy succeeds in {count}, and in {lasted} of {len(self.long_episodes)} of "
+            f"{self.long_episodes[0].asked_seconds:g} s (they last {self.long_seconds:.0f} s on average)."
         )
 
 
-def try_policy(
+def run_policy_test(
     study: Study,
     theta: Array,
-    held_out: HeldOut,
+    test: PolicyTest,
     trying: Callable[[int, int], None] = lambda number, count: None,
-) -> Tries | None:
-    """Try theta (p,) on the hardware from held-out starts; None if none is asked for.
+) -> PolicyTestResult | None:
+    """Run the test episodes of theta (p,); None if the test has none.
 
-    `trying` hears of each try before it begins: its number, and how many there are.
+    `trying` is called before each episode, with its number and how many there are.
 
     Raises
     ------
     HardwareError, Waiting
         As of an experiment.
     """
-    if not held_out.starts:
+    if not test.episodes:
         return None
     task = study.task
-    horizons = _horizons(study, held_out)
+    horizons = _horizons(task, test)
     studies = {
         horizon: study if horizon == task.horizon else study.with_horizon(horizon)
         for horizon in set(horizons)
     }
-    each = []
-    for number, rng in enumerate(np.random.default_rng(SEED).spawn(held_out.starts)):
+    episodes = []
+    for number, rng in enumerate(np.random.default_rng(SEED).spawn(test.episodes)):
         own, start = studies[horizons[number]], task.draw_start(rng)
-        trying(number, held_out.starts)
+        trying(number, test.episodes)
         rollout = own.conducted.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
         asked, lasted = own.task.horizon * task.time_step, rollout.frames * task.time_step
-        each.append(Try(start, asked, lasted, rollout.failure))
-    return Tries(task.horizon * task.time_step, tuple(each))
+        episodes.append(Episode(start, asked, lasted, rollout.failure))
+    return PolicyTestResult(task.horizon * task.time_step, tuple(episodes))
 
 
-def _horizons(study: Study, held_out: HeldOut) -> Sequence[int]:
-    """The frames of every try."""
-    lasting = max(study.task.frames(held_out.seconds), study.task.horizon)
-    return [lasting if number < held_out.lasting else study.task.horizon for number in range(held_out.starts)]
+def _horizons(task: Task, test: PolicyTest) -> Sequence[int]:
+    """Frames of each episode."""
+    long = max(task.frames(test.long_seconds), task.horizon)
+    return [long if number < test.long_episodes else task.horizon for number in range(test.episodes)]
+
+
+def episodes_csv(result: PolicyTestResult, task: Task) -> str:
+    """A row for each episode: its start, how long it was to last and how long it did, and its failure."""
+    import pandas as pd  # lazily: workers do without it
+
+    names = [*(state.name for state in task.states), "asked_seconds", "lasted_seconds", "failure"]
+    rows = [(*e.start.tolist(), e.asked_seconds, e.seconds, e.failure or "") for e in result.episodes]
+    return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -1,33 +1,72 @@
-"""Searches that a trial made before, and need not make again."""
+"""Steps that a trial has made are replayed; those that it makes are kept before anyone uses them."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from simbias.core import Optimizer
+from simbias.core import Hardware, Optimizer, Policy, Task
 from simbias.core.evaluations import Evaluations
-from simbias.core.records import Array, Optimum
+from simbias.core.records import Array, Iteration, Optimum, Rollout
+from simbias.lab.checked_hardware import Conditions, Conducted
 
 
-class RecallingOptimizer(Optimizer):
-    """An optimizer whose optima are kept, and searched but once."""
+class EndOfRecord(Exception):  # noqa: N818 (no error: as far as a trial came)
+    """A trial that is only read has made no further step."""
 
-    def __init__(self, optimizer: Optimizer) -> None:
+
+class Record(ABC):
+    """The steps of a trial in their order."""
+
+    @abstractmethod
+    def search(self, make: Callable[[], Optimum]) -> Optimum:
+        """The next search: replayed, or made and kept."""
+
+    @abstractmethod
+    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+        """The next experiment, with theta (p,): replayed, or made and kept."""
+
+    def iteration(self, iteration: Iteration) -> Iteration:
+        """The iteration that has ended, its seconds as they were when it ended first."""
+        return iteration
+
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        """Keep what a hardware returned that is no rollout; where it is, as the end of a message."""
+        return ""
+
+
+class ReplayedHardware(Conducted):
+    """A hardware each of whose experiments is made but once."""
+
+    def __init__(self, hardware: Hardware, task: Task, conditions: Conditions, record: Record) -> None:
+        super().__init__(hardware, task, conditions)
+        self._record = record
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """One experiment, or the one that was made in its place before."""
+        run = super().run
+        return self._record.experiment(
+            theta, lambda: replace(run(policy, theta, start, rng), parameters=theta)
+        )
+
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        """Keep it beside the steps: as a step it would be replayed for ever."""
+        return self._record.refuse(returned, theta, start, why)
+
+
+class ReplayedOptimizer(Optimizer):
+    """An optimizer each of whose searches is made but once."""
+
+    def __init__(self, optimizer: Optimizer, record: Record) -> None:
         self._optimizer = optimizer
+        self._record = record
         self.max_evaluations = optimizer.max_evaluations
         self.relative_tolerance = optimizer.relative_tolerance
         self.max_steps, self.max_seconds = optimizer.max_steps, optimizer.max_seconds
-
-    @abstractmethod
-    def recall(self) -> Optimum | None:
-        """The optimum of the trial's next search, if it was made before."""
-
-    @abstractmethod
-    def keep(self, optimum: Optimum) -> None:
-        """Keep the optimum of a search, before anyone sees it."""
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Search as the optimizer does."""
@@ -43,8 +82,5 @@ class RecallingOptimizer(Optimizer):
         candidates: Sequence[Array] = (),
     ) -> Optimum:
         """The optimum, or the one that was found in its place before."""
-        optimum = self.recall()
-        if optimum is None:
-            optimum = self._optimizer.minimize(objective, lower, upper, rng, satisfactory, candidates)
-            self.keep(optimum)
-        return optimum
+        minimize = self._optimizer.minimize
+        return self._record.search(lambda: minimize(objective, lower, upper, rng, satisfactory, candidates))

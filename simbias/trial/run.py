@@ -1,162 +1,114 @@
-"""The one way to run a trial: every step kept as it happens, and what came of it."""
+"""The one way to run a trial, to resume it and to read it back: its method, over what its folder holds."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
+from math import nan
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core import Waiting
-from simbias.core import platform as machine
+from simbias.core import Waiting, platform
 from simbias.core.error_origin import told
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Array, Iteration, Rollout, Search
-from simbias.trial.policy_test import Tries, try_policy
+from simbias.trial import diagnostics
+from simbias.trial.folder import FolderRecord
+from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
+from simbias.trial.replay import EndOfRecord
 from simbias.trial.study import Observer, Study
-
-
-class Outcome(StrEnum):
-    """How a trial ended."""
-
-    SUCCEEDED = "succeeded"
-    NOT_SUCCEEDED = "not succeeded"
-    WAITING = "waiting"  # for the result of an experiment; the same command goes on
-    INTERRUPTED = "interrupted"  # likewise
-    ERROR = "error"  # likewise, once what raised it is mended
-
-    @property
-    def final(self) -> bool:
-        """Whether the trial came to its end, and would come to it again."""
-        return self in (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED)
-
-
-@dataclass(frozen=True)
-class TrialRecord:
-    """What a trial did, up to its end or to where it stopped."""
-
-    outcome: Outcome
-    iterations: tuple[Iteration, ...]  # those that ended
-    unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that did not end
-    reason: str = ""  # what raised or waits: an error's type and message, or the sentence of Waiting
-    traceback: str = ""
-    traceback_file: str = ""  # that has it, as long as the trial has not come to its end
-    max_experiments: int = 0  # that the method may make
-    max_iterations: int = 0
-    started: float = 0.0  # s since the epoch
-    seconds: float = 0.0  # wall time, without the pictures
-    hardware_seconds: float = 0.0  # that the experiments lasted on the hardware
-    held_out: Tries | None = None  # what the last policy is worth, if that was asked for
-    machines: tuple[str, ...] = ()  # kinds that it ran on: two if it went on elsewhere
-    processor: str = ""  # model of the last one's
-    pictures: Mapping[str, bytes] = field(default_factory=dict)  # files by name
-
-    @property
-    def experiments(self) -> int:
-        """Hardware experiments that were made."""
-        before = self.iterations[-1].total_experiments if self.iterations else 0
-        return before + len(self.unfinished)
-
-    @property
-    def experiments_until_success(self) -> float:
-        """Experiments that the trial counts: without success all that it may make; nan if it did not end."""
-        return self._until_success(self.experiments, self.max_experiments)
-
-    @property
-    def iterations_until_success(self) -> float:
-        """Likewise, iterations."""
-        return self._until_success(len(self.iterations), self.max_iterations)
-
-    def _until_success(self, made: int, most: int) -> float:
-        """A count, censored where the trial did not succeed."""
-        if not self.outcome.final:
-            return float("nan")
-        return float(made if self.outcome is Outcome.SUCCEEDED else max(made, most))
+from simbias.trial.summary import Outcome, TrialSummary
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedTrial:
-    """A trial that a store holds."""
+class TrialRecord:
+    """What a trial did, up to its end or to where it stopped."""
 
-    run_id: str
-    study: Study  # built from the run's config, without a store
+    study: Study
+    summary: TrialSummary
     iterations: tuple[Iteration, ...]  # those that have ended
+    unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that has not
+    policy_test: PolicyTestResult | None = None  # of the last policy, if one was asked for
+    traceback: str = ""
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the trial ended or stopped."""
+        return self.summary.outcome
 
 
-class Recorder:
-    """Keeps a trial while it runs. This one keeps nothing."""
+def run_trial(study: Study, folder: Path | None = None, observer: Observer | None = None) -> TrialRecord:
+    """Run a trial, resume it where it stopped, or replay it if it has ended.
 
-    pictures: Sequence[str] = ()  # those that are drawn at the trial's end
-    machines: Sequence[str] = ()  # kinds that the trial was run on before
-
-    def recalling(self, study: Study) -> Study:
-        """The study, its experiments and searches kept, and those that were made before recalled."""
-        return study
-
-    def iterated(self, iteration: Iteration) -> None:
-        """Keep an iteration."""
-
-    def explained(self, traceback: str) -> str:
-        """Keep where in the code a trial ended with an error; the file that has it, if one has."""
-        return ""
-
-    def ended(self, record: TrialRecord) -> None:
-        """Keep how the trial ended, or why it stopped."""
-
-    def illustrated(self, pictures: Mapping[str, bytes]) -> None:
-        """Keep pictures of the trial, files by name."""
-
-
-def run_trial(
-    study: Study, recorder: Recorder | None = None, observer: Observer | None = None
-) -> TrialRecord:
-    """Run a trial, or go on with it where it stopped.
-
-    Experiments and searches that the recorder knows are not made again; what follows them is as if nothing
-    had come between, on one kind of machine. What a component raises is told in the record. Linear algebra
-    runs on one thread, as more would change the last bits of a factorisation.
+    Steps that the folder holds are not made again; what follows them is as in an uninterrupted trial, to the
+    last bit on one platform. What a component raises is told in the record. Without a folder nothing is kept.
+    Linear algebra runs on one thread, as more would change the last bits of a factorisation.
 
     Raises
     ------
+    ConfigError
+        If the folder cannot be written, or another process runs this trial.
     KeyboardInterrupt
         When interrupted; what was done is kept.
     """
-    recorder = recorder or Recorder()
-    run = _Run(study, recorder, observer or Observer())
-    with threadpool_limits(1, user_api="blas"):
+    kept = None if folder is None else FolderRecord(folder, study)
+    run, record = _Run(study, kept, observer or Observer()), None
+    with threadpool_limits(1, user_api="blas"), kept.opened() if kept else nullcontext():
         try:
-            recalling = recorder.recalling(study)
-            for iteration in recalling.run(run):
-                run.iterated(iteration)
-            run.try_last_policy(recalling)
-            succeeded = bool(run.iterations) and run.iterations[-1].succeeded
-            record = run.record(Outcome.SUCCEEDED if succeeded else Outcome.NOT_SUCCEEDED)
+            run.run()
+            record = run.record(Outcome.SUCCEEDED if run.succeeded else Outcome.NOT_SUCCEEDED)
         except Waiting as reason:
             record = run.record(Outcome.WAITING, words(reason))
         except (KeyboardInterrupt, GeneratorExit):
-            recorder.ended(run.record(Outcome.INTERRUPTED))
+            run.stop(run.record(Outcome.INTERRUPTED))
             raise
         except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
             record = run.record(Outcome.ERROR, told(error), with_trace(error))
-            record = replace(record, traceback_file=recorder.explained(record.traceback))
-        recorder.ended(record)
-    return record
+        return run.stop(record)
+
+
+def read_trial(study: Study, folder: Path) -> TrialRecord:
+    """Read a trial back, also one under way: the same replay, which ends where the folder does.
+
+    Raises
+    ------
+    ConfigError
+        If a step cannot be read, or does not fit the study.
+    """
+    kept = FolderRecord(folder, study, writes=False)
+    run = _Run(study, kept, Observer())
+    with threadpool_limits(1, user_api="blas"), suppress(EndOfRecord):
+        run.run()
+    record = run.record(Outcome.INTERRUPTED)
+    return replace(record, summary=kept.folder.summary() or record.summary)
 
 
 class _Run(Observer):
     """A trial that runs: what it has done so far."""
 
-    def __init__(self, study: Study, recorder: Recorder, observer: Observer) -> None:
-        self._method, self._time_step = study.method, study.task.time_step
-        self._recorder = recorder
-        self._observer = observer
+    def __init__(self, study: Study, kept: FolderRecord | None, observer: Observer) -> None:
+        self._study, self._kept, self._observer = study, kept, observer
         self._started, self._clock = time.time(), time.perf_counter()
+        self._iterations: list[Iteration] = []
         self._unfinished: list[Rollout] = []
-        self.iterations: list[Iteration] = []
-        self._held_out: Tries | None = None
+        self._policy_test: PolicyTestResult | None = None
         self.searching = observer.searching  # type: ignore[method-assign]  # called thousands of times
+
+    def run(self) -> None:
+        """Run the method, then the test of its last policy."""
+        study = self._study if self._kept is None else self._study.over(self._kept)
+        for iteration in study.run(self):
+            self.iterated(iteration if self._kept is None else self._kept.iteration(iteration))
+        if self._iterations:
+            theta, trying = self._iterations[-1].parameters, self._observer.trying
+            self._policy_test = run_policy_test(study, theta, study.policy_test, trying)
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the last iteration's policy passed on the hardware."""
+        return bool(self._iterations) and self._iterations[-1].succeeded
 
     def searched(self, search: Search) -> None:
         """Pass it on."""
@@ -172,37 +124,45 @@ class _Run(Observer):
         self._observer.experimented(rollout)
 
     def iterated(self, iteration: Iteration) -> None:
-        """Keep an iteration, then pass it on."""
+        """Note an iteration, and pass it on."""
         self._unfinished.clear()
-        self.iterations.append(iteration)
-        self._recorder.iterated(iteration)
+        self._iterations.append(iteration)
         self._observer.iterated(iteration)
 
-    @property
-    def _made(self) -> list[Rollout]:
-        """All experiments."""
-        return [*(rollout for each in self.iterations for rollout in each.experiments), *self._unfinished]
+    def stop(self, record: TrialRecord) -> TrialRecord:
+        """Keep how the trial ended or stopped; of one that had ended before, how it did."""
+        if self._kept is not None:
+            summary, test = record.summary, self._policy_test
+            if record.traceback:
+                summary = replace(summary, traceback_file=self._kept.traceback(record.traceback))
+            self._kept.stop(summary, episodes_csv(test, self._study.task) if test else None)
+            record = replace(record, summary=self._kept.folder.summary() or summary)
+        return record
 
-    def try_last_policy(self, study: Study) -> None:
-        """Try the last policy from held-out starts, if the study asks for that."""
-        if self.iterations:
-            theta = self.iterations[-1].parameters
-            self._held_out = try_policy(study, theta, study.held_out, self._observer.trying)
-
-    def record(self, outcome: Outcome, reason: str = "", trace: str = "") -> TrialRecord:
+    def record(self, outcome: Outcome, reason: str = "", traceback: str = "") -> TrialRecord:
         """What has been done, and how it ended."""
-        return TrialRecord(
+        method, test = self._study.method, self._policy_test
+        made = [rollout for each in self._iterations for rollout in each.experiments] + self._unfinished
+        before = self._kept.folder if self._kept else None
+        summary = TrialSummary(
             outcome=outcome,
-            iterations=tuple(self.iterations),
-            unfinished=tuple(self._unfinished),
             reason=reason,
-            traceback=trace,
-            max_experiments=self._method.max_experiments,
-            max_iterations=self._method.max_iterations,
-            machines=tuple(dict.fromkeys([*self._recorder.machines, machine.kind()])),
-            processor=machine.processor(),
+            experiments=len(made),
+            iterations=len(self._iterations),
+            max_experiments=method.max_experiments,
+            max_iterations=method.max_iterations,
             started=self._started,
-            seconds=time.perf_counter() - self._clock,
-            hardware_seconds=self._time_step * sum(rollout.frames for rollout in self._made),
-            held_out=self._held_out,
+            seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
+            hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in made),
+            test_episodes=test.successes if test else "",
+            success_rate=test.success_rate if test else nan,
+            long_success_rate=test.long_success_rate if test else nan,
+            long_seconds=test.long_seconds if test else nan,
+            test_words=test.words if test else "",
+            platforms=tuple(dict.fromkeys([*(before.platforms() if before else ()), platform.kind()])),
+            processor=platform.processor(),
+            diagnostics=tuple(sorted(diagnostics.kinds(self._iterations))),
+        )
+        return TrialRecord(
+            self._study, summary, tuple(self._iterations), tuple(self._unfinished), test, traceback
         )

@@ -6,7 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -32,14 +32,15 @@ from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.lab.checked_hardware import UNCONDITIONED, Conditions, Conducted
 from simbias.lab.requests.order import Order
 from simbias.simulation.closed_loop import simulator
-from simbias.trial.ask_tell import Dialogue
+from simbias.trial.ask_tell import AskTell
+from simbias.trial.replay import Record, ReplayedHardware, ReplayedOptimizer
 
 
 class Observer:
-    """Hears of what happens in a trial, while it happens; one that hears of it only is told nothing else."""
+    """Follows a trial; this one does nothing."""
 
     def searching(self, evaluations: int, best_cost: float) -> None:
-        """A policy search has simulated so many policies, a few in vain if it looks ahead."""
+        """A policy search has simulated this number of policies, a few in vain if it looks ahead."""
 
     def searched(self, search: Search) -> None:
         """A policy search has ended."""
@@ -54,7 +55,21 @@ class Observer:
         """An iteration has ended."""
 
     def trying(self, number: int, count: int) -> None:
-        """The last policy is tried from a held-out start, the first of which has the number 0."""
+        """A test episode of the last policy begins, the first of which has the number 0."""
+
+
+class Observers(Observer):
+    """Several observers as one."""
+
+    def __init__(self, *observers: Observer) -> None:
+        for event in (name for name in vars(Observer) if not name.startswith("_")):
+            setattr(self, event, partial(_each, [getattr(observer, event) for observer in observers]))
+
+
+def _each(functions: Sequence[Callable[..., None]], *arguments: Any) -> None:
+    """Call each function."""
+    for function in functions:
+        function(*arguments)
 
 
 class Origin(Protocol):
@@ -73,6 +88,10 @@ class Origin(Protocol):
         """Modules of which the config may name classes."""
 
     @property
+    def code(self) -> Mapping[str, str]:
+        """Digests of the modules of the user's that its components come from, by name."""
+
+    @property
     def hash(self) -> str:
         """The trial's identity: a hash of everything that affects its result."""
 
@@ -80,9 +99,9 @@ class Origin(Protocol):
 class Method(ABC):
     """An algorithm that searches, experiments and learns, in the steps of `simbias.trial.steps`.
 
-    It knows nothing of stores, and may be begun again: experiments that were made and searches that ended
-    are then not made twice but recalled. So every search and every experiment has a generator of its own,
-    spawned from the method's, as the steps see to.
+    It knows nothing of folders. It may be run again over the steps of an earlier run, which are then replayed
+    (`simbias.trial.replay`). So every search and every experiment has a generator of its own, spawned from
+    the method's.
     """
 
     max_iterations: int  # N_out
@@ -94,12 +113,12 @@ class Method(ABC):
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """From how many starts a trial's last policy is tried after its end, and for how long."""
+class PolicyTest:
+    """Test episodes of a trial's last policy, after the trial's end."""
 
-    starts: CountOrZero = 0
-    lasting: CountOrZero = 2  # so many of them go on beyond the task's horizon,
-    seconds: Seconds = 60.0  # until then
+    episodes: CountOrZero = 0
+    long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
+    long_seconds: Seconds = 60.0  # this long
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +140,7 @@ class Study:
     composition: Origin  # what the components were built from
     hardware_of: Callable[[Task], Hardware]  # constructs the hardware anew, for another horizon
     conditions: Conditions = UNCONDITIONED  # of hardware experiments
-    held_out: HeldOut = HeldOut()
+    policy_test: PolicyTest = PolicyTest()
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -189,39 +208,40 @@ class Study:
             return self.hardware
         return Conducted(self.hardware, self.task, self.conditions)
 
+    def over(self, record: Record) -> Study:
+        """The study, whose searches and experiments are replayed from a record, then kept in it."""
+        hardware = ReplayedHardware(self.hardware, self.task, self.conditions, record)
+        return replace(self, hardware=hardware, optimizer=ReplayedOptimizer(self.optimizer, record))
+
     def ask(self) -> Order | None:
-        """The next experiment of a trial whose hardware is you; None once the trial has come to its end.
+        """The next experiment of a trial whose hardware is you; None once the trial has ended.
 
         >>> while (order := study.ask()) is not None:
         ...     study.tell(made(order.controller(), order.start))
         """
-        return self.dialogue.ask()
+        return self.ask_tell.ask()
 
     def tell(self, rollout: Rollout) -> None:
-        """What came of the experiment that was asked for; the study's hardware is not used.
+        """Report the rollout of the experiment that was asked for; the study's hardware is not used.
 
         Raises
         ------
         ValueError
             If none was asked for.
         HardwareError
-            If the rollout is not what the contract asks for; the question stays open.
+            If the rollout breaks the contract; the question stays open.
         """
-        self.dialogue.tell(rollout)
+        self.ask_tell.tell(rollout)
 
     @cached_property
-    def dialogue(self) -> Dialogue:
-        """What was asked and told, and the iterations that have ended."""
+    def ask_tell(self) -> AskTell:
+        """The trial that asks and is told; nobody is asked whether an experiment may be made."""
+        unasked = Conditions(safety=self.conditions.safety)
 
-        def run(hardware: Hardware, optimizer: Optimizer) -> Iterator[Iteration]:
-            return replace(self, hardware=hardware, optimizer=optimizer, conditions=self._told).run()
+        def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
+            return replace(self, hardware=hardware, conditions=unasked).over(record).run()
 
-        return Dialogue(self.task, self.optimizer, run)
-
-    @property
-    def _told(self) -> Conditions:
-        """The conditions of experiments that are told: nobody is asked whether they may be made."""
-        return Conditions(safety=self.conditions.safety)
+        return AskTell(self.task, run)
 
     def with_horizon(self, horizon: int) -> Study:
         """The study of a task that takes so many frames; its hardware is constructed anew for it.

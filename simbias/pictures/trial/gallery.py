@@ -6,7 +6,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -24,7 +23,8 @@ from simbias.pictures.trial.forecast import forecast
 from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
 from simbias.pictures.trial.rejections import rejections
-from simbias.trial.run import Recorder, TrialRecord
+from simbias.trial.folder import PICTURES
+from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
 
 FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
@@ -37,7 +37,6 @@ FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
 }
 ANIMATION = "animation"
 ALL = (*FIGURES, ANIMATION)
-IN_SWEEPS = ("overview",)  # the others take long; `python -m simbias.pictures` draws all
 
 
 def pictures(
@@ -63,14 +62,17 @@ def pictures(
     return files
 
 
-def illustrated(study: Study, record: TrialRecord, recorder: Recorder) -> TrialRecord:
-    """The record with the pictures that the recorder asks for, which keeps them; once the trial has ended."""
-    if not record.outcome.final or not recorder.pictures:
-        return record
+def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) -> None:
+    """Draw pictures into the folder of a trial that has ended, but for those that are there."""
+    target = folder / PICTURES
+    missing = [name for name in names if not any(target.glob(f"{name}.*"))]
+    if not record.outcome.final or not missing:
+        return
     with threadpool_limits(1, user_api="blas"):  # as when the trial ran
-        record = replace(record, pictures=pictures(study, record.iterations, recorder.pictures))
-    recorder.illustrated(record.pictures)
-    return record
+        files = pictures(record.study, record.iterations, missing)
+    target.mkdir(exist_ok=True)
+    for name, content in files.items():
+        (target / name).write_bytes(content)
 
 
 def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> list[str]:

@@ -23,7 +23,7 @@ from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
 
 if TYPE_CHECKING:
-    from simbias.trial.run import RecordedTrial
+    from simbias.trial.run import TrialRecord
 
 DATA, PREDICTION, TRUTH = "#56B4E9", HARDWARE, "0.1"  # as the paper's cyan, red and blue
 LONG = 0.15  # of an arrow that is longer than 95% of them, as a part of the widest axis
@@ -93,7 +93,7 @@ class BiasField(SweepFigure):
             self._figure(validation, errors), errors, self._caption(validation, errors, experiments)
         )
 
-    def _validate(self, trial: RecordedTrial) -> Validation:
+    def _validate(self, trial: TrialRecord) -> Validation:
         """Experiments that the trial did not make, and what its bias predicts of them."""
         study, bias = trial.study, search_bias(trial.iterations[-1])
         if bias is None:

@@ -15,16 +15,16 @@ from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
-from simbias.sweep.tables import RELIABLE, attainable_starts, share_held
+from simbias.sweep.tables import RELIABLE, attainable, success_rate
 
 ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
 SPREAD = 0.62  # of a row's height, over which dots that would hide each other are spread
-WORDS = {"experiments": "experiments", "held": "held-out starts that the last policy holds"}
-COLOURS = {"experiments": SIMULATION, "held": HARDWARE}
+WORDS = {"experiments": "experiments", "success_rate": "success rate of the last policy"}
+COLOURS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
 class LastPolicies(SweepFigure):
-    """Each trial of each cell: its experiments, and from how many held-out starts its last policy holds.
+    """Each trial of each cell: its experiments, and the success rate of its last policy.
 
     A dot is a trial, a bar the mean of its cell. Starts that no policy of the sweep holds do not count.
     """
@@ -37,19 +37,19 @@ class LastPolicies(SweepFigure):
         Raises
         ------
         FigureError
-            If no policy was tried from held-out starts.
+            If no policy was tested.
         """
-        rows = [row for row in trials.rows if row.get("held_out")]
+        rows = [row for row in trials.rows if row.get("test_episodes")]
         if not rows:
-            raise FigureError("no last policy was tried: held_out.starts=20 does that")
-        possible = attainable_starts(trials.table)
+            raise FigureError("no last policy was tested: policy_test.episodes=20 does that")
+        possible = attainable(trials.table)
         numbers = pd.DataFrame(
             {
                 "cell": [trials.cell(row) for row in rows],
                 "repetition": [row["repetition"] for row in rows],
                 "succeeded": [row["outcome"] == "succeeded" for row in rows],
                 "experiments": [row["experiments"] for row in rows],
-                "held": [share_held(row["held_out"], possible) for row in rows],
+                "success_rate": [success_rate(row["test_episodes"], possible) for row in rows],
             }
         )
         cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
@@ -58,11 +58,11 @@ class LastPolicies(SweepFigure):
 
 def _caption(numbers: pd.DataFrame, possible: Sequence[bool]) -> str:
     """What is seen."""
-    enough = numbers["held"] >= RELIABLE
+    enough = numbers["success_rate"] >= RELIABLE
     solved = enough.groupby(numbers["cell"]).mean() >= RELIABLE
     return (
         "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments that a trial "
-        f"made. Right: the share of {sum(possible)} held-out starts from which its last policy holds. "
+        f"made. Right: the share of {sum(possible)} test episodes in which its last policy succeeds. "
         f"{enough.sum()} of {len(numbers)} trials end with a policy that holds at least {RELIABLE:.0%} of "
         f"them (dashed); nine in ten trials do in {solved.sum()} of {len(solved)} cells."
     )
@@ -72,7 +72,7 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str]) -> Figure:
     """Experiments beside shares, a row for each cell, the first one on top."""
     figure = Figure(figsize=(WIDTH, ROW * len(cells) + REST), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.6))
-    for axes, column in ((left, "experiments"), (right, "held")):
+    for axes, column in ((left, "experiments"), (right, "success_rate")):
         for row, cell in enumerate(cells):
             _draw_row(axes, row, numbers[numbers["cell"] == cell], column)
         axes.set_xlabel(WORDS[column])

@@ -1,0 +1,15 @@
+"""The documentation site, made of the texts beside the code and of docstrings; see CONTRIBUTING."""
+
+import simbias
+
+project, author, version = "simbias", "The simbias developers", simbias.__version__
+root_doc = "index"
+exclude_patterns = [".*", "site", "trials", "mlartifacts", "simbias/templates", "**/table.md"]
+exclude_patterns += ["README.md", "sweeps/results/figures/fig*.md", "**/paired.md", "**/node_modules"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_heading_anchors = 3
+napoleon_google_docstring = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_default_options = {"members": True}
+html_theme = "furo"

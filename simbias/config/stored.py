@@ -1,0 +1,37 @@
+"""A trial read back from its folder: its study is built from what the folder says, its method replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from simbias.config.allowed import beside, prefixes
+from simbias.config.build import build
+from simbias.config.composition import Composition
+from simbias.core.errors import ConfigError
+from simbias.core.messages import with_type
+from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.run import TrialRecord, read_trial
+
+
+def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Sequence[str] = ()) -> TrialRecord:
+    """The study of a trial's folder and its full record; the trial may be under way.
+
+    A folder may be somebody else's: components of one's own have to be importable, and lie beside
+    `config_dir` or in a module that `allow` names.
+
+    Raises
+    ------
+    ConfigError
+        If the folder is no trial's, or something in it cannot be read or does not fit.
+    """
+    description = TrialFolder(folder).description()
+    folders = [] if config_dir is None else [Path(config_dir)]
+    try:
+        config, choices = description["config"], description["choices"]
+        composition = Composition(config, choices, (*prefixes(folders, allow), *beside(config, folders)))
+        return read_trial(build(composition), folder)
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(str(folder / TRIAL), f"cannot be read ({with_type(error)})") from error

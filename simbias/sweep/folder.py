@@ -1,0 +1,87 @@
+"""The folder of a sweep: which trials it has, and what was made of them. The trials have their own.
+
+sweep.json                   name, hash, command, config, axes, and each trial's hash and place in the grid
+state.json                   how far it is, its table and what that means
+trials.csv, table.csv, .md   a row for each trial, a row for each cell
+experiments/<hash>.json      outcomes of experiments that figures needed besides those of the trials
+figures/                     the figures
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from simbias.sweep.batches import Outcomes
+from simbias.trial.folder import read_json, write_json, write_whole
+
+SWEEP, STATE = "sweep.json", "state.json"
+FIGURES, EXPERIMENTS = "figures", "experiments"
+
+
+@dataclass(frozen=True)
+class SweepFolder:
+    """A sweep's folder."""
+
+    path: Path
+
+    def begin(self, description: Mapping[str, Any]) -> None:
+        """Write sweep.json."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        write_json(self.path / SWEEP, description)
+
+    def description(self) -> dict[str, Any]:
+        """The content of sweep.json."""
+        return read_json(self.path / SWEEP)
+
+    def state(self) -> dict[str, Any]:
+        """The content of state.json; empty before there is one."""
+        return read_json(self.path / STATE) if (self.path / STATE).exists() else {}
+
+    def write_state(self, state: Mapping[str, Any], files: Mapping[str, str] = {}) -> None:
+        """Write how far the sweep is, and files by name."""
+        for name, text in files.items():
+            write_whole(self.path / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
+        write_json(self.path / STATE, state)
+
+    @property
+    def trials(self) -> Path:
+        """The folder of all trials."""
+        return self.path.parent.parent
+
+    def tables(self) -> list[Path]:
+        """The files of tables."""
+        return [file for file in sorted(self.path.glob("t*.*")) if file.suffix in (".csv", ".md")]
+
+    def figures(self) -> list[Path]:
+        """The files of figures."""
+        return sorted(file for file in (self.path / FIGURES).glob("*") if file.is_file())
+
+    def publish(self, files: Iterable[Path]) -> None:
+        """Keep a figure's files; they replace those of the same names."""
+        (self.path / FIGURES).mkdir(parents=True, exist_ok=True)
+        for file in files:
+            shutil.copy(file, self.path / FIGURES)
+
+    def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
+        """Keep the outcomes of a batch of experiments, by its hash."""
+        (self.path / EXPERIMENTS).mkdir(parents=True, exist_ok=True)
+        text = outcomes.as_json()
+        write_whole(self.path / EXPERIMENTS / f"{batch}.json", lambda file: file.write(text.encode()))
+
+    def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
+        """The outcomes that are kept, by the hashes of their batches."""
+        kept = {}
+        for batch in batches:
+            with suppress(OSError, ValueError):
+                kept[batch] = Outcomes.from_json((self.path / EXPERIMENTS / f"{batch}.json").read_text())
+        return kept
+
+
+def sweep_folders(trials: Path) -> list[SweepFolder]:
+    """The folders of sweeps beside the trials."""
+    return [SweepFolder(file.parent) for file in sorted(trials.glob(f"sweeps/*/{SWEEP}"))]

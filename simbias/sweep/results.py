@@ -1,0 +1,106 @@
+"""The trials of a sweep as a DataFrame, read from their folders, or from published results.
+
+It has a row for each trial, with a column for each of the sweep's axes and `hash`, `repetition`, `seed`,
+`outcome` (`succeeded`, `not succeeded` or `error`), `experiments` (hardware experiments until success;
+without success all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise), `seconds`
+(wall time), `hardware_seconds` (duration of its experiments) and `raised` (its error). Where its last policy
+was tested, `test_episodes` has a 1 for each episode in which it succeeds and a 0 for each other,
+`long_success_rate` is the share of long episodes in which it lasts to the end, and `long_seconds` how long it
+does on average.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from simbias.config.resources import resource_folder
+from simbias.core.errors import ConfigError
+from simbias.sweep.grid import Sweep, Trial
+from simbias.trial.folder import TrialFolder
+from simbias.trial.summary import Outcome, TrialSummary
+
+DIGITS = 4  # of times in published results
+COUNTS = ("experiments", "iterations")
+SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
+EPISODES = "test_episodes"
+LATER = ("hardware_seconds", EPISODES, "long_success_rate", "long_seconds")  # that some results lack
+COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, "raised")
+
+
+def of_folders(sweep: Sweep, trials: Path) -> pd.DataFrame:
+    """The trials that ended or raised, in the sweep's order; a folder that cannot be read counts as none."""
+    rows = {}
+    for trial in sweep.trials:
+        if (found := _row_of(trial, sweep, TrialFolder(trials / trial.hash))) is not None:
+            rows[trial.hash] = found
+    return in_order(rows, sweep)
+
+
+def _row_of(trial: Trial, sweep: Sweep, folder: TrialFolder) -> dict[str, Any] | None:
+    """The row of a trial that ended or raised."""
+    try:
+        summary = folder.summary() if folder.path.is_dir() else None
+    except ConfigError as error:
+        logging.getLogger(__name__).warning("simbias: %s; the trial is run again", error)
+        return None
+    return row(trial, sweep, summary) if summary is not None and summary.outcome in SHOWN else None
+
+
+def in_order(rows: Mapping[str, Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:
+    """Rows of trials, by hash, in the sweep's order."""
+    ordered = [rows[trial.hash] for trial in sweep.trials if trial.hash in rows]
+    return pd.DataFrame(ordered, columns=[*(axis.name for axis in sweep.axes), *COLUMNS])
+
+
+def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
+    """A trial's row."""
+    return {
+        **dict(zip((axis.name for axis in sweep.axes), trial.cell.labels, strict=True)),
+        "hash": trial.hash,
+        "repetition": trial.repetition,
+        "seed": trial.seed,
+        "outcome": str(summary.outcome),
+        "experiments": summary.experiments_until_success,
+        "iterations": summary.iterations_until_success,
+        "seconds": summary.seconds,
+        "hardware_seconds": summary.hardware_seconds,
+        EPISODES: summary.test_episodes,
+        "long_success_rate": summary.long_success_rate,
+        "long_seconds": summary.long_seconds,
+        "raised": summary.reason,
+    }
+
+
+def csv(trials: pd.DataFrame) -> str:
+    """Trials as the CSV that `published` reads."""
+    return trials.to_csv(index=False, float_format=f"%.{DIGITS}g")
+
+
+def published(sweep: Sweep) -> pd.DataFrame:
+    """The trials of a sweep that `sweeps/results` holds.
+
+    Raises
+    ------
+    ConfigError
+        If there are none, or their file lacks a column.
+    """
+    path = resource_folder("sweeps") / "results" / sweep.name / "trials.csv"
+    names = [axis.name for axis in sweep.axes]
+    if not path.is_file():
+        raise ConfigError("sweep", f"{sweep.name} has no published results")
+    numbers = (*COUNTS, "seconds", *(name for name in LATER if name != EPISODES))
+    types = {**dict.fromkeys((*names, EPISODES), str), **dict.fromkeys(numbers, float)}
+    blanks = {name: [""] for name in numbers}
+    trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
+    for name in set(LATER) - set(trials):
+        trials[name] = "" if name == EPISODES else nan
+    lacking = {*names, *COLUMNS} - set(trials)
+    if lacking:
+        raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")
+    return trials[[*names, *COLUMNS]]

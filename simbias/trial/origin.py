@@ -1,0 +1,78 @@
+"""Where a trial comes from: versions of packages, the checkout's commit, the user, the user's own code."""
+
+from __future__ import annotations
+
+import getpass
+import platform
+import re
+import subprocess
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any
+
+from simbias.trial.study import Study
+
+PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def description(study: Study) -> dict[str, Any]:
+    """A study in JSON's types: identity, config without the store's, versions and code."""
+    origin = study.composition
+    config = {key: value for key, value in origin.config.items() if key != "tracking"}
+    return {
+        "hash": study.hash,
+        "title": study.title,
+        "seed": study.seed,
+        "choices": {key: option for key, option in origin.choices.items() if key != "tracking"},
+        "config": config,
+        "code": dict(origin.code),
+        **provenance(),
+    }
+
+
+def changed_code(before: Mapping[str, Any], study: Study) -> str:
+    """Modules of the user's that changed since a study was described, in words; "" if none did."""
+    then, now = before.get("code", {}), study.composition.code
+    return ", ".join(sorted(name for name in {*then, *now} if then.get(name) != now.get(name)))
+
+
+def provenance() -> dict[str, Any]:
+    """User, commit and versions, as far as they are known."""
+    user: dict[str, str] = {}
+    with suppress(OSError, KeyError):  # a user without a name, as in some containers
+        user = {"user": getpass.getuser()}
+    return {**user, **_commit(), "versions": _versions()}
+
+
+@cache
+def _commit() -> dict[str, Any]:
+    """Commit of the checkout that the package runs from, and whether it was changed; nothing without one."""
+    if not (PACKAGE.parent / ".git").exists():
+        return {}
+    try:
+        return {
+            "commit": _git("rev-parse", "--verify", "HEAD"),
+            "changed": bool(_git("status", "--porcelain", "--untracked-files=no")),
+        }
+    except (OSError, subprocess.SubprocessError):
+        return {}
+
+
+def _git(*arguments: str) -> str:
+    """Answer of git about the checkout."""
+    command = ["git", "-C", str(PACKAGE.parent), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Versions of Python, simbias and what it requires."""
+    versions = {"python": platform.python_version()}
+    with suppress(PackageNotFoundError):
+        required = [line for line in requires("simbias") or [] if "extra ==" not in line]
+        for package in ("simbias", *(re.split(r"[^\w\-.]", line)[0] for line in required)):
+            versions[package] = version(package)
+    return versions

@@ -1,0 +1,175 @@
+"""How a trial ended or stopped, and what an iteration did: plain numbers and texts, as files keep them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from math import isfinite, nan
+from typing import Any
+
+from simbias.core.messages import counted
+from simbias.core.records import Iteration, Learning, Search
+from simbias.trial import diagnostics
+from simbias.trial.study import Study
+
+
+class Outcome(StrEnum):
+    """How a trial ended, or why it stopped."""
+
+    SUCCEEDED = "succeeded"
+    NOT_SUCCEEDED = "not succeeded"
+    WAITING = "waiting"  # for the result of an experiment; the same command resumes
+    INTERRUPTED = "interrupted"  # likewise
+    ERROR = "error"  # likewise, once its cause is mended
+
+    @property
+    def final(self) -> bool:
+        """Whether the trial has ended, and would end so again."""
+        return self in (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED)
+
+
+@dataclass(frozen=True)
+class TrialSummary:
+    """A trial in numbers, up to its end or to where it stopped; numbers that it lacks are nan."""
+
+    outcome: Outcome
+    reason: str = ""  # type and message of an error, or the sentence of Waiting
+    traceback_file: str = ""
+    experiments: int = 0  # on hardware, made so far
+    iterations: int = 0  # finished so far
+    max_experiments: int = 0  # that the method may make
+    max_iterations: int = 0
+    started: float = nan  # s since the epoch, of the process that ended it
+    seconds: float = 0.0  # wall time, of all processes that ran it
+    hardware_seconds: float = 0.0  # duration of the experiments
+    test_episodes: str = ""  # of the last policy: 1 for each in which it succeeds, 0 for each other
+    success_rate: float = nan  # share of test episodes
+    long_success_rate: float = nan  # likewise, of the long ones
+    long_seconds: float = nan  # mean duration of these
+    test_words: str = ""  # the test in one sentence
+    platforms: tuple[str, ...] = ()  # that it ran on: two if it was resumed elsewhere
+    processor: str = ""  # model of the last one's
+    diagnostics: tuple[str, ...] = ()  # what is odd about it
+
+    @property
+    def experiments_until_success(self) -> float:
+        """Experiments; without success all that the method may make; nan if the trial has not ended."""
+        return self._until_success(self.experiments, self.max_experiments)
+
+    @property
+    def iterations_until_success(self) -> float:
+        """Iterations; without success all that the method may make; nan if the trial has not ended."""
+        return self._until_success(self.iterations, self.max_iterations)
+
+    def _until_success(self, count: int, most: int) -> float:
+        """A count, censored where the trial did not succeed."""
+        if not self.outcome.final:
+            return nan
+        return float(count if self.outcome is Outcome.SUCCEEDED else max(count, most))
+
+    def metrics(self) -> dict[str, float]:
+        """The numbers by name, `group/name`, without those that the trial lacks."""
+        numbers = {
+            "trial/experiments": self.experiments_until_success,
+            "trial/iterations": self.iterations_until_success,
+            "trial/seconds": self.seconds,
+            "trial/hardware_seconds": self.hardware_seconds,
+            "test/success_rate": self.success_rate,
+            "test/long_success_rate": self.long_success_rate,
+            "test/long_seconds": self.long_seconds,
+        }
+        return {name: value for name, value in numbers.items() if isfinite(value)}
+
+    def as_json(self) -> dict[str, Any]:
+        """A mapping of JSON's types, of which `from_json` makes the same again."""
+        values = {k: None if v != v else v for k, v in asdict(self).items()}  # NaN is no JSON
+        return {**values, "platforms": list(self.platforms), "diagnostics": list(self.diagnostics)}
+
+    @staticmethod
+    def from_json(values: Mapping[str, Any]) -> TrialSummary:
+        """The summary, as `as_json` wrote it.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If a value is missing or of another kind.
+        """
+        known: dict[str, Any] = {name: nan if value is None else value for name, value in values.items()}
+        known |= {name: tuple(known[name]) for name in ("platforms", "diagnostics")}
+        return TrialSummary(**{**known, "outcome": Outcome(known["outcome"])})
+
+
+def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> dict[str, Any]:
+    """An iteration after earlier ones, in JSON's types: policy, costs, what was learned, what happened."""
+    search, gains = iteration.search, getattr(study.policy, "gains", None)
+    summary: dict[str, Any] = {
+        "iteration": iteration.index,
+        "parameters": iteration.parameters.tolist(),
+        **({"gains": gains(iteration.parameters).tolist()} if callable(gains) else {}),
+        "hardware_cost": iteration.hardware_cost,
+        "succeeded": iteration.succeeded,
+        "total_experiments": iteration.total_experiments,
+        "samples": len(iteration.learning.data) if iteration.learning else 0,
+        "events": list(_events(study, iteration, earlier)),
+        "seconds": dict(iteration.seconds),
+        "metrics": metrics(iteration),
+    }
+    if search is not None:
+        summary |= {"predicted_cost": search.predicted_cost, "stopped_by": search.optimum.stopped_by}
+        if search.estimates:
+            summary["estimates"] = [estimate._asdict() for estimate in search.estimates]
+    return summary
+
+
+def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> Iterator[str]:
+    """What happened in an iteration, in words."""
+    failures = [each.failure or "failed" for each in iteration.experiments if each.failed_at is not None]
+    if failures:
+        causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
+        yield f"{len(failures)} of {counted(len(iteration.experiments), 'experiment')} failed: {causes}"
+    if iteration.learning and iteration.learning.reset:
+        yield "model cleared"
+    yield from diagnostics.of_iteration(iteration, earlier)
+
+
+def metrics(iteration: Iteration) -> dict[str, float]:
+    """An iteration in numbers, `group/name`; costs as in Eq. 8, seconds of wall time."""
+    experiments = iteration.experiments
+    numbers = {
+        "cost/hardware_max": iteration.hardware_cost,
+        **{f"cost/hardware_{i}": rollout.cost for i, rollout in enumerate(experiments)},
+        "experiments/total": iteration.total_experiments,
+        "experiments/iterations": iteration.index + 1,
+        "experiments/failed": sum(rollout.failed_at is not None for rollout in experiments),
+        "experiments/frames_min": min((rollout.frames for rollout in experiments), default=0),
+        "experiments/succeeded": iteration.succeeded,
+        **(_search_metrics(iteration.search) if iteration.search else {}),
+        **(_learning_metrics(iteration.learning) if iteration.learning else {}),
+        **{f"seconds/{phase}": seconds for phase, seconds in iteration.seconds.items()},
+    }
+    return {name: float(value) for name, value in numbers.items()}
+
+
+def _search_metrics(search: Search) -> dict[str, float]:
+    """A policy search in numbers."""
+    return {
+        "cost/predicted": search.predicted_cost,
+        "search/evaluations": search.optimum.evaluations,
+        **{f"bias/{name}": value for name, value in search.diagnostics.items()},
+        **{f"identification/{name}": value for name, value in search.identification.items()},
+    }
+
+
+def _learning_metrics(learning: Learning) -> dict[str, float]:
+    """The training data in numbers, and the likelihood of each model variant."""
+    selection = learning.selection
+    return {
+        "model/reset": learning.reset,
+        "data/samples": len(learning.data),
+        "data/new": len(selection.transitions),
+        "data/frames": selection.frames,
+        "data/sampled": selection.sampled,
+        **{f"data/rejected_{criterion}": count for criterion, count in selection.rejected.items()},
+        **{f"evidence/{name}": value for name, value in learning.evidence.items()},
+    }
