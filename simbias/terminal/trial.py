@@ -137,8 +137,8 @@ class TrialConsole(Observer):
             f"  {samples:>5}  {sum(iteration.seconds.values()):>7.1f}{notes}",
             soft_wrap=True,
         )
-        if learning and learning.evidence:
-            self._console.print(f"     {evidence_text(learning.evidence)}", soft_wrap=True)
+        if learning and learning.log_likelihoods:
+            self._console.print(f"     {likelihoods_text(learning.log_likelihoods)}", soft_wrap=True)
         if learning and not iteration.succeeded:
             self._remark(remarks.of_selection(learning.selection))
         self._iterations.append(iteration)
@@ -198,10 +198,10 @@ def temporary_traceback(traceback: str) -> str:
     return file.name
 
 
-def evidence_text(evidence: Mapping[str, float]) -> str:
-    """What the experiments so far say for each model, and which one the next policy is searched on."""
-    values = ", ".join(f"{name} {value:.1f}" for name, value in evidence.items())
-    best = max(evidence, key=lambda name: evidence[name])
+def likelihoods_text(likelihoods: Mapping[str, float]) -> str:
+    """The log-likelihoods of the model variants, and the one that the next policy is searched on."""
+    values = ", ".join(f"{name} {value:.1f}" for name, value in likelihoods.items())
+    best = max(likelihoods, key=lambda name: likelihoods[name])
     return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"
 
 

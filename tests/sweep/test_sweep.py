@@ -20,6 +20,8 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS, ROOT
 from mlflow import MlflowClient
 from rich.console import Console
+from simbias.mlflow.mlflow_sweep import MlflowSweep
+from simbias.mlflow.mlflow_trial import MlflowTrial
 from sweeping import NO_FIGURES, QUICK, artifacts, everything, run, runs, table, trial_by_trial, write_sweep
 
 import simbias
@@ -28,8 +30,6 @@ from simbias.config import ConfigError, compose, sweeps
 from simbias.config.build import build
 from simbias.engine.contract import Engine
 from simbias.mlflow import fields, results
-from simbias.mlflow.mlflow_sweep import MlflowSweep
-from simbias.mlflow.mlflow_trial import MlflowTrial
 from simbias.sweep.axes import read_axis
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.running import SweepObserver
@@ -68,7 +68,7 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
     base = compose([f"+sweep={name}"]).config  # not expanded: that takes as long as the trials
     axes = [read_axis(*axis) for axis in base["sweep"]["axes"].items()]
     swept = {key for axis in axes for key in axis.keys}
-    wanted = {"evaluation.seconds": 0.2, "method.design": 1}
+    wanted = {"evaluation.seconds": 0.2, "method.lqr_candidates": 1}
     known = {f"{group}.{key}" for group in ("evaluation", "method") for key in base[group]}
     shorter = [
         f"{key}={value}" for key, value in wanted.items() if key in known and key.split(".")[0] not in swept
