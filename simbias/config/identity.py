@@ -25,6 +25,13 @@ SCHEME = 2  # of identities: raised when all of them change
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
     "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
 }
+FORMER = {  # classes and arguments whose identities, and so whose seeds, come from an earlier name
+    "ModelBased": "Algorithm1",  # which they are the same as, with the defaults
+    "ModelBased.target_cost": "satisfactory_cost",
+    "ModelBased.posterior_scale": "retry_spread",
+    "ModelBased.model_selection": "by_evidence",
+    "ModelBased.lqr_candidates": "design",
+}
 DIGITS = 12  # hexadecimal
 
 
@@ -74,10 +81,12 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
     }
     own = component.__module__.partition(".")[0] == __name__.partition(".")[0]  # whose files may move
     version = getattr(component, "version", 1)
+    name = component.__name__ if own else f"{component.__module__}.{component.__qualname__}"
+    deviations = _deviations(arguments, defaults).items()
     return {
-        "class": component.__name__ if own else f"{component.__module__}.{component.__qualname__}",
+        "class": FORMER.get(name, name),
         **({"version": version} if version != 1 else {}),
-        **_deviations(arguments, defaults),
+        **{FORMER.get(f"{name}.{argument}", argument): value for argument, value in deviations},
     }
 
 

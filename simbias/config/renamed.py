@@ -9,9 +9,20 @@ from simbias.core.errors import ConfigError
 # An old key (`group.key`), option (`group=option`), module or class -> the new one. A key or module stands
 # for all that is below it. Sorted.
 RENAMED: Mapping[str, str] = {
+    "evaluation=lasting": "evaluation=domain_randomization_30s",
+    "evaluation=robust_models": "evaluation=domain_randomization",
+    "evaluation=robust_posterior": "evaluation.sample_bias",
     "held_out.lasting": "policy_test.long_episodes",
     "held_out.seconds": "policy_test.long_seconds",
     "held_out.starts": "policy_test.episodes",
+    "method.by_evidence": "method.model_selection",
+    "method.design": "method.lqr_candidates",
+    "method.retry_spread": "method.posterior_scale",
+    "method.satisfactory_cost": "method.target_cost",
+    "method=adaptive": "method=model_selection",
+    "method=frugal": "method=model_based",
+    "optimizer=bipop_cma": "optimizer=hybrid",
+    "optimizer=scipy_direct": "optimizer=nlopt_direct",
     "simbias.bias": "simbias.learning.bias",
     "simbias.evaluation": "simbias.search.evaluation",
     "simbias.hardware.box2d": "simbias.robots.bongoboard.box2d",

@@ -1,22 +1,25 @@
 """What every optimizer does alike: evaluate inside the box, count, remember the best point, and stop."""
 
-from __future__ import annotations
+# No `from __future__ import annotations`: constructors in other modules inherit the types of Budget's fields.
 
 import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
+from simbias.core.ranges import EvaluationCount, Seconds, Share, Steps
 from simbias.core.records import Array, Flags, Optimum
 
 EVALUATION_LIMIT = "the evaluation limit"
 STEP_LIMIT = "the limit of simulated steps"
 TIME_LIMIT = "the time limit"
 RELATIVE_TOLERANCE = "the relative tolerance"
-SATISFIED = "a satisfactory cost"
+TARGET = "the target cost"
 ROUNDING = 1e-12  # of relative changes that say nothing: DIRECT often asks for points of equal cost
 
 
@@ -24,14 +27,34 @@ class SearchEnded(Exception):  # noqa: N818 (no error, as StopIteration is none)
     """Ends a search from inside an optimizer's call of the objective; its text says why, in words."""
 
 
-Search = Callable[["Evaluations"], str]  # evaluates points until it is no longer worth it; why, in words
+@dataclass(kw_only=True, eq=False)
+class Budget:
+    """When a search ends.
+
+    Parameters
+    ----------
+    max_evaluations
+        N_in; the search never makes more.
+    relative_tolerance
+        epsilon: the search ends when the best cost Z improves by less than epsilon |Z| (Section V), once Z is
+        below the target.
+    max_steps
+        Simulated steps after which the search ends, as the objective's `steps` counts them.
+    max_seconds
+        Wall time after which it ends; the result then depends on the machine.
+    """
+
+    max_evaluations: EvaluationCount
+    relative_tolerance: Share
+    max_steps: Steps | None = None
+    max_seconds: Seconds | None = None
 
 
 class Evaluations:
     """The evaluations of one search; the best point ever evaluated is kept here.
 
     An optimizer's own answer can be worse than the best point that it saw (a population's mean, the best of
-    the last generation), and its own limit a rough one (SciPy's DIRECT and NLopt's GN_ORIG_DIRECT exceed it).
+    the last generation), and its own limit a rough one (NLopt's GN_ORIG_DIRECT exceeds it).
 
     Parameters
     ----------
@@ -39,16 +62,10 @@ class Evaluations:
         Cost of a point (p,).
     lower, upper
         The box, (p,) each.
-    limit
-        Largest number of evaluations.
-    relative_tolerance
-        epsilon: the search ends when the best cost Z improves by less than epsilon |Z| (Section V).
-    satisfactory
-        Best cost below which that rule holds.
-    max_steps
-        Simulated steps after which the search ends, as the objective's `steps` counts them.
-    max_seconds
-        Wall time after which it ends.
+    budget
+        When the search ends.
+    target_cost
+        Cost that the best one has to be below before small improvements end the search.
 
     Raises
     ------
@@ -61,11 +78,8 @@ class Evaluations:
         objective: Callable[[Array], float],
         lower: Array,
         upper: Array,
-        limit: int,
-        relative_tolerance: float,
-        satisfactory: float = np.inf,
-        max_steps: int | None = None,
-        max_seconds: float | None = None,
+        budget: Budget,
+        target_cost: float = np.inf,
     ) -> None:
         self.lower = np.array(lower, dtype=np.float64)
         self.upper = np.array(upper, dtype=np.float64)
@@ -76,14 +90,11 @@ class Evaluations:
                 f"lower {self.lower.tolist()} is not below upper {self.upper.tolist()}, or not finite"
             )
         self._objective = objective
-        self._limit = limit
-        self._relative_tolerance = relative_tolerance
-        self.satisfactory = satisfactory
-        self._last_step = np.inf if max_steps is None else self._steps + max_steps
-        self._deadline = np.inf if max_seconds is None else time.monotonic() + max_seconds
-        self._until_satisfied = False
-        self._replayed: list[float] = []  # costs of an earlier rehearsal, the last one first
-        self._replay_end: Evaluations  # as it stood after them; only of a rehearsal
+        self.target_cost = target_cost
+        self._limit, self._relative_tolerance = budget.max_evaluations, budget.relative_tolerance
+        self._last_step = np.inf if budget.max_steps is None else self._steps + budget.max_steps
+        self._deadline = np.inf if budget.max_seconds is None else time.monotonic() + budget.max_seconds
+        self._ends_at_target = False
         self._best_point: Array | None = None
         self.best_cost = np.inf
         self._worst_cost = -np.inf
@@ -95,34 +106,14 @@ class Evaluations:
         return self._limit - self.count
 
     @property
-    def spent(self) -> str | None:
-        """Why no more should be evaluated, in words; None if some may."""
-        if not self.remaining:
-            return EVALUATION_LIMIT
-        if self._steps >= self._last_step:
-            return STEP_LIMIT
-        return TIME_LIMIT if time.monotonic() >= self._deadline else None
-
-    def _go_on(self) -> None:
-        """End the search if it has evaluated something and may not go on.
-
-        Raises
-        ------
-        SearchEnded
-            Then.
-        """
-        if self.count and (reason := self.spent) is not None:
-            raise SearchEnded(reason)
-
-    @property
     def _steps(self) -> int:
         """Steps that the objective has simulated, if it counts them."""
         return getattr(self._objective, "steps", 0)
 
     @property
-    def satisfied(self) -> bool:
-        """Whether the best cost is satisfactory."""
-        return self.best_cost < self.satisfactory
+    def below_target(self) -> bool:
+        """Whether the best cost is below the target."""
+        return self.best_cost < self.target_cost
 
     @property
     def start(self) -> Array:
@@ -134,13 +125,17 @@ class Evaluations:
         """What costs points (k, p) together, if the objective offers it; neither counted nor judged."""
         return getattr(self._objective, "together", None)
 
-    @property
-    def speculate(self) -> Callable[[Array], tuple[Array, Flags]] | None:
-        """What costs some of points (k, p), and says which, if the objective offers it.
+    def guess(self, points: Array) -> tuple[Array, Flags]:
+        """Costs (k,) of points (k, p), and whether they are known (k,), one at least; neither is counted.
 
-        Which ones depends on the threads. So where simulated steps are limited, all are costed together.
+        Of an objective that offers `speculate`, which ones are known depends on the threads. So where
+        simulated steps are limited, all are costed together.
         """
-        return getattr(self._objective, "speculate", None) if self._last_step == np.inf else None
+        speculate = getattr(self._objective, "speculate", None)
+        if speculate is not None and self._last_step == np.inf:
+            return speculate(points)
+        assert self.together is not None
+        return self.together(points), np.full(len(points), True)
 
     def evaluate(self, point: Array) -> float:
         """Cost of the point (p,), moved into the box where rounding left it outside.
@@ -152,30 +147,47 @@ class Evaluations:
         ValueError
             If the cost is not finite.
         """
-        if self._replayed:
-            return self._replay()
-        self._go_on()
-        inside = self._inside(point)
-        return self._judged(inside, float(self._objective(inside.copy())))
+        self.check_budget()
+        inside = self.inside(point)
+        return self.judge(inside, float(self._objective(inside.copy())))
 
     def evaluate_all(self, points: Sequence[Array]) -> list[float]:
         """Costs of points (p,), as `evaluate` gives them in turn; together, if the objective offers that."""
-        affordable = [self._inside(point) for point in points[: self.remaining]]
+        affordable = [self.inside(point) for point in points[: self.remaining]]
         if self.together is None or len(affordable) < 2:
             return [self.evaluate(point) for point in points]
-        self._go_on()
+        self.check_budget()
         costs = self.together(np.array(affordable)).tolist()
-        judged = [self._judged(point, cost) for point, cost in zip(affordable, costs, strict=True)]
+        judged = [self.judge(point, cost) for point, cost in zip(affordable, costs, strict=True)]
         if len(affordable) < len(points):
             raise SearchEnded(EVALUATION_LIMIT)
         return judged
 
-    def _inside(self, point: Array) -> Array:
+    def inside(self, point: Array) -> Array:
         """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
         return np.minimum(np.maximum(point, self.lower), self.upper)
 
-    def _judged(self, point: Array, cost: float) -> float:
-        """Count an evaluation and keep its point if it is the best."""
+    def check_budget(self) -> None:
+        """Raise SearchEnded if something has been evaluated and the budget is used up."""
+        if not self.count:
+            return
+        if not self.remaining:
+            raise SearchEnded(EVALUATION_LIMIT)
+        if self._steps >= self._last_step:
+            raise SearchEnded(STEP_LIMIT)
+        if time.monotonic() >= self._deadline:
+            raise SearchEnded(TIME_LIMIT)
+
+    def judge(self, point: Array, cost: float) -> float:
+        """Count an evaluation of a point (p,) of the box and keep the point if it is the best; its cost.
+
+        Raises
+        ------
+        SearchEnded, ValueError
+            As of `evaluate`, but for steps and seconds.
+        """
+        if not self.remaining:
+            raise SearchEnded(EVALUATION_LIMIT)
         self.count += 1
         if not math.isfinite(cost):
             raise ValueError(f"the cost is {cost} at the point {point.tolist()}")
@@ -183,70 +195,46 @@ class Evaluations:
         if cost < self.best_cost:
             change = (self.best_cost - cost) / max(abs(cost), np.finfo(np.float64).tiny)
             self._best_point, self.best_cost = point, cost
-            if ROUNDING < change < self._relative_tolerance and self.satisfied:
+            if ROUNDING < change < self._relative_tolerance and self.below_target:
                 raise SearchEnded(RELATIVE_TOLERANCE)
-            if self._until_satisfied and self.satisfied:
-                raise SearchEnded(SATISFIED)
+            if self._ends_at_target and self.below_target:
+                raise SearchEnded(TARGET)
         return cost
 
     def try_first(self, points: Sequence[Array]) -> None:
         """Evaluate as many of the points (p,) as are allowed; no improvement among them is convergence."""
-        branch = copy(self)
-        branch._relative_tolerance = 0.0
-        with suppress(SearchEnded):  # steps or seconds are spent, which a search is told when it begins
-            branch.evaluate_all(points[: self.remaining])
-        self.adopt(branch)
+        tolerance, self._relative_tolerance = self._relative_tolerance, 0.0
+        with suppress(SearchEnded):  # steps or seconds are spent, which a search finds when it begins
+            self.evaluate_all(points[: self.remaining])
+        self._relative_tolerance = tolerance
 
-    def run(self, search: Search) -> str:
+    def run(self, search: Callable[[Self], str]) -> str:
         """Run a search on these; why it ended, in words."""
         try:
-            self._go_on()
+            self.check_budget()
             return search(self)
         except SearchEnded as end:
             return str(end)
 
-    def rehearsal(
-        self, objective: Callable[[Array], float], replayed: Sequence[float], replay_end: Evaluations
-    ) -> Evaluations:
-        """These evaluations as they stand, of costs that are known; they go on apart, until adopted.
+    def explored(self, search: Callable[[Self], str], limit: int) -> Array:
+        """The best point (p,) of a search from scratch, by up to `limit` of these evaluations.
 
-        The first of them are those of an earlier rehearsal: they have these costs, and end as it stood then.
+        It ends at the first cost below the target, if there is a target.
         """
-        branch = copy(self)
-        branch._objective = objective
-        branch._last_step = branch._deadline = np.inf
-        branch._replayed, branch._replay_end = list(reversed(replayed)), replay_end
-        return branch
-
-    def _replay(self) -> float:
-        """The next cost of an earlier rehearsal; after the last one, these stand where it stood."""
-        cost = self._replayed.pop()
-        if not self._replayed:
-            self.adopt(self._replay_end)
-        return cost
-
-    def exploration(self, limit: int) -> Evaluations:
-        """So many of these evaluations, to begin again with; they go on apart, until adopted.
-
-        They end at the first satisfactory cost, if not every cost is.
-        """
-        branch = copy(self)
-        branch._best_point, branch.best_cost = None, np.inf
-        branch._limit = min(self.count + limit, self._limit)
-        branch._until_satisfied = self.satisfactory < np.inf
-        return branch
-
-    def adopt(self, branch: Evaluations) -> None:
-        """Come as far as a branch of these has come."""
-        self.count = branch.count
-        self._worst_cost = max(self._worst_cost, branch._worst_cost)
-        if branch.best_cost < self.best_cost:
-            self._best_point, self.best_cost = branch._best_point, branch.best_cost
+        part = copy(self)
+        part._best_point, part.best_cost = None, np.inf
+        part._limit = min(self.count + limit, self._limit)
+        part._ends_at_target = self.target_cost < np.inf
+        part.run(search)
+        self.count, self._worst_cost = part.count, part._worst_cost
+        if part.best_cost < self.best_cost:
+            self._best_point, self.best_cost = part._best_point, part.best_cost
+        return part.start
 
     def optimum(self, stopped_by: str) -> Optimum:
         """The best point evaluated, at least one has been; a search that failed is said to have failed."""
         assert self._best_point is not None
-        if not self.satisfied and self.satisfactory < np.inf:
-            stopped_by = f"{stopped_by}, with no cost below {self.satisfactory:g}"
+        if not self.below_target and self.target_cost < np.inf:
+            stopped_by = f"{stopped_by}, with no cost below {self.target_cost:g}"
         flat = self.count > 1 and self._worst_cost == self.best_cost
         return Optimum(self._best_point, self.best_cost, self.count, stopped_by, flat)

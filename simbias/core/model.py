@@ -72,8 +72,8 @@ class Nominal(ABC):
             return self
         return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
-    def narrowed(self, share: float) -> Nominal:
-        """The same model, whose draws deviate this share as much; itself if it cannot narrow them."""
+    def narrowed(self, scale: float) -> Nominal:
+        """The same model, whose draws deviate `scale` times as much; itself if it cannot narrow them."""
         return self
 
 

@@ -111,7 +111,7 @@ class Learning:
     selection: Selection  # D_i
     data: Transitions  # D afterwards
     reset: bool = False  # whether D was cleared before
-    evidence: Mapping[str, float] = field(default_factory=dict)  # for each way to learn, if weighed, nats
+    log_likelihoods: Mapping[str, float] = field(default_factory=dict)  # of each model variant, if any, nats
 
 
 @dataclass(frozen=True, eq=False)

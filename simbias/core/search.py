@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from simbias.core.evaluations import Evaluations
+from simbias.core.evaluations import Budget, Evaluations
 from simbias.core.kernel import Kernel
 from simbias.core.model import FittedBias, Nominal
 from simbias.core.policy import Policy
@@ -92,13 +92,8 @@ class Evaluation(ABC):
         """The predicted cost as a function of theta; what it samples is drawn once, from rng."""
 
 
-class Optimizer(ABC):
-    """A minimiser over a box."""
-
-    max_evaluations: int  # N_in
-    relative_tolerance: float  # epsilon
-    max_steps: int | None = None  # of simulation, after which a search ends
-    max_seconds: float | None = None  # likewise
+class Optimizer(Budget, ABC):
+    """A minimiser over a box; its constructor takes its budget and what it needs beside."""
 
     @abstractmethod
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
@@ -116,33 +111,23 @@ class Optimizer(ABC):
         lower: Array,
         upper: Array,
         rng: np.random.Generator,
-        satisfactory: float = np.inf,
+        target_cost: float = np.inf,
         candidates: Sequence[Array] = (),
     ) -> Optimum:
         """Best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions pass through.
 
-        It ends at the latest after `max_evaluations`, or once `max_steps` or `max_seconds` are used up. Only
-        a search whose best cost is below `satisfactory` may end earlier because it converges: among
-        policies that fail, costs of Eq. 8 lie on plateaus that look like convergence.
-        The candidates (p,) are evaluated first, and a search that starts from a point starts from the best.
+        It ends at the latest with the budget. Only a search whose best cost is below `target_cost` may end
+        earlier because it converges: among policies that fail, costs of Eq. 8 lie on plateaus that look like
+        convergence. The candidates (p,) are evaluated first, and a search that starts from a point starts
+        from the best.
 
         Raises
         ------
         ValueError
-            If the box is empty or not finite, a cost is not finite, or the algorithm cannot take so many
-            parameters.
+            If the box is empty or not finite, or a cost is not finite.
         """
         first = list(candidates)  # before the time limit counts: they may take a while to make
-        evaluations = Evaluations(
-            objective,
-            lower,
-            upper,
-            self.max_evaluations,
-            self.relative_tolerance,
-            satisfactory,
-            self.max_steps,
-            self.max_seconds,
-        )
+        evaluations = Evaluations(objective, lower, upper, self, target_cost)
         evaluations.try_first(first)
         stopped_by = evaluations.run(lambda running: self.search(running, rng))
         return evaluations.optimum(stopped_by)

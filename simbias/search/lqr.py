@@ -1,4 +1,4 @@
-"""Where a policy search may begin: policies that come near to linear-quadratic regulators of the model.
+"""Policies that come near to linear-quadratic regulators (LQR) of the model.
 
 Costs of policies that fall say little about which policies do not. For the model, linearised where the robot
 can rest, theory gives a regulator. It sees the whole state, with what a delay or a lag hides. A policy that
@@ -19,12 +19,12 @@ from scipy.linalg import solve_discrete_are
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
 
-PRICES = (10.0, 100.0, 1000.0, 10000.0)  # of inputs at their limits, that of a state of one unit being 1
-FORGOTTEN = 1e-9  # price of what a memory holds
-NEAR = 1e-3  # price of being away from zero, that of accelerations being 1: the nearest rest is taken
+INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
+MEMORY_WEIGHT = 1e-9  # Q of what the model's memory holds
+NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
 STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
-RECORDS, SECONDS = 16, 1.0  # so many records of the regulated model are imitated, so long each,
-SHAKEN = 0.01  # with random inputs of this share of the limits
+RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
+EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
 SETTLED = 1000  # frames, after which a memory is that of a steady input
 
@@ -39,23 +39,26 @@ class Linear(NamedTuple):
     states: int  # n
 
 
-class Candidates(Sequence[Array]):
-    """Policies (p,) to try first: those given, then designs of so many models.
+class LqrCandidates(Sequence[Array]):
+    """LQR policies (p,) of `count` models to try first: the most probable one, and draws of its parameters.
 
-    Designs are made when they are first looked at, which a search that is recalled does not do.
+    They are designed when they are first looked at, which a search that is recalled does not do.
     """
 
-    def __init__(self, given: Sequence[Array], model: Model, count: int) -> None:
-        self._given, self._model, self._count = tuple(given), model, count
+    def __init__(self, model: Model, count: int) -> None:
+        self._model, self._count = model, count
 
     @cached_property
     def _policies(self) -> list[Array]:
-        """All of them."""
-        designed = designs(self._model, self._count)
-        if self._count and not designed:
-            message = f"searches begin without regulators: {type(self._model.policy).__name__} imitates none"
+        """The designs, one model after the other."""
+        rngs = np.random.default_rng(SEED).spawn(max(self._count - 1, 0))
+        drawn = [replace(self._model, nominal=self._model.nominal.draw(rng)) for rng in rngs]
+        models = [self._model, *drawn][: self._count]
+        policies = [theta for model in models for theta in lqr_policies(model)]
+        if models and not policies:
+            message = f"searches begin without LQR: {type(self._model.policy).__name__} imitates none"
             warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
-        return [*self._given, *designed]
+        return policies
 
     def __getitem__(self, index: Any) -> Any:
         return self._policies[index]
@@ -64,20 +67,13 @@ class Candidates(Sequence[Array]):
         return len(self._policies)
 
 
-def designs(model: Model, count: int) -> list[Array]:
-    """Policies (p,) for so many models: the most probable one, and draws of its uncertain parameters."""
-    rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
-    drawn = [replace(model, nominal=model.nominal.draw(rng)) for rng in rngs]
-    return [theta for each in [model, *drawn][:count] for theta in regulated(each)]
-
-
-def regulated(model: Model) -> list[Array]:
-    """Policies (p,) that imitate regulators, from quick ones to cheap ones; none if the model has no such."""
+def lqr_policies(model: Model, input_weights: Sequence[float] = INPUT_WEIGHTS) -> list[Array]:
+    """Policies (p,) that imitate the LQR of each weight; none where the model has no such."""
     try:
         linear = linearised(model)
     except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
         return []
-    each = [regulator(linear, price * np.diag(model.task.input_limit**-2.0)) for price in PRICES]
+    each = [lqr_gains(linear, weight * np.diag(model.task.input_limit**-2.0)) for weight in input_weights]
     records = _records(model, linear, [gains for gains in each if gains is not None])
     imitations = [model.policy.imitating(states, inputs) for states, inputs in records]
     return [theta for theta in imitations if theta is not None]
@@ -85,7 +81,7 @@ def regulated(model: Model) -> list[Array]:
 
 def rest(model: Model) -> tuple[Array, Array]:
     """States (n,) and inputs (m,) that the model keeps, the nearest to zero as far as there is one."""
-    from scipy.optimize import least_squares  # lazily: few searches begin with regulators
+    from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
     task = model.task
     n, rates = len(task.states), 1 / task.time_step
@@ -117,10 +113,10 @@ def linearised(model: Model) -> Linear:
     return Linear(slopes[: n + size].T, slopes[n + size :].T, point[: n + size], u, n)
 
 
-def regulator(linear: Linear, R: Array) -> Array | None:
+def lqr_gains(linear: Linear, R: Array) -> Array | None:
     """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u; None without one."""
     A, B = linear.A, linear.B
-    Q = np.diag(np.where(np.arange(len(A)) < linear.states, 1.0, FORGOTTEN))
+    Q = np.diag(np.where(np.arange(len(A)) < linear.states, 1.0, MEMORY_WEIGHT))
     try:
         S = solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError):
@@ -129,21 +125,21 @@ def regulator(linear: Linear, R: Array) -> Array | None:
 
 
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Of each regulator K (m, l): states (k, T, n) and inputs (k, T, m) of the linear model under it.
+    """Of each K (m, l): states (k, T, n) and inputs (k, T, m) of the linear model that it regulates.
 
-    The model begins at the task's starts, and random inputs shake it.
+    The model begins at the task's starts, and random inputs excite it.
     """
     task, rng = model.task, np.random.default_rng(SEED)
     n, m, frames, r = len(task.states), len(task.inputs), task.frames(SECONDS), len(gains)
-    s, shaking = np.zeros((r, RECORDS, len(linear.rest))), np.empty((r, frames, RECORDS, m))
-    for one, noise in zip(s, shaking, strict=True):
+    s, excitation = np.zeros((r, RECORDS, len(linear.rest))), np.empty((r, frames, RECORDS, m))
+    for one, noise in zip(s, excitation, strict=True):
         one[:, :n] = [task.draw_start(rng) - linear.rest[:n] for _ in range(RECORDS)]
-        noise[:] = SHAKEN * task.input_limit * rng.standard_normal(noise.shape)
+        noise[:] = EXCITATION * task.input_limit * rng.standard_normal(noise.shape)
     states, inputs = np.empty((frames, r, RECORDS, n)), np.empty((frames, r, RECORDS, m))
     K = -np.reshape(gains, (r, m, s.shape[-1])).transpose(0, 2, 1)
     for t in range(frames):
         states[t] = s[..., :n]
         inputs[t] = u = s @ K
-        s = s @ linear.A.T + (u + shaking[:, t]) @ linear.B.T
+        s = s @ linear.A.T + (u + excitation[:, t]) @ linear.B.T
     states, inputs = states + linear.rest[:n], inputs + linear.inputs
     return list(zip(np.moveaxis(states, 0, 2), np.moveaxis(inputs, 0, 2), strict=True))

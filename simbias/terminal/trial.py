@@ -122,8 +122,8 @@ class TrialConsole(Observer):
         notes = "  [yellow]model cleared[/yellow]" if learning and learning.reset else ""
         line = f"{iteration.index:>3}  {predicted:>9}  {experiments:<{self._width}}  {samples:>5}"
         say(self._console, f"{line}  {sum(iteration.seconds.values()):>7.1f}{notes}", markup=True)
-        if learning and learning.evidence:
-            say(self._console, f"     {evidence_text(learning.evidence)}")
+        if learning and learning.log_likelihoods:
+            say(self._console, f"     {likelihoods_text(learning.log_likelihoods)}")
         if learning and not iteration.succeeded:
             self._remark(remarks.of_selection(learning.selection))
         self._iterations.append(iteration)
@@ -173,8 +173,8 @@ def traceback_file(summary: TrialSummary, traceback: str) -> str:
     return summary.traceback_file or (temporary_traceback(traceback) if traceback else "")
 
 
-def evidence_text(evidence: Mapping[str, float]) -> str:
-    """What the experiments so far say for each model, and which one the next policy is searched on."""
-    values = ", ".join(f"{name} {value:.1f}" for name, value in evidence.items())
-    best = max(evidence, key=lambda name: evidence[name])
+def likelihoods_text(likelihoods: Mapping[str, float]) -> str:
+    """The log-likelihoods of the model variants, and the one that the next policy is searched on."""
+    values = ", ".join(f"{name} {value:.1f}" for name, value in likelihoods.items())
+    best = max(likelihoods, key=lambda name: likelihoods[name])
     return f"held-out log-likelihood of {1000 * WINDOW:g} ms: {values}; goes on with {best}"

@@ -1,65 +1,31 @@
-"""What a trial's experiments say for each way to model the hardware: held-out log-likelihoods."""
+"""Selection of how to model the hardware, by log-likelihoods of experiments that are left out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import Model
-from simbias.core.records import Array, Rollout, Transitions
+from simbias.core.records import Array, Rollout
 from simbias.learning.prediction_errors import Errors
 from simbias.simulation.open_loop import Windows, World, predict
+from simbias.trial.steps import ModelVariant, learn
 from simbias.trial.study import Study
 
-WINDOW, CHUNKS = 0.1, 10  # s, of a prediction; means over so many parts of it are compared
+WINDOW, CHUNKS = 0.1, 10  # s, of a prediction; its parts, whose means are compared
 FOLDS = 3  # fits, each without some of the experiments
 
 
-class Learned(NamedTuple):
-    """What was learned from hardware experiments (lines 13 and 14 of Algorithm 1)."""
-
-    model: Model
-    data: Transitions  # D, residuals against the model's nominal model
-
-
-class Way(NamedTuple):
-    """How the hardware is modelled."""
-
-    identifies: bool  # the nominal model's parameters
-    corrects: bool  # by a bias
-
-
-WAYS: Mapping[str, Way] = {  # by name, the simplest first
-    "declared models": Way(False, False),
-    "identified parameters": Way(True, False),
-    "parameters and residual": Way(True, True),
+VARIANTS: Mapping[str, ModelVariant] = {  # by name, the simplest first
+    "declared models": ModelVariant(False, False),
+    "identified parameters": ModelVariant(True, False),
+    "parameters and residual": ModelVariant(),
 }
 
 
-def learn(
-    study: Study,
-    way: Way,
-    experiments: Sequence[Rollout],
-    taught: Sequence[Sequence[Rollout]],
-    data: Transitions | None = None,
-) -> Learned:
-    """Learn parameters from all experiments, and a bias from those of the iterations that taught.
-
-    Their residuals D may be given; else they are what the study samples.
-    """
-    nominal = study.identification.fit(study.nominal, experiments) if way.identifies else study.nominal
-    data = study.data_from(taught, nominal) if data is None else data
-    if not way.corrects:
-        return Learned(study.model(None, nominal), data)
-    rollouts = [rollout for iteration in taught for rollout in iteration]
-    return Learned(study.model(study.bias.learn(data, rollouts, nominal), nominal), data)
-
-
 def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, float]:
-    """Of each way to learn, the mean log-likelihood (nats) of a window that it did not learn from.
+    """Of each variant, by name, the mean log-likelihood (nats) of a window that it did not learn from.
 
     The experiments are left out in turn or, if there are few, their parts. The errors of a window are assumed
     to be distributed as those of the others when these are left out (`simbias.learning.prediction_errors`).
@@ -71,9 +37,9 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, f
     folds = _folds(experiments, frames)
     windows = [Windows.of(fold, frames, chunk) for fold in folds]
     values: dict[str, float] = {}
-    for name, way in WAYS.items() if len(folds) > 1 else ():
+    for name, variant in VARIANTS.items() if len(folds) > 1 else ():
         errors = [
-            _errors(study, way, [r for other in folds if other is not fold for r in other], own)
+            _errors(study, variant, [r for other in folds if other is not fold for r in other], own)
             for fold, own in zip(folds, windows, strict=True)
         ]
         total = 0.0
@@ -86,19 +52,19 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, f
     return values
 
 
-def likeliest(values: Mapping[str, float]) -> Way:
-    """The way to learn whose log-likelihood is the greatest; without any, all that can be learned."""
-    return WAYS[max(values, key=lambda name: values[name])] if values else list(WAYS.values())[-1]
+def most_likely(values: Mapping[str, float]) -> ModelVariant:
+    """The variant whose log-likelihood is the greatest; without any values, the last."""
+    return VARIANTS[max(values, key=lambda name: values[name])] if values else ModelVariant()
 
 
-def _errors(study: Study, way: Way, kept: Sequence[Rollout], left_out: Windows) -> Array:
+def _errors(study: Study, variant: ModelVariant, kept: Sequence[Rollout], left_out: Windows) -> Array:
     """Errors (w, J, n) of the windows that were left out."""
-    model = learn(study, way, kept, [kept]).model
+    model = learn(study, kept, [kept], variant).model
     return predict([World(model.nominal)], left_out, model.bias)[0] - left_out.means
 
 
 def _folds(experiments: Sequence[Rollout], least: int) -> list[list[Rollout]]:
-    """Experiments in up to FOLDS folds; if they are fewer, each is cut into so many parts."""
+    """Experiments in up to FOLDS folds; if they are fewer, each is cut into FOLDS parts."""
     whole = [rollout for rollout in experiments if rollout.frames >= least]
     if len(whole) >= FOLDS:
         return [list(whole[fold::FOLDS]) for fold in range(FOLDS)]

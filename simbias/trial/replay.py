@@ -78,9 +78,9 @@ class ReplayedOptimizer(Optimizer):
         lower: Array,
         upper: Array,
         rng: np.random.Generator,
-        satisfactory: float = np.inf,
+        target_cost: float = np.inf,
         candidates: Sequence[Array] = (),
     ) -> Optimum:
         """The optimum, or the one that was found in its place before."""
         minimize = self._optimizer.minimize
-        return self._record.search(lambda: minimize(objective, lower, upper, rng, satisfactory, candidates))
+        return self._record.search(lambda: minimize(objective, lower, upper, rng, target_cost, candidates))

@@ -7,11 +7,21 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from simbias.core import Model, Objective
-from simbias.core.records import Array, Flags, Optimum, Rollout, Search
+from simbias.core.records import (
+    Array,
+    Flags,
+    Iteration,
+    Learning,
+    Optimum,
+    Rollout,
+    Search,
+    Transitions,
+)
 from simbias.trial.study import Observer, Study
 
 
@@ -22,23 +32,23 @@ def search(
     observer: Observer,
     candidates: Sequence[Array] = (),
     retries: int = 0,
-    satisfactory: float | None = None,
-    narrowing: float = 1.0,
+    target_cost: float | None = None,
+    posterior_scale: float = 1.0,
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
-    A search that ends above a satisfactory cost, by default Z_max, is made again with other random numbers,
-    up to `retries` times, each time on draws from a posterior whose deviations are `narrowing` times those
-    before. The best one is returned, with the evaluations of all.
+    A search that ends above the target cost, by default Z_max, is made again with other random numbers, up to
+    `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
+    before. The best one is returned, with the evaluations of all. Each first evaluates the candidates (p,).
     """
-    enough = study.cost.max_cost if satisfactory is None else satisfactory
+    target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model
-    while not searches or (searches[-1][1] > enough and len(searches) <= retries):
+    while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
         if searches:
-            drawn = replace(drawn, nominal=drawn.nominal.narrowed(narrowing))
-        searches.append(_search(study, drawn, search_rng, observer, candidates, enough))
+            drawn = replace(drawn, nominal=drawn.nominal.narrowed(posterior_scale))
+        searches.append(_search(study, drawn, search_rng, observer, candidates, target))
     best = min(range(len(searches)), key=lambda index: searches[index][1])
     optimum, predicted_cost = searches[best]
     if len(searches) > 1:
@@ -62,19 +72,19 @@ def _search(
     rng: np.random.Generator,
     observer: Observer,
     candidates: Sequence[Array],
-    satisfactory: float,
+    target_cost: float,
 ) -> tuple[Optimum, float]:
-    """One search, and the cost that it predicts."""
+    """The optimum of one search, and its predicted cost Z_g."""
     scenario_rng, optimizer_rng = rng.spawn(2)
     objective = study.evaluation.objective(model, study.cost, scenario_rng)
     lower, upper = study.policy.bounds
     watched = _Watched(objective, observer)
-    optimum = study.optimizer.minimize(watched, lower, upper, optimizer_rng, satisfactory, candidates)
+    optimum = study.optimizer.minimize(watched, lower, upper, optimizer_rng, target_cost, candidates)
     return optimum, objective(optimum.parameters)
 
 
 class _Watched:
-    """An objective that tells an observer of its evaluations."""
+    """An objective that reports its evaluations to an observer."""
 
     def __init__(self, objective: Objective, observer: Observer) -> None:
         self._objective = objective
@@ -92,22 +102,22 @@ class _Watched:
 
     def __call__(self, theta: Array) -> float:
         cost = self._objective(theta)
-        self._tell(np.array([cost]))
+        self._report(np.array([cost]))
         return cost
 
     def _together(self, thetas: Array) -> Array:
         costs = self._objective.together(thetas)
-        self._tell(costs)
+        self._report(costs)
         return costs
 
     def _speculate(
         self, speculate: Callable[[Array], tuple[Array, Flags]], thetas: Array
     ) -> tuple[Array, Flags]:
         costs, known = speculate(thetas)
-        self._tell(costs[known])
+        self._report(costs[known])
         return costs, known
 
-    def _tell(self, costs: Array) -> None:
+    def _report(self, costs: Array) -> None:
         self._evaluations += len(costs)
         self._best = min(self._best, *costs)
         self._observer.searching(self._evaluations, self._best)
@@ -119,23 +129,68 @@ def experiment(
     rng: np.random.Generator,
     observer: Observer,
     count: int,
-    least: int | None = None,
+    before_stop: int | None = None,
 ) -> tuple[Rollout, ...]:
-    """Evaluate a policy with so many hardware experiments (the solid loop of Fig. 1).
+    """Evaluate a policy with `count` hardware experiments (the solid loop of Fig. 1).
 
-    After the first `least`, by default all, none follows one that failed; this changes nothing in those of
-    later iterations.
+    After the first `before_stop`, by default all, none follows one that failed; this changes nothing in those
+    of later iterations.
     """
-    least = count if least is None else least
+    before_stop = count if before_stop is None else before_stop
     rollouts: list[Rollout] = []
     for experiment_rng in rng.spawn(count):
         start = study.task.draw_start(experiment_rng)
         observer.experimenting(theta, start)
         rollouts.append(study.experiment(theta, experiment_rng, start))
         observer.experimented(rollouts[-1])
-        if len(rollouts) >= least and not all(map(study.cost.passes, rollouts)):
+        if len(rollouts) >= before_stop and not all(map(study.cost.passes, rollouts)):
             break
     return tuple(rollouts)
+
+
+class ModelVariant(NamedTuple):
+    """A way to model the hardware."""
+
+    identifies: bool = True  # the nominal model's parameters
+    corrects: bool = True  # by a bias
+
+
+class Learned(NamedTuple):
+    """Result of lines 13 and 14 of Algorithm 1."""
+
+    model: Model
+    data: Transitions  # D, residuals against the model's nominal model
+
+
+def learn(
+    study: Study,
+    experiments: Sequence[Rollout],
+    learned_from: Sequence[Sequence[Rollout]],
+    variant: ModelVariant = ModelVariant(),  # noqa: B008 (it is immutable)
+) -> Learned:
+    """Identify parameters from all experiments, and learn a bias from those of some iterations."""
+    nominal = study.identification.fit(study.nominal, experiments) if variant.identifies else study.nominal
+    data = study.data_from(learned_from, nominal)
+    if not variant.corrects:
+        return Learned(study.model(None, nominal), data)
+    rollouts = [rollout for iteration in learned_from for rollout in iteration]
+    return Learned(study.model(study.bias.learn(data, rollouts, nominal), nominal), data)
+
+
+def iteration_record(
+    index: int,
+    theta: Array,
+    experiments: tuple[Rollout, ...],
+    succeeded: bool,
+    total_experiments: int,
+    clock: Stopwatch,
+    search: Search | None = None,
+    learning: Learning | None = None,
+) -> Iteration:
+    """The record of an iteration; its hardware cost Z_r is the largest of its experiments' (line 9)."""
+    cost = max(rollout.cost for rollout in experiments)
+    counts = succeeded, total_experiments
+    return Iteration(index, theta, experiments, cost, *counts, search, learning, clock.seconds)
 
 
 class Stopwatch:

@@ -171,5 +171,5 @@ def _learning_metrics(learning: Learning) -> dict[str, float]:
         "data/frames": selection.frames,
         "data/sampled": selection.sampled,
         **{f"data/rejected_{criterion}": count for criterion, count in selection.rejected.items()},
-        **{f"evidence/{name}": value for name, value in learning.evidence.items()},
+        **{f"model_selection/{name}": value for name, value in learning.log_likelihoods.items()},
     }

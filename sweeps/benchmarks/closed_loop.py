@@ -49,7 +49,7 @@ def fitted(option: str, samples: int) -> FittedBias:
 
 def way(bias: FittedBias, noisy: bool, plain: bool, policies: int, horizon: int) -> Callable[[], int]:
     """Simulates so many policies in WORLDS worlds each; how many steps that were."""
-    study = simbias.load(["tracking=none", "evaluation=robust_models", f"task.horizon={horizon}"])
+    study = simbias.load(["tracking=none", "evaluation=domain_randomization", f"task.horizon={horizon}"])
     rng, task = np.random.default_rng(0), study.task
     loops = []
     for _ in range(WORLDS):

@@ -1,7 +1,7 @@
 """What is learned from experiments on a gap: how well does it predict other experiments?
 
 `python sweeps/studies/gaps_predicted.py FILE [--seeds 3] [--cells LABEL ...]` runs, on each cell of
-`+sweep=gaps`, policies that imitate regulators of the nominal model and of draws of it. From three
+`+sweep=gaps`, policies that imitate LQR of the nominal model and of draws of it. From three
 experiments it learns parameters, a residual of the nominal model, and both; of three others, with other
 policies and starts, it predicts windows of 0.1 s. An error is that of the last state, over the root mean
 square change of each state in a window; `error` is its root mean square, over that of the nominal model.
@@ -21,21 +21,21 @@ from joblib import Parallel, delayed
 from simbias.config.build import build
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Rollout
-from simbias.search.lqr import designs
+from simbias.search.lqr import LqrCandidates
 from simbias.simulation.open_loop import Windows, World, predict
 from simbias.sweep.grid import expand
 from simbias.trial.study import Study
 
 DURATION = 0.1  # s
 LEARNED = 3  # experiments, and as many that are predicted
-MODELS = 3  # that regulators are designed for: the most probable one, and draws
+MODELS = 3  # whose LQR is imitated: the most probable one, and draws
 WAYS = ("nominal", "residual", "identified", "both")
 
 
 def experiments(study: Study, seed: int) -> list[Rollout]:
     """Experiments with different policies from different starts, those that last for a window."""
     rng = np.random.default_rng(seed)
-    policies = designs(study.model(), MODELS)
+    policies = LqrCandidates(study.model(), MODELS)
     made: list[Rollout] = []
     for index in rng.permutation(len(policies)):
         rollout = study.hardware.run(study.policy, policies[index], study.task.draw_start(rng), rng)

@@ -43,22 +43,12 @@ STUDY = [
     "hardware.noise.angle_variance=1.6e-5",
     "hardware.noise.velocity_variance=1.6e-2",
 ]
-SAME = ("GN_DIRECT_NOSCAL", "GN_DIRECT_L_RAND_NOSCAL")  # NLopt 2.11 runs them as GN_DIRECT_L_NOSCAL
-DIRECTS = [name for name in get_args(Algorithm) if "DIRECT" in name and name not in SAME]
+DIRECTS = [name for name in get_args(Algorithm) if "DIRECT" in name]
 OPTIMIZERS: Mapping[str, list[str]] = {
     **{name: ["optimizer=nlopt_direct", f"optimizer.algorithm={name}"] for name in DIRECTS},
-    "scipy DIRECT": ["optimizer=scipy_direct"],
-    "scipy DIRECT_L": ["optimizer=scipy_direct", "optimizer.locally_biased=true"],
-    **{name: [f"optimizer={name}"] for name in ("sobol", "nlopt_crs", "cma", "bipop_cma", "hybrid")},
+    **{name: [f"optimizer={name}"] for name in ("sobol", "nlopt_crs", "cma", "hybrid")},
     "cma, population 8": ["optimizer=cma", "optimizer.population=8"],
-    "bipop_cma, population 8": ["optimizer=bipop_cma", "optimizer.population=8"],
     "hybrid, population 16": ["optimizer=hybrid", "optimizer.population=16"],
-    "hybrid, MLSL first": ["optimizer=hybrid", "optimizer.exploration=GN_MLSL_LDS"],
-    "hybrid, MLSL first, population 16": [
-        "optimizer=hybrid",
-        "optimizer.exploration=GN_MLSL_LDS",
-        "optimizer.population=16",
-    ],
 }
 
 
@@ -100,7 +90,7 @@ def search(name: str, overrides: list[str], seed: int, budget: int) -> dict[str,
     scenario_rng, rng = np.random.default_rng(seed).spawn(2)
     watched = Watched(study.evaluation.objective(study.model(), study.cost, scenario_rng))
     began = time.perf_counter()
-    optimum = study.optimizer.minimize(watched, *study.policy.bounds, rng, satisfactory=study.cost.max_cost)
+    optimum = study.optimizer.minimize(watched, *study.policy.bounds, rng, target_cost=study.cost.max_cost)
     balanced, good = watched.reached(study.cost.max_cost), watched.reached(GOOD)
     return {
         "optimizer": name,
@@ -180,7 +170,8 @@ def main(arguments: argparse.Namespace) -> None:
                 writer.writeheader()
             writer.writerow(row)
         print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
-    order = {name: index for index, name in enumerate(OPTIMIZERS)}
+    names = dict.fromkeys([*OPTIMIZERS, *kept["optimizer"]])
+    order = {name: index for index, name in enumerate(names)}
     searches = pd.read_csv(path).sort_values(["optimizer", "seed"], key=lambda c: c.map(order).fillna(c))
     searches.to_csv(path, index=False, lineterminator="\n")
     (arguments.folder / "table.md").write_text(table(searches))

@@ -32,7 +32,7 @@ from simbias.sweep.grid import expand
 from simbias.trial.study import Study
 
 SEPARATE = ["hardware.feet=separate"]
-SIMULATED = ["evaluation=robust_models", "optimizer=hybrid", "bias=none"]
+SIMULATED = ["evaluation=domain_randomization", "optimizer=hybrid", "bias=none"]
 
 
 def study_of(overrides: Sequence[str], sweep: str | None, cell: str) -> Study:

@@ -72,7 +72,7 @@ def test_what_may_change_a_result_changes_the_identity() -> None:
         "optimizer=nlopt_crs",
         "samples.limits.speed=7",
         "samples.window.measured=1",
-        "method.keep_data=true",
+        "method=model_based",
     ]
     settings = [override.split("=") for override in overrides]
     variations = Variations()
@@ -81,7 +81,12 @@ def test_what_may_change_a_result_changes_the_identity() -> None:
 
 
 def test_a_preset_is_the_same_as_its_options_one_by_one() -> None:
-    options = ["bias=held_out", "identification=posterior", "evaluation=lasting", "method=adaptive"]
+    options = [
+        "bias=held_out",
+        "identification=posterior",
+        "evaluation=domain_randomization_30s",
+        "method=model_selection",
+    ]
     options += ["optimizer=hybrid_from_candidates"]
     assert compose(["preset=robust"]).hash == compose(options).hash
     assert compose(["preset=robust", "bias=none"]).hash == compose(["bias=none", *options[1:]]).hash

@@ -96,7 +96,7 @@ def test_an_experiment_in_which_nothing_can_fail_is_refused() -> None:
 
 def test_a_simulated_rollout_in_which_nothing_can_fail_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^evaluation\.seconds: must be greater than or equal to 0\.01"):
-        simbias.load(["evaluation=lasting", "evaluation.seconds=1e-10", "tracking=none"])
+        simbias.load(["evaluation=domain_randomization_30s", "evaluation.seconds=1e-10", "tracking=none"])
 
 
 def test_a_sweep_that_is_too_large_is_refused_at_once() -> None:

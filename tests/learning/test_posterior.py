@@ -13,7 +13,8 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Identified, Problem
 from simbias.learning.prediction_errors import FREEDOM, Errors, correlation_time
 from simbias.simulation.open_loop import Windows
-from simbias.trial.model_selection import WAYS, learn, likeliest, log_likelihoods
+from simbias.trial.model_selection import VARIANTS, log_likelihoods, most_likely
+from simbias.trial.steps import learn
 from simbias.trial.study import Study
 
 
@@ -185,19 +186,19 @@ def test_likelihood_is_students() -> None:
     np.testing.assert_allclose(errors.log_likelihoods(e), exact.logpdf(e.reshape(40, 4)), rtol=1e-9)
 
 
-def test_evidence_prefers_what_predicts(study: Study) -> None:
+def test_model_selection_prefers_what_predicts(study: Study) -> None:
     """Wrong masses and friction: identified parameters. Nothing is left for a bias, which is then none."""
     rng = np.random.default_rng(5)
     robot, _ = truth(study.nominal, rng)
     rollouts = [experiment(robot, rng, 300) for _ in range(3)]
     study = pendulum("identification=posterior", "bias=none")
     values = log_likelihoods(study, rollouts)
-    assert list(values) == list(WAYS)
+    assert list(values) == list(VARIANTS)
     assert values["identified parameters"] > values["declared models"] + 5
-    assert likeliest(values).identifies
-    assert learn(study, likeliest(values), rollouts, [rollouts]).model.nominal.estimates
+    assert most_likely(values).identifies
+    assert learn(study, rollouts, [rollouts], most_likely(values)).model.nominal.estimates
     assert log_likelihoods(study, [experiment(robot, rng, 30)]) == {}
-    assert likeliest({}) == WAYS["parameters and residual"]
+    assert most_likely({}) == VARIANTS["parameters and residual"]
 
 
 @pytest.mark.slow

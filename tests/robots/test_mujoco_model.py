@@ -83,7 +83,7 @@ def test_worlds_are_stepped_with_their_own_models(tmp_path: Path) -> None:
 
 def search(nominal: str, *overrides: str) -> Study:
     """Of the double cart-pole, or of the biped with its contacts, on models that differ."""
-    return simbias.load([f"preset={nominal}", "tracking=none", "evaluation=robust_models", *overrides])
+    return simbias.load([f"preset={nominal}", "tracking=none", "evaluation=domain_randomization", *overrides])
 
 
 def worlds_of(study: Study, bias: FittedBias | None = None) -> list[Model]:

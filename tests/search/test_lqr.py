@@ -1,4 +1,4 @@
-"""Policies that imitate regulators, against what theory says of rests, of gains, and of closed loops."""
+"""Policies that imitate LQR, against what theory says of rests, of gains, and of closed loops."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.policy.gains import signed_exponential
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.search.lqr import PRICES, Candidates, designs, linearised, regulated, regulator, rest
+from simbias.search.lqr import INPUT_WEIGHTS, LqrCandidates, linearised, lqr_gains, lqr_policies, rest
 from simbias.trial.study import Study
 
 SLOPE = ["nominal.uncertainty.slope=0.025", "task.outputs=states"]
@@ -69,56 +69,49 @@ def test_a_late_model_is_regulated_with_its_memory() -> None:
     study, model = bongoboard(*DELAY, delay=0.02)
     linear = linearised(model)
     assert linear.A.shape == (6 + model.nominal.memory_size,) * 2
-    K = regulator(linear, 100.0 * np.diag(study.task.input_limit**-2.0))
+    K = lqr_gains(linear, 100.0 * np.diag(study.task.input_limit**-2.0))
     assert K is not None
     blind = np.where(np.arange(len(linear.A)) < 6, K, 0.0)
     radius, without = (np.abs(np.linalg.eigvals(linear.A - linear.B @ gains)).max() for gains in (K, blind))
     assert radius < 1.0 < without
 
 
-def test_a_policy_of_the_state_is_the_regulator_itself() -> None:
+def test_a_policy_of_the_state_is_lqr_itself() -> None:
     model = point_mass()
     linear = linearised(model)
-    theta, *_ = regulated(model)
-    K = regulator(linear, np.diag(10.0 * model.task.input_limit**-2.0))
+    theta, *_ = lqr_policies(model)
+    K = lqr_gains(linear, np.diag(10.0 * model.task.input_limit**-2.0))
     assert K is not None
     np.testing.assert_allclose(signed_exponential(theta), -K[0], rtol=1e-6)
 
 
-def test_what_cannot_be_regulated_has_no_candidates() -> None:
-    class Stuck(WithoutWind):
-        """The force does nothing, and the mass runs away."""
+def test_what_has_no_lqr_has_no_policies() -> None:
+    """A model that no input moves, one that is not finite, and a policy that imitates nothing."""
 
+    class Stuck(WithoutWind):
         def step(self, x: Array, u: Array) -> Array:
             return 1.5 * x
 
-    assert regulated(point_mass(Stuck)) == []
-
-
-def test_a_model_that_is_not_finite_has_none() -> None:
     class Burst(WithoutWind):
         def step(self, x: Array, u: Array) -> Array:
             return np.nan * x
 
-    assert regulated(point_mass(Burst)) == []
-
-
-def test_a_policy_that_imitates_nothing_has_none() -> None:
     class Other(OutputFeedback):  # type: ignore[misc]
         def imitating(self, states: Array, inputs: Array) -> None:
             return None
 
-    assert regulated(point_mass(policy=Other)) == []
+    for model in (point_mass(Stuck), point_mass(Burst), point_mass(policy=Other)):
+        assert lqr_policies(model) == []
 
 
 def test_other_models_are_drawn_and_the_same_each_time() -> None:
     _, model = bongoboard(*DELAY)
-    once, again = (designs(model, 3) for _ in range(2))
-    assert len(once) == 3 * len(PRICES)
+    once, again = (list(LqrCandidates(model, 3)) for _ in range(2))
+    assert len(once) == 3 * len(INPUT_WEIGHTS)
     np.testing.assert_array_equal(once, again)
-    np.testing.assert_array_equal(once[: len(PRICES)], regulated(model))
-    assert not np.allclose(once[0], once[len(PRICES)])
-    assert designs(model, 0) == []
+    np.testing.assert_array_equal(once[: len(INPUT_WEIGHTS)], lqr_policies(model))
+    assert not np.allclose(once[0], once[len(INPUT_WEIGHTS)])
+    assert list(LqrCandidates(model, 0)) == []
 
 
 @pytest.mark.slow
@@ -142,11 +135,11 @@ def test_one_of_them_balances_where_searches_find_none(
         rollouts = [study.simulate(theta, None, start, model.nominal) for start in starts]
         return sum(rollout.failure is None for rollout in rollouts)
 
-    assert max(map(held, regulated(model))) == 8
+    assert max(map(held, lqr_policies(model))) == 8
 
 
-def test_searches_that_begin_without_regulators_say_so() -> None:
-    """Where a policy has no `imitating`; the candidates that were given are kept."""
+def test_searches_that_begin_without_lqr_say_so() -> None:
+    """Where a policy has no `imitating`."""
 
     class Gain(Policy):
         """u = theta x, without `imitating`."""
@@ -160,8 +153,6 @@ def test_searches_that_begin_without_regulators_say_so() -> None:
         def outputs(self, x: Array) -> Array:
             return x
 
-    given = [np.array([1.0, 2.0])]
-    with pytest.warns(SlowWarning, match="begin without regulators: Gain imitates none"):
-        assert list(Candidates(given, point_mass(policy=Gain), 3)) == given
-    assert list(Candidates(given, point_mass(policy=Gain), 0)) == given
-    assert len(Candidates(given, point_mass(), 1)) > 1
+    with pytest.warns(SlowWarning, match="begin without LQR: Gain imitates none"):
+        assert list(LqrCandidates(point_mass(policy=Gain), 3)) == []
+    assert list(LqrCandidates(point_mass(policy=Gain), 0)) == []

@@ -122,7 +122,7 @@ def test_by_default_the_declared_noise_is_the_hardwares() -> None:
 
 
 def test_a_hardware_without_noise_is_evaluated_without_any() -> None:
-    study = simbias.load([*POINT_MASS, "tracking=none", "evaluation=robust_models"], OWN_CONF)
+    study = simbias.load([*POINT_MASS, "tracking=none", "evaluation=domain_randomization"], OWN_CONF)
     costs = study.evaluation.objective(study.model(), study.cost, np.random.default_rng(0))
     assert [scenario.simulator.noise.shape for scenario in costs.scenarios] == [(1, 0, 3)] * 8
     assert np.isfinite(costs(np.array([9.0, 4.0, 0.0])))

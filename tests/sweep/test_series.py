@@ -19,7 +19,7 @@ from simbias.sweep.figures.experiments import Experiments
 from simbias.sweep.grid import expand
 
 LEARNERS = ["gp", "sparse_gp", "gp_learned", "none"]
-EVALUATIONS = ["nominal_start", "robust_posterior"]
+EVALUATIONS = ["nominal_start", "domain_randomization"]
 EIGHT_SERIES = f"""
 sweep:
   trials: 3

@@ -68,7 +68,7 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
     base = compose([f"+sweep={name}"]).config  # not expanded: that takes as long as the trials
     axes = [read_axis(*axis) for axis in base["sweep"]["axes"].items()]
     swept = {key for axis in axes for key in axis.keys}
-    wanted = {"evaluation.seconds": 0.2, "method.design": 1}
+    wanted = {"evaluation.seconds": 0.2, "method.lqr_candidates": 1}
     known = {f"{group}.{key}" for group in ("evaluation", "method") for key in base[group]}
     shorter = [
         f"{key}={value}" for key, value in wanted.items() if key in known and key.split(".")[0] not in swept

@@ -1,19 +1,30 @@
-"""What `python -m simbias check` finds wrong with a method."""
+"""What `python -m simbias check` finds wrong with a method, and what holds for all that ship."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from point_mass import InTheWind
 
+import simbias
 from simbias.core import Policy
+from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.policy.output_feedback import OutputFeedback
+from simbias.search.lqr import lqr_policies
 from simbias.testing.conformance import verdicts
+from simbias.trial.methods.algorithm1 import Algorithm1
+from simbias.trial.methods.lqr import Lqr
+from simbias.trial.methods.model_based import ModelBased
+from simbias.trial.run import run_trial
 from simbias.trial.steps import experiment
 from simbias.trial.study import Method, Observer, Study
+from simbias.trial.summary import Outcome
 
 
 class Guessing(Method):
@@ -50,9 +61,8 @@ class Gusty(InTheWind):
         return super().run(policy, theta, start, rng)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "problem"),
-    [
+def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
+    for wrong, problem in (
         ({}, ""),
         ({"counts_from": 1}, "Guessing.run: expected 2 experiments so far, got 3"),
         ({"max_experiments": 3}, "Guessing.run: expected at most 3 experiments, got 4"),
@@ -61,14 +71,51 @@ class Gusty(InTheWind):
             "Guessing.run: expected each search and each experiment to have a generator of its own, got ",
         ),
         ({"breaks": True}, "ZeroDivisionError: of nothing"),
-    ],
-    ids=["nothing", "its count", "too many experiments", "one generator for all", "an exception"],
+    ):
+        method = Guessing()
+        vars(method).update(wrong)
+        study = replace(point_mass, method=method, hardware=Gusty(point_mass.task))  # type: ignore[arg-type]
+        (verdict,) = verdicts(study, ["method"])
+        assert problem in verdict.problem
+        assert bool(problem) == bool(verdict.problem)
+        assert "\n" not in verdict.problem
+
+
+@pytest.mark.parametrize(
+    "method", [Algorithm1(2), ModelBased(2), Lqr()], ids=lambda each: type(each).__name__
 )
-def test_what_is_wrong_is_one_line(point_mass: Study, wrong: dict[str, object], problem: str) -> None:
-    method = Guessing()
-    vars(method).update(wrong)
-    study = replace(point_mass, method=method, hardware=Gusty(point_mass.task))  # type: ignore[arg-type]
-    (verdict,) = verdicts(study, ["method"])
-    assert problem in verdict.problem
-    assert bool(problem) == bool(verdict.problem)
-    assert "\n" not in verdict.problem
+def test_methods_that_ship_pass(point_mass: Study, method: Method) -> None:
+    study = replace(point_mass, policy=OutputFeedback(point_mass.task), method=method)
+    assert [verdict.problem for verdict in verdicts(study, ["method"])] == [""]
+
+
+def test_no_method_knows_another() -> None:
+    folder = ROOT / "simbias" / "trial" / "methods"
+    for file in folder.glob("*.py"):
+        assert "simbias.trial.methods" not in file.read_text(), file
+
+
+def test_lqr_of_the_nominal_model_is_one_design(point_mass: Study) -> None:
+    """After it there is no other policy to try, whether it succeeds or not."""
+    study = replace(point_mass, policy=OutputFeedback(point_mass.task), method=Lqr(input_weight=1000.0))
+    (only,) = study.run()
+    np.testing.assert_array_equal(only.parameters, lqr_policies(study.model(), [1000.0])[0])
+    assert (only.search, only.learning, len(only.experiments)) == (None, None, 2)
+
+
+def test_lqr_needs_a_policy_that_imitates_it(point_mass: Study) -> None:
+    with pytest.raises(ConfigError) as caught:
+        list(replace(point_mass, method=Lqr()).run())
+    assert caught.value.key == "method"
+
+
+@pytest.mark.slow
+def test_lqr_of_the_identified_model_is_designed_again(tmp_path: Path) -> None:
+    """Until it balances two poles by a motor that is weaker than its model's; read back, all is as it was."""
+    study = simbias.load(["preset=double_cartpole", "method=lqr", "method.identified=true", "tracking=none"])
+    first, again = (run_trial(study, tmp_path / study.hash) for _ in range(2))
+    assert first.outcome is Outcome.SUCCEEDED
+    assert [iteration.succeeded for iteration in first.iterations] == [False, True]
+    for one, other in zip(first.iterations, again.iterations, strict=True):
+        np.testing.assert_array_equal(one.parameters, other.parameters)
+        np.testing.assert_array_equal(one.experiments[0].states, other.experiments[0].states)

@@ -225,9 +225,9 @@ class Identified(Nominal):
         """The model with other values (k,) of its parameters."""
         return self._prior.with_parameters(values)
 
-    def narrowed(self, share: float) -> Identified:
-        """The model at the same parameters, with this share of the posterior's deviations."""
-        return Identified(self._prior, self.mode, share * self._spread, dict(self.diagnostics))
+    def narrowed(self, scale: float) -> Identified:
+        """The model at the same parameters, with `scale` times the deviations of the posterior."""
+        return Identified(self._prior, self.mode, scale * self._spread, dict(self.diagnostics))
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model from the posterior."""

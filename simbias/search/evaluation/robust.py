@@ -20,7 +20,7 @@ Aggregate = Literal["mean", "max", "cvar"]
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A world that might be the right one, and what happens in it."""
+    """A model that might be right, its noise, and a start."""
 
     simulator: Simulator
     start: Array  # (n,)
@@ -37,7 +37,7 @@ class CostOfScenarios:
         self._simulators = join([scenario.simulator for scenario in scenarios])
         self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
         self._cost = cost
-        self._worst = worst  # of the costs, so many worst ones are averaged
+        self._worst = worst  # number of the worst costs, which are averaged
         self._screening = screening
         self.steps = 0
         self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
@@ -47,11 +47,11 @@ class CostOfScenarios:
         return float(self.together(theta[None])[0])
 
     def together(self, thetas: Array) -> Array:
-        """The costs (k,) of thetas (k, p); all policies in all scenarios run in step."""
+        """The costs (k,) of thetas (k, p); all policies in all scenarios run in lockstep."""
         costs = np.zeros((len(thetas), len(self.scenarios)))
         every = np.arange(len(self.scenarios))
         first, others = every[: self._screening], every[self._screening :]
-        if self._share_promising > 0.5:  # so many in step that it pays to simulate some in vain
+        if self._share_promising > 0.5:  # enough in lockstep for it to pay to simulate some in vain
             costs = self._costs(thetas, every)
             hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
         else:
@@ -77,7 +77,7 @@ class CostOfScenarios:
 class Robust(Evaluation):
     """An aggregate of the costs of `rollouts` rollouts: common random numbers in all of a search.
 
-    Each has its own noise and, as told, its own start, nominal model and bias.
+    Each has its own noise and, if it is sampled, its own start, nominal model and bias.
 
     Parameters
     ----------

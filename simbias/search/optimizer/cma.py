@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -11,13 +12,14 @@ import numpy as np
 
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
-from simbias.core.ranges import Deviation, EvaluationCount, Population, Seconds, Share, Steps
+from simbias.core.ranges import Deviation, Population
 from simbias.core.records import Array
 
 RESOLUTION = "the resolution"
 UNUSED = ("matplotlib.pyplot", "scipy.stats")  # by the parts of pycma that are used here
 
 
+@dataclass(kw_only=True, eq=False)
 class Cma(Optimizer):
     """CMA-ES by pycma (N. Hansen, "The CMA Evolution Strategy: A Tutorial", 2016).
 
@@ -27,32 +29,14 @@ class Cma(Optimizer):
         Standard deviation of the first generation, in units of the box's width.
     population
         Points of a generation; None is pycma's default for the dimension.
-    max_evaluations
-        N_in; the search never makes more.
-    relative_tolerance
-        epsilon: the search ends when the best cost Z improves by less than epsilon |Z|.
-    max_steps, max_seconds
-        Of simulation and of wall time, after which the search ends too.
     """
 
-    def __init__(
-        self,
-        initial_deviation: Deviation,
-        population: Population | None,
-        max_evaluations: EvaluationCount,
-        relative_tolerance: Share,
-        max_steps: Steps | None = None,
-        max_seconds: Seconds | None = None,
-    ) -> None:
-        self.max_evaluations = max_evaluations
-        self.relative_tolerance = relative_tolerance
-        self.max_steps, self.max_seconds = max_steps, max_seconds
-        self._initial_deviation = initial_deviation
-        self._population = population
+    initial_deviation: Deviation
+    population: Population | None
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Search from the best point so far, or from the box's centre."""
-        return evolve(evaluations, rng, evaluations.start, self._initial_deviation, self._population)
+        return evolve(evaluations, rng, evaluations.start, self.initial_deviation, self.population)
 
 
 def evolve(
@@ -62,21 +46,20 @@ def evolve(
     deviation: float,
     population: int | None = None,
     resolution: float = 0.0,
-    generations: float = np.inf,
 ) -> str:
     """One run of CMA-ES with the mean `start` (p,); why it ended, in words.
 
     It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
-    keeps it inside. It gives up where no cost of a generation is satisfactory and all deviations are below
-    the resolution. Pycma's own tests on costs are off: they are absolute, or relative to what the cost of a
-    failure in Eq. 8 inflates.
+    keeps it inside. It gives up where no cost of a generation is below the target and all deviations are
+    below the resolution. Pycma's own tests on costs are off: they are absolute, or relative to what the cost
+    of a failure in Eq. 8 inflates.
     """
     width = evaluations.upper - evaluations.lower
     options = {
         "bounds": [0.0, 1.0],
         "randn": lambda *shape: rng.standard_normal(shape),  # leaves NumPy's global generator alone
         "seed": np.nan,  # of NumPy's global generator: not touched
-        "maxiter": generations,
+        "maxiter": np.inf,
         "tolfun": 0.0,
         "tolfunhist": 0.0,
         "verbose": -9,
@@ -92,7 +75,7 @@ def evolve(
         points = strategy.ask()
         costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
         strategy.tell(points, costs)
-        if max(strategy.stds) < resolution and min(costs) >= evaluations.satisfactory:
+        if max(strategy.stds) < resolution and min(costs) >= evaluations.target_cost:
             return RESOLUTION
     return f"pycma's {' and '.join(stop)}"
 

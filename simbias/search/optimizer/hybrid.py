@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
-from simbias.core.ranges import Deviation, EvaluationCount, Population, Seconds, Share, Steps
+from simbias.core.ranges import Deviation, EvaluationCount, Population, Share
 from simbias.core.records import Array
 from simbias.search.optimizer.cma import RESOLUTION, evolve
-from simbias.search.optimizer.nlopt import Algorithm, Nlopt
-from simbias.search.optimizer.sobol import Sobol
+from simbias.search.optimizer.nlopt import Algorithm, search_nlopt
+from simbias.search.optimizer.sobol import search_sobol
 
 
+@dataclass(kw_only=True, eq=False)
 class Hybrid(Optimizer):
-    """A global search explores the box until a cost is satisfactory, CMA-ES goes on from its best point.
+    """A global search until a cost is below the target, then CMA-ES from its best point.
 
-    Where not even that is satisfactory, both begin again, elsewhere if the exploration is random. CMA-ES goes
-    on from the best candidate, without a first exploration, if this one is satisfactory or a
-    `candidate_deviation` is given.
+    Where not even CMA-ES gets below the target, both begin again, elsewhere if the exploration is random.
+    CMA-ES continues from the best candidate, without a first exploration, if this one is below the target or
+    a `candidate_deviation` is given.
 
     Parameters
     ----------
@@ -34,67 +36,40 @@ class Hybrid(Optimizer):
         Points of a generation of CMA-ES; None is pycma's default for the dimension.
     resolution
         CMA-ES gives up when it fails and all its deviations are below it, in units of the box's width.
-    max_evaluations
-        N_in, of all stages; the search never makes more.
-    relative_tolerance
-        epsilon: the search ends when CMA-ES improves the best cost Z by less than epsilon |Z|.
-    max_steps, max_seconds
-        Of simulation and of wall time, after which the search ends too.
     candidate_deviation
         Standard deviation of CMA-ES's first generation around the best of the candidates, whatever it costs,
-        in units of the box's width; None is `initial_deviation`, around a satisfactory one.
+        in units of the box's width; None is `initial_deviation`, around one below the target.
     """
 
-    def __init__(
-        self,
-        exploration: Literal["sobol"] | Algorithm,
-        explorations: EvaluationCount,
-        initial_deviation: Deviation,
-        population: Population | None,
-        resolution: Share,
-        max_evaluations: EvaluationCount,
-        relative_tolerance: Share,
-        max_steps: Steps | None = None,
-        max_seconds: Seconds | None = None,
-        candidate_deviation: Deviation | None = None,
-    ) -> None:
-        self.max_evaluations = max_evaluations
-        self.relative_tolerance = relative_tolerance
-        self.max_steps, self.max_seconds = max_steps, max_seconds
-        self._explorer: Optimizer = (
-            Sobol(max_evaluations, relative_tolerance)
-            if exploration == "sobol"
-            else Nlopt(exploration, max_evaluations, relative_tolerance)
-        )
-        self._explorations = explorations
-        self._initial_deviation = initial_deviation
-        self._population = population
-        self._resolution = resolution
-        self._candidate_deviation = candidate_deviation
+    exploration: Literal["sobol"] | Algorithm
+    explorations: EvaluationCount
+    initial_deviation: Deviation
+    population: Population | None
+    resolution: Share
+    candidate_deviation: Deviation | None = None
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Explore and refine, again and again as long as that fails."""
-        own = self._candidate_deviation if evaluations.count else None
+        deviation = self.candidate_deviation if evaluations.count else None
         while True:
-            if own is None:
-                start = evaluations.start if evaluations.satisfied else self._explored(evaluations, rng)
-                stopped_by = self._refined(evaluations, rng, start, self._initial_deviation)
+            if deviation is None and not evaluations.below_target:
+                start = evaluations.explored(lambda part: self._explore(part, rng), self.explorations)
             else:
-                stopped_by = self._refined(evaluations, rng, evaluations.start, own)
-                own = None
-            if evaluations.satisfied and stopped_by != RESOLUTION:
+                start = evaluations.start
+            stopped_by = self._refined(evaluations, rng, start, deviation or self.initial_deviation)
+            if evaluations.below_target and stopped_by != RESOLUTION:
                 return stopped_by
+            deviation = None
+
+    def _explore(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
+        """The global search; why it ended, in words."""
+        if self.exploration == "sobol":
+            return search_sobol(evaluations, rng)
+        return search_nlopt(self.exploration, evaluations, rng)
 
     def _refined(
         self, evaluations: Evaluations, rng: np.random.Generator, start: Array, deviation: float
     ) -> str:
         """CMA-ES from a point (p,); why it ended. Its resolution is in proportion to its deviation."""
-        resolution = self._resolution * deviation / self._initial_deviation
-        return evolve(evaluations, rng, start, deviation, self._population, resolution)
-
-    def _explored(self, evaluations: Evaluations, rng: np.random.Generator) -> Array:
-        """The best point (p,) of a global search."""
-        exploration = evaluations.exploration(self._explorations)
-        exploration.run(lambda running: self._explorer.search(running, rng))
-        evaluations.adopt(exploration)
-        return exploration.start
+        resolution = self.resolution * deviation / self.initial_deviation
+        return evolve(evaluations, rng, start, deviation, self.population, resolution)

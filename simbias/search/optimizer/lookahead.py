@@ -2,20 +2,21 @@
 
 The points that DIRECT asks for next rarely depend on the last few costs. So a search is run on with guessed
 costs until it has asked for some points; they are evaluated together, all of them or some, and the search is
-run again from its start on what is known. The last run knows every cost: it is the sequential search, point
-by point. Costs that a run was told before its first guess are told to every later run, too, so they are not
-looked up again.
+run again from its start on what is known. Costs before the first guess are true, and judged as they come: so
+the last run, which guesses none, is the sequential search, point by point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass, field
 from itertools import compress
 
 import numpy as np
 
-from simbias.core.evaluations import Evaluations, Search, SearchEnded
-from simbias.core.records import Array, Flags
+from simbias.core.evaluations import Evaluations, SearchEnded
+from simbias.core.records import Array
 
 FIRST_GUESS = 1e6
 MOST = 32  # points asked for together; of more, too many guesses are wrong
@@ -26,93 +27,87 @@ class AskedEnough(Exception):  # noqa: N818 (no error, as StopIteration is none)
     """Ends a run on guesses."""
 
 
-def look_ahead(search: Search, evaluations: Evaluations) -> str:
-    """Run a search on evaluations; why it ended, in words.
+def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: Evaluations) -> str:
+    """Run a search, which gets a function that evaluates a point (p,); why it ended, in words.
 
-    `search` has to ask for the same points when it is given the same costs. An objective that offers
-    `together` or `speculate` is asked for several at once; one that does not, in turn.
+    It has to ask for the same points when it is given the same costs. An objective that offers `together` is
+    asked for several at once; one that does not, in turn.
     """
     if evaluations.together is None:
-        return search(evaluations)
-    past = Past(evaluations)
-    asked: list[bytes] = []  # by the last run, of what was not known
-    guessed: list[bytes] = []  # those of them that have been evaluated
+        return search(evaluations.evaluate)
+    past = Past()
+    guessed: list[bytes] = []  # points that were not known in the last run, and have been evaluated since
     size = MOST
     while True:
-        rehearsal = Rehearsal(past, size, evaluations.spent if past.known else None)
-        if (stopped_by := rehearsal.run(search, evaluations)) is not None:
+        run = Run(evaluations, past, size)
+        try:
+            stopped_by = search(run.evaluate)
+        except (AskedEnough, SearchEnded):
+            if not run.unknown:
+                raise
+        if not run.unknown:
             return stopped_by
-        if not rehearsal.asked.issuperset(asked[:1]):
-            raise RuntimeError(CAPRICIOUS)
         if guessed:
-            used = sum(point in rehearsal.asked for point in guessed)
+            used = sum(point in run.asked for point in guessed)
             size = min(max(2 * used * size // len(guessed), 1), MOST)  # where most were wrong, fewer are made
-        asked = list(rehearsal.unknown)
-        costs, known = _evaluated(evaluations, np.array(list(rehearsal.unknown.values())))
-        guessed = list(compress(asked, known))
+        costs, known = evaluations.guess(np.array(list(run.unknown.values())))
+        guessed = list(compress(run.unknown, known))
         past.known.update(zip(guessed, costs[known].tolist(), strict=True))
 
 
-def _evaluated(evaluations: Evaluations, points: Array) -> tuple[Array, Flags]:
-    """Costs (k,) of points (k, p), and whether they are known (k,): one at least is, all by `together`."""
-    if evaluations.speculate is not None:
-        return evaluations.speculate(points)
-    assert evaluations.together is not None
-    return evaluations.together(points), np.full(len(points), True)
-
-
+@dataclass
 class Past:
-    """What is known of a search: costs by point, and those of its first points, in their order."""
+    """What earlier runs of a search have found out."""
 
-    def __init__(self, evaluations: Evaluations) -> None:
-        self.known: dict[bytes, float] = {}
-        self.first: list[float] = []
-        self.end = evaluations  # as they stand after the first
-        self.next: bytes | None = None  # the point that follows them
+    judged: list[float] = field(default_factory=list)  # costs of the first points that the search asks for
+    next: bytes | None = None  # the point after these
+    known: dict[bytes, float] = field(default_factory=dict)  # costs by point
 
 
-class Rehearsal:
-    """A run of a search on known costs, guesses in place of others, until it asked for `size` of those.
+class Run:
+    """A run of a search on known costs, with guesses in place of others, up to `size` of them."""
 
-    Where the search's steps or seconds are spent, it ends with what is known.
-    """
-
-    def __init__(self, past: Past, size: int, spent: str | None) -> None:
+    def __init__(self, evaluations: Evaluations, past: Past, size: int) -> None:
+        self._evaluations = evaluations
         self._past = past
-        self._size = size
-        self._spent = spent
+        self._replayed = iter(past.judged[:])
         self._guess = max(past.known.values(), default=FIRST_GUESS)
-        self.asked: set[bytes] = set()
+        self._size = size
+        self.asked: set[bytes] = set()  # after those that are replayed
         self.unknown: dict[bytes, Array] = {}
 
-    def run(self, search: Search, evaluations: Evaluations) -> str | None:
-        """Why the search ended, in words; None if it asked for unknown costs, and is to be run again."""
-        self._evaluations = evaluations.rehearsal(self._recall, self._past.first, self._past.end)
-        try:
-            stopped_by = self._evaluations.run(search)
-        except AskedEnough:
-            return None
-        if self.unknown:
-            return None
-        evaluations.adopt(self._evaluations)
-        return stopped_by
+    def evaluate(self, point: Array) -> float:
+        """The cost of a point (p,), or a guess.
 
-    def _recall(self, point: Array) -> float:
-        """The cost of a point (p,), known or guessed."""
-        key = point.tobytes()
+        Raises
+        ------
+        SearchEnded
+            As of `Evaluations.evaluate`; if some costs are unknown, it would if the guesses were right.
+        AskedEnough
+            If `size` costs are unknown.
+        """
+        if (judged := next(self._replayed, None)) is not None:
+            return judged
+        inside = self._evaluations.inside(point)
+        key = inside.tobytes()
         if not self.asked and self._past.next not in (None, key):
             raise RuntimeError(CAPRICIOUS)
         self.asked.add(key)
+        if not self.unknown:
+            self._past.next = key
         cost = self._past.known.get(key)
         if cost is None:
-            if self._spent is not None:
-                raise SearchEnded(self._spent)
-            if not self.unknown:
-                self._past.end, self._past.next = copy(self._evaluations), key
-            self.unknown[key] = point.copy()
-            if len(self.unknown) >= self._size:
-                raise AskedEnough
-            return self._guess
+            cost = self._guessed(inside, key)
+        elif not self.unknown:
+            self._past.judged.append(cost)
+        return self._evaluations.judge(inside, cost)
+
+    def _guessed(self, inside: Array, key: bytes) -> float:
+        """A cost in place of an unknown one."""
+        self._evaluations.check_budget()
         if not self.unknown:
-            self._past.first.append(cost)
-        return cost
+            self._evaluations = copy(self._evaluations)  # guesses, and what follows them, are judged apart
+        self.unknown[key] = inside
+        if len(self.unknown) == self._size:
+            raise AskedEnough
+        return self._guess

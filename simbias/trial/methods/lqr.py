@@ -1,0 +1,72 @@
+"""Linear-quadratic regulation, without any search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simbias.core.errors import ConfigError
+from simbias.core.ranges import Count, Scale
+from simbias.core.records import Iteration, Rollout
+from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.trial.steps import Stopwatch, experiment, iteration_record
+from simbias.trial.study import Method, Observer, Study
+
+
+class Lqr(Method):
+    """Try the policy that imitates the LQR of the nominal model; if asked for, of the identified one then.
+
+    Parameters
+    ----------
+    input_weight
+        Weight of the squared inputs at their limits, that of the squared deviation of a state by one unit
+        being 1: smaller ones give quicker regulators.
+    experiments
+        Hardware experiments of an iteration.
+    identified
+        A failure is learned from: the nominal model's parameters are identified from all experiments, and the
+        policy is designed again.
+    max_iterations
+        Designs, with identification; without, there is one.
+    """
+
+    def __init__(
+        self,
+        input_weight: Scale = INPUT_WEIGHTS[1],
+        experiments: Count = 2,
+        identified: bool = False,
+        max_iterations: Count = 10,
+    ) -> None:
+        self.max_iterations = max_iterations if identified else 1
+        self.max_experiments = self.max_iterations * experiments
+        self._input_weight = input_weight
+        self._experiments = experiments
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every iteration.
+
+        Raises
+        ------
+        ConfigError
+            If the model has no LQR, or the policy cannot imitate it.
+        """
+        nominal, experiments = study.nominal, list[Rollout]()
+        for index in range(self.max_iterations):
+            clock = Stopwatch()
+            with clock("learning"):
+                if experiments:
+                    nominal = study.identification.fit(study.nominal, experiments)
+            with clock("design"):
+                policies = lqr_policies(study.model(None, nominal), (self._input_weight,))
+            if not policies:
+                problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
+                raise ConfigError("method", problem)
+            (theta,) = policies
+            with clock("experiments"):
+                rollouts = experiment(study, theta, rng, observer, self._experiments)
+            experiments += rollouts
+            succeeded = all(map(study.cost.passes, rollouts))
+            yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock)
+            if succeeded:
+                return

@@ -1,0 +1,112 @@
+"""Algorithm 1 with what saves hardware experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simbias.core.ranges import Count, CountOrZero, Positive, Share
+from simbias.core.records import Iteration, Learning, Rollout
+from simbias.search.lqr import LqrCandidates
+from simbias.trial.model_selection import log_likelihoods, most_likely
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
+from simbias.trial.study import Method, Observer, Study
+
+
+class ModelBased(Method):
+    """Alternate policy search in simulation with hardware experiments and learning, as Algorithm 1 does.
+
+    With the defaults it is Algorithm 1.
+
+    Parameters
+    ----------
+    max_iterations
+        N_out.
+    experiments
+        Hardware experiments of an iteration.
+    keep_data
+        Data outlive a search that ends above Z_max, where Algorithm 1 clears the model.
+    stop_at_failure
+        An iteration ends its experiments with the first that fails: the policy is refuted, and the next one
+        may teach more.
+    retry_search
+        How often a search that does not end below the target cost is made again before hardware is spent on
+        its policy.
+    target_cost
+        Predicted cost Z below which a search has succeeded; None is Z_max.
+    posterior_scale
+        In each further search, models are drawn from an identified posterior with the deviations before times
+        this: no policy may hold on all that few data allow.
+    passes
+        Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
+        those beyond are made only as long as all are passed.
+    model_selection
+        Search on the model that predicts experiments best which it did not learn from: the nominal one as
+        declared, with identified parameters, or with a bias too (`simbias.trial.model_selection`); else on
+        the last.
+    lqr_candidates
+        Number of models, the most probable one and draws, whose LQR policies (`simbias.search.lqr`) a search
+        evaluates first.
+    """
+
+    def __init__(
+        self,
+        max_iterations: Count = 10,
+        experiments: Count = 2,
+        keep_data: bool = False,
+        stop_at_failure: bool = False,
+        retry_search: CountOrZero = 0,
+        target_cost: Positive | None = None,
+        posterior_scale: Share = 1.0,
+        passes: Count | None = None,
+        model_selection: bool = False,
+        lqr_candidates: CountOrZero = 0,
+    ) -> None:
+        if passes is not None and passes < experiments:
+            raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
+        self.max_iterations = max_iterations
+        self._passes = passes or experiments
+        self.max_experiments = max_iterations * self._passes
+        self._before_stop = 1 if stop_at_failure else experiments
+        self._keep_data = keep_data
+        self._retry_search = retry_search
+        self._target_cost = target_cost
+        self._posterior_scale = posterior_scale
+        self._model_selection = model_selection
+        self._lqr_candidates = lqr_candidates
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every iteration."""
+        search_rng, hardware_rng = rng.spawn(2)
+        data, model = study.no_data, study.model()
+        experiments: list[Rollout] = []
+        learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
+        for index in range(self.max_iterations):
+            clock = Stopwatch()
+            with clock("search"):
+                candidates = LqrCandidates(model, self._lqr_candidates)
+                retries = self._retry_search, self._target_cost, self._posterior_scale
+                found = search(study, model, search_rng, observer, candidates, *retries)
+            theta = found.optimum.parameters
+            reset = found.predicted_cost > study.cost.max_cost and not self._keep_data
+            if reset:
+                data, learned_from = study.no_data, []
+            with clock("experiments"):
+                counts = self._passes, self._before_stop
+                rollouts = experiment(study, theta, hardware_rng, observer, *counts)
+            experiments += rollouts
+            succeeded = all(map(study.cost.passes, rollouts))
+            likelihoods: dict[str, float] = {}
+            with clock("learning"):
+                if not succeeded:
+                    learned_from.append(rollouts)
+                    likelihoods = log_likelihoods(study, experiments) if self._model_selection else {}
+                    model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
+                selection = study.samples.select(rollouts, model.nominal)
+            learning = Learning(selection, data, reset, likelihoods)
+            yield iteration_record(
+                index, theta, rollouts, succeeded, len(experiments), clock, found, learning
+            )
+            if succeeded:
+                return

@@ -1,0 +1,212 @@
+"""What the model-based method adds to Algorithm 1, one option at a time."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from point_mass import Distance, PointMass, WithoutWind
+from scripted import FRAMES, ScriptedHardware
+from scripted import scripted as run_scripted
+
+from simbias.core import Evaluation, Model
+from simbias.core.records import Iteration
+from simbias.learning.bias.none import NoBias
+from simbias.policy.output_feedback import OutputFeedback
+from simbias.search import lqr
+from simbias.search.evaluation.nominal_start import NominalStart
+from simbias.search.lqr import lqr_policies
+from simbias.search.optimizer.nlopt import Nlopt
+from simbias.trial.methods.algorithm1 import Algorithm1
+from simbias.trial.methods.model_based import ModelBased
+from simbias.trial.run import run_trial
+from simbias.trial.study import Study
+
+
+def scripted(study: Study, predicted: list[float], hardware: list[float], **options: Any) -> list[Iteration]:
+    """Run with the costs that searches predict and experiments have, two an iteration; Z_max is 0.1875."""
+    return run_scripted(study, ModelBased(**options), predicted, hardware)
+
+
+def test_with_its_defaults_it_is_algorithm_1(point_mass: Study) -> None:
+    """Also where a search clears the model."""
+    costs = [0.1, 0.19, 0.1], [0.9] * 4 + [0.0] * 2
+    both = (run_scripted(point_mass, method, *costs) for method in (Algorithm1(), ModelBased()))
+    for one, other in zip(*both, strict=True):
+        assert one.learning.reset == other.learning.reset
+        assert one.total_experiments == other.total_experiments
+        np.testing.assert_array_equal(one.parameters, other.parameters)
+        np.testing.assert_array_equal(one.learning.data.residuals, other.learning.data.residuals)
+
+
+class Impossible(Distance):
+    """Every policy fails."""
+
+    max_cost = 0.0
+
+
+def test_kept_data_outlive_a_bad_search(point_mass: Study) -> None:
+    """Lines 6-8 left out."""
+    iterations = scripted(point_mass, [0.1, 0.19, 0.1], [0.9] * 4 + [0.0] * 2, keep_data=True)
+    max_cost = point_mass.cost.max_cost
+    assert [i.search.predicted_cost > max_cost for i in iterations] == [False, True, False]
+    assert [i.learning.reset for i in iterations] == [False] * 3
+    assert [len(i.learning.data) for i in iterations] == [10, 20, 20]
+
+
+def test_an_iteration_may_stop_at_its_first_failure(point_mass: Study) -> None:
+    """Only experiments that were made count; a failure in the last one saves none."""
+    iterations = scripted(point_mass, [0.1] * 3, [0.9, 0.1, 0.8, 0.1, 0.1], stop_at_failure=True)
+    assert [[r.cost for r in i.experiments] for i in iterations] == [
+        pytest.approx(costs) for costs in ([0.9], [0.1, 0.8], [0.1, 0.1])
+    ]
+    assert [i.total_experiments for i in iterations] == [1, 3, 5]
+    assert [i.hardware_cost for i in iterations] == pytest.approx([0.9, 0.8, 0.1])
+    assert [len(i.learning.data) for i in iterations] == [5, 15, 15]
+
+
+def test_z_max_itself_stops_an_iteration(point_mass: Study) -> None:
+    """As it is no success (line 10)."""
+    at_limit = point_mass.cost.max_cost
+    first, _ = scripted(point_mass, [0.1] * 2, [at_limit, 0.0, 0.0], stop_at_failure=True)
+    assert len(first.experiments) == 1
+
+
+def test_stopping_early_changes_no_later_start(point_mass: Study) -> None:
+    """Iterations compare on common random numbers."""
+    whole, stopped = (
+        list(replace(point_mass, bias=NoBias(), method=ModelBased(3, stop_at_failure=stop)).run())
+        for stop in (False, True)
+    )
+    assert [len(i.experiments) for i in stopped] == [1, 1, 1]
+    for a, b in zip(whole, stopped, strict=True):
+        np.testing.assert_array_equal(a.experiments[0].states, b.experiments[0].states)
+
+
+def test_a_failed_search_is_made_again(point_mass: Study) -> None:
+    """Before hardware is spent on its policy; the evaluations are those of all searches."""
+    once = scripted(point_mass, [0.1], [0.0] * 2)
+    first, second = scripted(point_mass, [0.3, 0.19, 0.1, 0.1], [0.9] * 2 + [0.0] * 2, retry_search=2)
+    assert first.search.predicted_cost == 0.1
+    assert not first.learning.reset
+    assert first.search.optimum.evaluations == 3 * once[0].search.optimum.evaluations
+    assert first.search.optimum.stopped_by.endswith(", in search 3 of 3")
+    assert second.search.optimum.evaluations == once[0].search.optimum.evaluations
+    assert second.search.optimum.stopped_by == once[0].search.optimum.stopped_by
+
+
+def test_the_target_cost_may_be_less_than_z_max(point_mass: Study) -> None:
+    """A search that ends between the two is made again, and clears nothing if it ends there again."""
+    options = {"retry_search": 1, "target_cost": 0.15}
+    first, last = scripted(point_mass, [0.19, 0.18, 0.1], [0.9] * 2 + [0.0] * 2, **options)
+    assert first.search.predicted_cost == 0.18
+    assert first.search.optimum.stopped_by.endswith(", with no cost below 0.15, in search 2 of 2")
+    assert not first.learning.reset
+    assert " search " not in last.search.optimum.stopped_by
+
+
+def test_after_its_last_retry_a_failed_search_is_one(point_mass: Study) -> None:
+    """Lines 6-9 follow, with the best policy of all."""
+    first, last = scripted(point_mass, [0.3, 0.2, 0.25, 0.1], [0.9] * 2 + [0.0] * 2, retry_search=2)
+    assert first.search.predicted_cost == 0.2
+    assert first.search.optimum.stopped_by.endswith(", in search 2 of 3")
+    assert first.learning.reset
+    assert len(first.experiments) == 2
+    assert last.succeeded
+
+
+class Spread(Evaluation):
+    """Predicts the deviation of the models that a search draws, as its cost."""
+
+    def objective(self, model, cost, rng):
+        return lambda theta: model.nominal.deviation
+
+
+class Uncertain(WithoutWind):
+    """A model whose draws deviate from it."""
+
+    deviation = 1.0
+
+    def narrowed(self, scale):
+        nearer = copy(self)
+        nearer.deviation = scale * self.deviation
+        return nearer
+
+
+def test_a_search_made_again_draws_nearer_models(point_mass: Study) -> None:
+    """With half of the deviations each time, until a policy holds on them; the next iteration begins anew."""
+    task = PointMass(horizon=FRAMES)
+    study = replace(point_mass, task=task, evaluation=Spread(), nominal=Uncertain(task))
+    method = ModelBased(2, retry_search=3, posterior_scale=0.5, target_cost=0.3)
+    for iteration in replace(study, method=method, hardware=ScriptedHardware([0.9] * 4)).run():
+        assert iteration.search.predicted_cost == 0.25
+        assert iteration.search.optimum.stopped_by.endswith(", in search 3 of 3")
+    method = ModelBased(1, retry_search=3, target_cost=0.3)
+    (same,) = replace(study, method=method, hardware=ScriptedHardware([0.9] * 2)).run()
+    assert same.search.predicted_cost == 1.0
+
+
+def test_a_search_made_again_draws_other_numbers(point_mass: Study) -> None:
+    """With an optimizer that draws, the best of three searches is as good as the first, or better."""
+    impossible = replace(
+        point_mass,
+        cost=Impossible(),
+        optimizer=Nlopt(algorithm="GN_CRS2_LM", max_evaluations=50, relative_tolerance=1e-6),
+    )
+    once, thrice = (
+        next(replace(impossible, method=ModelBased(1, retry_search=retries)).run()) for retries in (0, 2)
+    )
+    assert thrice.search.optimum.evaluations == 3 * once.search.optimum.evaluations == 150
+    assert thrice.search.predicted_cost < once.search.predicted_cost
+
+
+def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
+    evaluated: list[np.ndarray] = []
+
+    class Recorded(NominalStart):
+        def objective(self, model, cost, rng):
+            objective = super().objective(model, cost, rng)
+            return lambda theta: evaluated.append(theta) or objective(theta)
+
+    study = replace(
+        point_mass,
+        evaluation=Recorded(point_mass.task),
+        bias=NoBias(),
+        policy=OutputFeedback(point_mass.task),
+        method=ModelBased(1, lqr_candidates=1),
+    )
+    list(study.run())
+    expected = lqr_policies(study.model())
+    assert len(expected) > 1
+    np.testing.assert_array_equal(evaluated[: len(expected)], expected)
+
+
+def test_a_search_that_is_replayed_designs_no_lqr(
+    point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models: list[Model] = []
+    monkeypatch.setattr(lqr, "lqr_policies", lambda model: models.append(model) or lqr_policies(model))
+    study = replace(
+        point_mass, policy=OutputFeedback(point_mass.task), method=ModelBased(1, lqr_candidates=2)
+    )
+    policies = [run_trial(study, tmp_path / study.hash).iterations[0].parameters for _ in range(2)]
+    assert len(models) == 2
+    np.testing.assert_array_equal(*policies)
+
+
+def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
+    """Further experiments follow those of an iteration as long as all pass, and count."""
+    hardware = [0.9, 0.0] + [0.0, 0.0, 0.9] + [0.0] * 4
+    iterations = scripted(point_mass, [0.1] * 3, hardware, passes=4)
+    assert [i.succeeded for i in iterations] == [False, False, True]
+    assert [i.total_experiments for i in iterations] == [2, 5, 9]
+    hardware = [0.9] + [0.0, 0.0, 0.9] + [0.0] * 4
+    iterations = scripted(point_mass, [0.1] * 3, hardware, passes=4, stop_at_failure=True)
+    assert [i.total_experiments for i in iterations] == [1, 4, 8]
+    assert ModelBased(max_iterations=3, experiments=2, passes=4).max_experiments == 12
+    with pytest.raises(ValueError, match="passes: 1 are fewer than the 2 experiments"):
+        ModelBased(passes=1)
