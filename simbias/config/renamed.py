@@ -12,6 +12,7 @@ RENAMED: Mapping[str, str] = {
     "held_out.lasting": "policy_test.long_episodes",
     "held_out.seconds": "policy_test.long_seconds",
     "held_out.starts": "policy_test.episodes",
+    "hardware.orders": "hardware.requests",
     "simbias.bias": "simbias.learning.bias",
     "simbias.evaluation": "simbias.search.evaluation",
     "simbias.hardware.box2d": "simbias.robots.bongoboard.box2d",
