@@ -3,8 +3,8 @@
     python -m simbias ... hardware=process hardware.command="python3 echo_robot.py"
 
 It reads a request from standard input, runs the loop itself, and writes a trajectory to standard output. A
-program for a real robot does the same: send u, wait for the next frame, read x; and stop beyond the limits. On
-SIGTERM it brings the robot to rest within a second.
+program for a real robot does the same: send u, wait for the next frame, read x; and stop beyond the limits.
+On SIGTERM it brings the robot to rest within a second.
 """
 
 import json

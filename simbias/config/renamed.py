@@ -9,10 +9,10 @@ from simbias.core.errors import ConfigError
 # An old key (`group.key`), option (`group=option`), module or class -> the new one. A key or module stands
 # for all that is below it. Sorted.
 RENAMED: Mapping[str, str] = {
+    "hardware.orders": "hardware.requests",
     "held_out.lasting": "policy_test.long_episodes",
     "held_out.seconds": "policy_test.long_seconds",
     "held_out.starts": "policy_test.episodes",
-    "hardware.orders": "hardware.requests",
     "simbias.bias": "simbias.learning.bias",
     "simbias.evaluation": "simbias.search.evaluation",
     "simbias.hardware.box2d": "simbias.robots.bongoboard.box2d",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,11 @@ from simbias.core import HardwareError, Policy
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety
+from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
 from simbias.trial.prediction import DRAWS, predict
+from simbias.trial.run import run_trial
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome
 
 THETA = np.array([4.0, 4.0, -2.0])
 START = np.array([0.5, 0.0])
@@ -223,21 +225,19 @@ def test_a_person_is_asked_once(
     assert ("the experiment was not confirmed" in captured.err) == (status == WAITING)
 
 
-def test_what_is_recalled_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
-    from simbias.trial.journal import Journal
-    from simbias.trial.run import Outcome, run_trial
-
-    starts: list[Mapping[str, Any] | Array] = []
+def test_what_is_replayed_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
+    starts: list[Array] = []
 
     def allow_first(theta: Array, start: Array) -> bool:
         starts.append(start)
         return len(starts) == 1
 
-    whole = run_trial(point_mass, Journal(tmp_path / "journal"))
-    for entry in sorted((tmp_path / "journal").glob("*_experiment.npz"))[-1:]:
-        entry.unlink()  # it was killed in the last experiment
+    whole, folder = run_trial(point_mass, tmp_path), TrialFolder(tmp_path)
+    steps = folder.steps()
+    last = max(index for index, step in enumerate(steps) if step.name.endswith(EXPERIMENT))
+    for file in (*steps[last:], tmp_path / OUTCOME):
+        file.unlink()  # it was killed in the last experiment
     asking = replace(point_mass, conditions=ExperimentConditions(confirm=True, ask=allow_first))
-    record = run_trial(asking, Journal(tmp_path / "journal"))
-    assert record.outcome is Outcome.SUCCEEDED
+    assert run_trial(asking, tmp_path).outcome is Outcome.SUCCEEDED
     assert len(starts) == 1
     np.testing.assert_array_equal(starts[0], whole.iterations[-1].experiments[-1].states[0])

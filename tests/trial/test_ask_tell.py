@@ -32,7 +32,7 @@ def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
         point_mass.tell(made(point_mass, request))
         asked += 1
     by_itself = list(point_mass.run())
-    told = point_mass.dialogue.iterations
+    told = point_mass.ask_tell.iterations
     assert len(told) == len(by_itself) > 1
     assert asked == by_itself[-1].total_experiments
     for one, other in zip(told, by_itself, strict=True):
