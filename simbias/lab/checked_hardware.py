@@ -79,11 +79,11 @@ class CheckedHardware(Hardware):
     Parameters
     ----------
     hardware
-        Trusted in nothing.
+        May raise, hang, or return anything.
     task
-        Whose rollouts it should return.
+        Defines the shapes, the horizon and the limits of its rollouts.
     conditions
-        Of all experiments.
+        Timeout, safety limits and confirmation.
     record
         Replays and keeps its experiments; without one, nothing is kept.
 
@@ -164,9 +164,9 @@ class CheckedHardware(Hardware):
 
         try:
             return self._here(experiment) if self._timeout is None else self._in_time(experiment)
+        except KeyboardInterrupt:
+            raise
         except BaseException as error:  # also SystemExit, and what other libraries cancel tasks by
-            if isinstance(error, KeyboardInterrupt):
-                raise
             if limited and (aborted := limited.aborted):
                 _Call(self._hardware.stop).ended(STOP_SECONDS)
                 return aborted

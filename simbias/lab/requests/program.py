@@ -125,7 +125,9 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
                 file.seek(0)
                 holder = f"it still runs for another experiment (process {file.read().strip() or 'unknown'})"
             if time.monotonic() >= until:
-                raise HardwareError(f"{holder}, after {seconds:g} s; end it first")
+                raise HardwareError(
+                    f"{holder}, after {seconds:g} s; end it, or say hardware.exclusive=false if it is a simulator"
+                )
             if not waits:
                 logging.getLogger(__name__).warning("simbias: %s; waiting for its end", holder)
             waits = True

@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core import HardwareError, Quantity, Task
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
-from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.requests.request import START_DEVIATIONS, ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
@@ -138,8 +138,8 @@ def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest,
             raise HardwareError(f"{where} at most {limit:g} {quantity.unit}, got {begun[index]:g}{reason}")
         if abs(begun[index] - start[index]) > tolerance:
             raise HardwareError(
-                f"{where} the start {start[index]:g} within {tolerance:g} {quantity.unit}, "
-                f"got {begun[index]:g}{reason}"
+                f"{where} the start {start[index]:g} within {tolerance:g} {quantity.unit} "
+                f"({START_DEVIATIONS:g} deviations of the task's starts), got {begun[index]:g}{reason}"
             )
     failure = task.failure(begun)
     if failure and not task.failure(start):
