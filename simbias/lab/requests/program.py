@@ -126,7 +126,7 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
                 holder = f"it still runs for another experiment (process {file.read().strip() or 'unknown'})"
             if time.monotonic() >= until:
                 raise HardwareError(
-                    f"{holder}, after {seconds:g} s; end it, or say hardware.exclusive=false if it is a simulator"
+                    f"{holder}, after {seconds:g} s; end it, or set hardware.exclusive=false for a simulator"
                 )
             if not waits:
                 logging.getLogger(__name__).warning("simbias: %s; waiting for its end", holder)
