@@ -12,6 +12,7 @@ RENAMED: Mapping[str, str] = {
     "evaluation=lasting": "evaluation=domain_randomization_30s",
     "evaluation=robust_models": "evaluation=domain_randomization",
     "evaluation=robust_posterior": "evaluation.sample_bias",
+    "hardware.orders": "hardware.requests",
     "held_out.lasting": "policy_test.long_episodes",
     "held_out.seconds": "policy_test.long_seconds",
     "held_out.starts": "policy_test.episodes",
