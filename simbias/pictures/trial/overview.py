@@ -100,7 +100,7 @@ def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None
 
 
 def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> list[NamedRollout]:
-    """The worst experiment of an iteration's policy, after the same in simulation, if it was searched in one."""
+    """The worst experiment of an iteration's policy, after the same in simulation if there was a search."""
     experiment, count = worst_experiment(iteration), len(policy_experiments(iteration))
     name = hardware_words(study) + (f", worst of {count}" if count > 1 else "")
     simulation = in_simulation(study, iterations, iteration, experiment)
