@@ -15,7 +15,7 @@ from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.style import save
 from simbias.pictures.trial.gallery import save_all
 from simbias.pictures.trial.overview import overview
-from simbias.trial.run import RecordedTrial
+from simbias.trial.run import TrialRecord
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         "or run a trial without storing it, and save its overview.",
     )
     parser.add_argument(
-        "what", metavar="TRIAL | OUT.png", help="a trial's run in MLflow, or the file to write"
+        "what", metavar="TRIAL | OUT.png", help="a trial's folder or its run in MLflow, or the file to write"
     )
     parser.add_argument(
         "more", nargs="*", metavar="FOLDER | override", help="overrides as of python -m simbias"
@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _stored(name: str, parsed: argparse.Namespace) -> RecordedTrial:
+def _stored(name: str, parsed: argparse.Namespace) -> TrialRecord:
     """The stored trial of a name."""
     return load_trial(name, parsed.uri, parsed.config_dir, parsed.allow)
 
