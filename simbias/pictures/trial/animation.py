@@ -19,15 +19,15 @@ from PIL import Image
 from simbias.core import Task
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures.elements.drawing import Movement, NoPictureError, drawing_of, movement_of, share_view
-from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, SMALL, seconds
+from simbias.pictures.elements.style import SMALL, seconds
 from simbias.pictures.trial.comparison import (
+    NamedRollout,
+    compared_words,
     hardware_words,
+    in_simulation,
+    learned_before,
     on_hardware,
-    outcome_words,
-    policy_words,
-    search_bias,
-    search_nominal,
-    search_samples,
+    on_nominal,
     worst_experiment,
 )
 from simbias.trial.study import Study
@@ -63,23 +63,15 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
     """
     iteration = on_hardware(iterations)[-1]
     experiment = worst_experiment(iteration)
-    theta, start, bias = experiment.parameters, experiment.states[0], search_bias(iteration)
-    rollouts = [("nominal model", NOMINAL, study.simulate(theta, None, start))]
-    if bias is not None and search_samples(iterations, iteration):
-        rollouts.append(
-            (
-                "nominal model + learned bias",
-                SIMULATION,
-                study.simulate(theta, bias, start, search_nominal(iteration)),
-            )
-        )
-    rollouts.append((hardware_words(study), HARDWARE, experiment))
-    headline = f"{policy_words(iteration)}: {outcome_words(study, experiment)}"
-    animate(study.task, rollouts, headline, file)
+    rollouts: list[NamedRollout | None] = [on_nominal(study, experiment)]
+    if learned_before(iterations, iteration):
+        rollouts.append(in_simulation(study, iterations, iteration, experiment))
+    rollouts.append(NamedRollout(hardware_words(study), experiment))
+    animate(study.task, [each for each in rollouts if each], compared_words(study, iteration), file)
 
 
 def animate(
-    task: Task, rollouts: Sequence[tuple[str, str, Rollout]], headline: str, file: Path | str | IO[bytes]
+    task: Task, rollouts: Sequence[NamedRollout], headline: str, file: Path | str | IO[bytes]
 ) -> None:
     """Write a GIF, in real time, of rollouts side by side, each under its name, in its colour.
 
@@ -93,9 +85,9 @@ def animate(
         raise NoPictureError(f"nothing draws and moves {type(task).__name__}")
     figure = Figure(dpi=DOTS_PER_INCH)
     scenes = []
-    for index, (name, color, rollout) in enumerate(rollouts):
+    for index, (name, rollout, color, _) in enumerate(rollouts):
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), label=str(index))
-        axes.set_title(name, fontsize="medium", color=color)
+        axes.set_title(fill(name, LINE), fontsize=SMALL, color=color)
         artists = draw(axes, task, rollout.states[0], color=color)
         clock = axes.text(0.5, -0.02, "", transform=axes.transAxes, ha="center", va="top", fontsize=SMALL)
         scenes.append(Scene(axes, rollout, artists, clock))
