@@ -99,7 +99,7 @@ def _line(axes: Axes, trial: pd.DataFrame, aside: float) -> None:
 
 
 def _caption(panels: dict[str, pd.DataFrame], max_cost: float) -> str:
-    """What is seen."""
+    """The caption, from the numbers."""
     sentences = []
     for title, own in panels.items():
         trials = [trial for _, trial in own.groupby("repetition")]

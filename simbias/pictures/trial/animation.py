@@ -36,9 +36,9 @@ WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture and of each dra
 HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings
 PICTURE_SECONDS = 0.1  # GIF knows hundredths of a second
 LAST = 1500  # ms for which the last picture stays
-COLOURS, NEARLY_WHITE = 24, 245
+COLORS, NEARLY_WHITE = 24, 245
 LINE = 34  # characters
-LOOKS = 20  # at each rollout, to find a view that holds it
+VIEW_FRAMES = 20  # of each rollout, to find a view that holds it
 
 
 class Scene(NamedTuple):
@@ -73,7 +73,7 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
 def animate(
     task: Task, rollouts: Sequence[NamedRollout], headline: str, file: Path | str | IO[bytes]
 ) -> None:
-    """Write a GIF, in real time, of rollouts side by side, each under its name, in its colour.
+    """Write a GIF, in real time, of rollouts side by side, each under its name, in its color.
 
     Raises
     ------
@@ -103,9 +103,9 @@ def animate(
 
 
 def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement) -> None:
-    """Put the scenes side by side, in one view that holds all that they will show."""
+    """Put the scenes side by side, in one view that holds all their frames."""
     for axes, rollout, artists, _ in scenes:
-        for frame in np.linspace(0, rollout.frames, LOOKS).round().astype(int):
+        for frame in np.linspace(0, rollout.frames, VIEW_FRAMES).round().astype(int):
             move(artists, task, rollout.states[frame])
             for patch in artists.values():
                 if isinstance(patch, Patch):
@@ -148,9 +148,9 @@ def _pictures(
 
 
 def _palette(picture: Image.Image) -> Image.Image:
-    """The colours of a picture; what is nearly white becomes white, as it was before they were averaged."""
-    palette = picture.quantize(COLOURS, dither=Image.Dither.NONE)
-    colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.min(axis=1) >= NEARLY_WHITE] = 255
-    palette.putpalette(colours.ravel().tolist())
+    """The palette of a picture; nearly white becomes white, as it was before colors were averaged."""
+    palette = picture.quantize(COLORS, dither=Image.Dither.NONE)
+    colors = np.array(palette.getpalette()).reshape(-1, 3)
+    colors[colors.min(axis=1) >= NEARLY_WHITE] = 255
+    palette.putpalette(colors.ravel().tolist())
     return palette

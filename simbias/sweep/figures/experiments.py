@@ -48,7 +48,7 @@ class Experiments(SweepFigure):
 
 
 def _caption(table: pd.DataFrame) -> str:
-    """What is seen."""
+    """The caption, from the numbers."""
     trials, successes = table["trials"].sum(), table["succeeded"].sum()
     papers = "; hollow: the paper's means" if table["paper"].notna().any() else ""
     fewer, paper = (table["mean"] < table["paper"]).sum(), table["paper"].notna().sum()
@@ -63,7 +63,7 @@ def _caption(table: pd.DataFrame) -> str:
 
 def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     """The cells along an axis, a curve for each combination of the others."""
-    from matplotlib.figure import Figure  # lazily: a sweep is told of before anything is drawn
+    from matplotlib.figure import Figure  # lazily: a sweep is announced before anything is drawn
 
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
