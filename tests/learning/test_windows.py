@@ -11,7 +11,7 @@ import pytest
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters
-from simbias.learning.bias.held_out import HeldOut, OfWindows, _Fits, _outliers, features, root
+from simbias.learning.bias.window_gp import WindowGP, OfWindows, _Fits, _outliers, features, root
 from simbias.learning.bias.posterior import Drawn
 from simbias.learning.bias.sensitivity import Sensitivity
 from simbias.learning.prediction_errors import Errors, correlation_time
@@ -134,7 +134,7 @@ def test_the_gain_is_that_of_windows_that_were_left_out() -> None:
     ],
 )
 def test_durations_are_rounded_to_frames(options: Any, window: int, chunk: int, segment: int) -> None:
-    bias = HeldOut(task(), **options)
+    bias = WindowGP(task(), **options)
     assert (bias._window, bias._chunk, bias._segment) == (window, chunk, segment)
 
 
@@ -146,7 +146,7 @@ def test_segments_of_an_experiment_are_left_out_in_turn(folds: int, expected: li
     """None is in two fits, nor of two experiments; the frames before the first window are in none."""
     zeros = [Rollout(np.zeros((frames + 1, 2)), np.zeros((frames, 1))) for frames in (36, 25)]
     windows = Windows.of(zeros, 5, 1)
-    assert HeldOut(task(), segment=0.3, folds=folds)._fold(windows).tolist() == expected
+    assert WindowGP(task(), segment=0.3, folds=folds)._fold(windows).tolist() == expected
 
 
 def test_outliers_are_beyond_four_standard_deviations() -> None:
@@ -159,7 +159,7 @@ def learned(missing: float = 2.0, **options: Any) -> Any:
     robot = Oscillator(missing)
     rollouts = [experiment(robot, frames, frames) for frames in (160, 140)]
     given: Any = {"segment": 0.5, "signals": (1.0,), "length_scales": (2.0,)} | options
-    return HeldOut(task(), **given).learn(NO_DATA, rollouts, Oscillator()), rollouts
+    return WindowGP(task(), **given).learn(NO_DATA, rollouts, Oscillator()), rollouts
 
 
 def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,7 +178,7 @@ def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) 
     mean = fitted.predict(inputs)[0][:, 1]
     missing = 0.02 * 2.0 * np.cos(inputs[:, 0])
     assert np.sqrt(np.mean((mean - missing) ** 2)) < 0.4 * np.sqrt(np.mean(missing**2))
-    monkeypatch.setattr("simbias.learning.bias.held_out.MOST", 50)  # of many inputs, some
+    monkeypatch.setattr("simbias.learning.bias.window_gp.MOST", 50)  # of many inputs, some
     np.testing.assert_allclose(learned(points=12)[0]._hyper.input_scale, inputs[::6].std(axis=0))
 
 
@@ -204,7 +204,7 @@ def test_an_input_that_never_changes_has_a_scale_all_the_same() -> None:
         Rollout(each.states, np.zeros_like(each.inputs))
         for each in (experiment(robot, 150, 1), experiment(robot, 150, 2))
     ]
-    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Oscillator())
+    fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, rollouts, Oscillator())
     assert np.isfinite(fitted.predict(np.zeros((2, 3)))[0]).all()
 
 
@@ -229,7 +229,7 @@ def test_a_state_that_is_predicted_exactly_has_no_bias(missing: float) -> None:
         for each in u:
             states.append(robot.step(states[-1], each))
         rollouts.append(Rollout(np.array(states), u))
-    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
+    fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
     mean, variance = fitted.predict(np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1))
     np.testing.assert_allclose(mean[:, 0], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.median(mean[:, 1]), 0.02 * missing, rtol=0.3)

@@ -24,7 +24,7 @@ LEAST = 1e-12  # signal, in a state's unit: of a state that the model predicts e
 ITSELF = 1e-6  # jitter of the inducing points' covariance, of the signal's variance
 
 
-class HeldOut(Bias):
+class WindowGP(Bias):
     """One Gaussian process for each state; lengths and signal by held-out segments of the experiments.
 
     What the (identified) nominal model leaves over a window is linear in the functions' values along it, to

@@ -8,7 +8,7 @@ from pendulum import NOISE, experiment, pendulum
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
-from simbias.learning.bias.held_out import OfWindows
+from simbias.learning.bias.window_gp import OfWindows
 from simbias.simulation.open_loop import Windows, World, plain, predict
 from simbias.trial.study import Study
 
@@ -27,7 +27,7 @@ class Sprung(Nominal):
 @pytest.fixture(scope="module")
 def study() -> Study:
     damping = [f"nominal.drives.damping_{i}=0.05" for i in (1, 2)]
-    return pendulum("bias=held_out", "bias.points=30", *damping)
+    return pendulum("bias=window_gp", "bias.points=30", *damping)
 
 
 def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
