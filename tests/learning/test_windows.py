@@ -11,9 +11,9 @@ import pytest
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters
-from simbias.learning.bias.window_gp import WindowGP, OfWindows, _Fits, _outliers, features, root
 from simbias.learning.bias.posterior import Drawn
 from simbias.learning.bias.sensitivity import Sensitivity
+from simbias.learning.bias.window_gp import OfWindows, WindowGP, _Fits, _outliers, features, root
 from simbias.learning.prediction_errors import Errors, correlation_time
 from simbias.simulation.open_loop import Windows, World, predict
 
