@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 import pytest
@@ -72,7 +73,18 @@ def test_without_a_whole_window_or_parameters_it_is_the_model_itself(study: Stud
     fit = study.identification.fit
     assert fit(study.nominal, []) is study.nominal
     assert fit(study.nominal, [short]) is study.nominal
-    assert fit(robot.with_parameters(np.array([p.value for p in robot.parameters])), []) is not None
+    known = copy(study.nominal)
+    known.parameters = ()
+    assert fit(known, [experiment(known, np.random.default_rng(0), 300)]) is known
+
+
+def test_a_robot_at_rest_says_nothing_of_its_parameters(study: Study) -> None:
+    """It hangs without torque, whatever they are: the posterior is the prior, exactly."""
+    rest = Rollout(np.zeros((501, 4)), np.zeros((500, 2)))
+    fitted = study.identification.fit(study.nominal, [rest])
+    assert isinstance(fitted, Identified)
+    np.testing.assert_array_equal(fitted.mode, 0.0)
+    np.testing.assert_array_equal(fitted.covariance, np.eye(len(fitted.mode)))
 
 
 def test_experiments_that_fell_count_as_others(study: Study) -> None:

@@ -178,11 +178,11 @@ class Problem:
             p = len(z)
             white = self.errors.whiten(self._errors(z + STEP * np.eye(p + 1, p, -1)))
             J = (white[1:] - white[0]) / STEP
-            size = np.sum(white[0] ** 2, axis=1) + 1e-300
-            flatter = np.sqrt(
-                self.errors.share * self.errors.losses(white[0]) / size
-            )  # squares sum to the loss
-            slope = self.errors.share * self.errors.weights(white[0]) / flatter
+            weights, losses = self.errors.weights(white[0]), self.errors.losses(white[0])
+            size = np.sum(white[0] ** 2, axis=1)
+            mean = np.divide(losses, size, out=weights.copy(), where=size > 0)  # their limit, without errors
+            flatter = np.sqrt(self.errors.share * mean)  # squares sum to the loss
+            slope = self.errors.share * weights / flatter
             r, J = flatter[:, None] * white[0], slope[:, None] * J
             residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
             self._last = z.tobytes(), residuals, derivatives
