@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mechanisms import DOUBLE, MOTOR, URDF, cart_pole, mjcf
+from mechanisms import DOUBLE, LIFT, MOTOR, URDF, cart_pole, mjcf
 from numba import get_num_threads, set_num_threads
 
 import simbias
@@ -235,6 +235,21 @@ def test_a_heavier_body_has_more_inertia_and_a_larger_one_hangs_farther(tmp_path
     np.testing.assert_allclose(scaled.step(x, u), longer.step(x, u), rtol=1e-9)
     weak = Mujoco(task, mjcf(tmp_path), factors={"push.gain": 0.5})
     np.testing.assert_allclose(weak.step(x, u), Mujoco(task, mjcf(tmp_path)).step(x, u / 2), rtol=1e-12)
+
+
+def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
+    """As a propeller, which drags as well: 3 N lift 2 kg by 1.5 m/s^2, in units of neither gear nor gain."""
+    file = tmp_path / "lift.xml"
+    file.write_text(LIFT)
+    states = {"height": {"unit": "m"}, "d_height": {"unit": "m/s"}}
+    task = cart_pole(states=states, failure={"far": {"value": "abs(height)", "above": 5.0}})
+    after = Mujoco(task, str(file)).step(np.zeros(2), np.array([3.0]))
+    assert after[1] == pytest.approx(3.0 / 2.0 * 0.02)
+    half = Mujoco(task, str(file), factors={"lift.gain": 0.5}).step(np.zeros(2), np.array([3.0]))
+    assert half[1] == pytest.approx(after[1] / 2)
+    file.write_text(LIFT.replace("-5 5", "-4 4"))
+    with pytest.raises(ValueError, match="the task's input may be 20; the actuator lift gives 16"):
+        Mujoco(task, str(file))
 
 
 def test_what_has_blown_up_is_no_number(tmp_path: Path) -> None:
