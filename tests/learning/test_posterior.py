@@ -12,7 +12,7 @@ from pendulum import experiment, pendulum, truth, with_a_fall
 import simbias
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Identified, Problem
-from simbias.learning.prediction_errors import FREEDOM, Errors, correlation_time
+from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import Windows
 from simbias.trial.model_selection import VARIANTS, log_likelihoods, most_likely
 from simbias.trial.steps import learn
@@ -193,7 +193,7 @@ def test_likelihood_is_students() -> None:
     rollout = Rollout(rng.standard_normal((401, 2)), rng.standard_normal((400, 1)))
     windows = Windows.of([rollout], 10, 5)
     e = rng.standard_normal((40, 2, 2))
-    errors = Errors.of(e, windows)
+    errors = ErrorDistribution.of(e, windows)
     exact = multivariate_t(np.zeros(4), errors.factor @ errors.factor.T, df=4 * FREEDOM)
     np.testing.assert_allclose(errors.log_likelihoods(e), exact.logpdf(e.reshape(40, 4)), rtol=1e-9)
 

@@ -8,7 +8,7 @@ from pendulum import NOISE, experiment, pendulum
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
-from simbias.learning.bias.window_gp import OfWindows
+from simbias.learning.bias.window_gp import WindowPosterior
 from simbias.simulation.open_loop import Windows, World, plain, predict
 from simbias.trial.study import Study
 
@@ -41,7 +41,7 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
     rng, robot = np.random.default_rng(0), Sprung(study.nominal)
     learned = [experiment(robot, rng, 1500) for _ in range(2)]
     fitted = study.bias.learn(study.no_data, learned, study.nominal)
-    assert isinstance(fitted, OfWindows)
+    assert isinstance(fitted, WindowPosterior)
     other = [experiment(robot, rng, 500, np.zeros(4))]
     without = error(study, study.bias.fit(study.no_data), other)
     assert error(study, fitted, other) < 0.95 * without
