@@ -35,6 +35,8 @@ from simbias.simulation.closed_loop import simulator
 from simbias.trial.ask_tell import AskTell
 from simbias.trial.replay import Record, ReplayedOptimizer
 
+WARM_UP = 0.2  # s of a rollout that is learned from, so that what learns is compiled
+
 
 class Observer:
     """Follows a trial; this one does nothing."""
@@ -267,7 +269,7 @@ class Study:
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
-        theta, rng = np.zeros(self.policy.n_parameters), np.random.default_rng(0)
+        theta, rng = np.clip(0.0, *self.policy.bounds), np.random.default_rng(0)
         n, m = len(self.task.states), len(self.task.inputs)
         some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
         self._warm_up(self.no_data, theta, rng)
@@ -280,6 +282,8 @@ class Study:
         fitted_bias = self.bias.fit(data)
         rollout = self.simulate(theta, fitted_bias)
         if len(data):
+            frames = min(self.task.frames(WARM_UP), rollout.frames)
+            rollout = replace(rollout, states=rollout.states[: frames + 1], inputs=rollout.inputs[:frames])
             nominal = self.identification.fit(self.nominal, [rollout])
             self.bias.learn(data, [rollout], nominal)
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
