@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
-from simbias.mlflow.trials import load_trial
 
+from simbias.mlflow.trials import load_trial
 from simbias.sweep import tables
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.services import tracking

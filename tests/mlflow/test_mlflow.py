@@ -24,8 +24,6 @@ from mlflow.entities import Run
 from mlflow.store.artifact.local_artifact_repo import LocalArtifactRepository
 from omegaconf import OmegaConf
 from point_mass import PointMass, Spring
-from simbias.mlflow.fields import TRIAL_METRICS
-from simbias.mlflow.none import NoTracking
 
 import simbias
 from simbias.config import Composition, ConfigError
@@ -41,6 +39,8 @@ from simbias.core.records import (
     Selection,
     Transitions,
 )
+from simbias.mlflow.fields import TRIAL_METRICS
+from simbias.mlflow.none import NoTracking
 from simbias.mlflow.store import connect
 from simbias.mlflow.tracking import SPARING, Mlflow
 from simbias.sweep.tracking import TrackedTrial

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
-from simbias.mlflow.fields import PARENT
 
 from simbias.mlflow import nested
+from simbias.mlflow.fields import PARENT
 from simbias.mlflow.store import connect
 
 RUNS = 7

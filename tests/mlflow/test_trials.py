@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from records import assert_equal, timeless
-from simbias.mlflow.trials import load_trial
 from sweeping import NO_FIGURES, QUICK, runs
 
 import simbias
@@ -19,6 +18,7 @@ from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.engine.sequential import Sequential
 from simbias.mlflow.store import connect
 from simbias.mlflow.tracking import Mlflow
+from simbias.mlflow.trials import load_trial
 from simbias.sweep.running import prepare, run_sweep
 from simbias.sweep.worker import Plan, run_plan
 from simbias.trial.run import Outcome, TrialRecord, run_trial

@@ -20,8 +20,6 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS, ROOT
 from mlflow import MlflowClient
 from rich.console import Console
-from simbias.mlflow.mlflow_sweep import MlflowSweep
-from simbias.mlflow.mlflow_trial import MlflowTrial
 from sweeping import NO_FIGURES, QUICK, artifacts, everything, run, runs, table, trial_by_trial, write_sweep
 
 import simbias
@@ -30,6 +28,8 @@ from simbias.config import ConfigError, compose, sweeps
 from simbias.config.build import build
 from simbias.engine.contract import Engine
 from simbias.mlflow import fields, results
+from simbias.mlflow.mlflow_sweep import MlflowSweep
+from simbias.mlflow.mlflow_trial import MlflowTrial
 from simbias.sweep.axes import read_axis
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.running import SweepObserver

@@ -15,11 +15,11 @@ from logged_hardware import LOG
 from mlflow import MlflowClient
 from mlflow.entities import Run
 from records import assert_equal, timeless
-from simbias.mlflow.trials import load_trial
 from sweeping import finish, run, start
 
 import simbias
 from simbias.mlflow.store import connect
+from simbias.mlflow.trials import load_trial
 from simbias.trial.run import Outcome, TrialRecord, run_trial
 
 pytestmark = pytest.mark.slow

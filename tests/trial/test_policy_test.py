@@ -10,14 +10,14 @@ import pandas as pd
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from records import assert_equal, timeless
-from simbias.mlflow.fields import holds, trial_metrics
-from simbias.trial.journal import Journal
 
 import simbias
 from simbias.core import Hardware, Policy, Waiting
 from simbias.core.records import Array, Rollout
+from simbias.mlflow.fields import holds, trial_metrics
 from simbias.sweep.tables import attainable_starts
 from simbias.trial.files import held_out_text
+from simbias.trial.journal import Journal
 from simbias.trial.policy_test import SEED, Tries, Try, try_policy
 from simbias.trial.run import Outcome, run_trial
 from simbias.trial.study import HeldOut, Study
