@@ -14,6 +14,7 @@ from simbias.config import ConfigError, Variations, compose, sweeps
 from simbias.mlflow.results import COLUMNS
 from simbias.sweep.axes import RESERVED
 from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.results import COLUMNS
 from simbias.sweep.tables import MEASURES
 
 VALUES = [0.0, 0.001, 0.1, 0.2, 0.35, 1.5]
