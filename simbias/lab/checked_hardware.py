@@ -23,6 +23,7 @@ from simbias.lab.safety import NO_LIMITS, Safety, SafetyLimitedPolicy
 
 STOP_SECONDS = 5.0  # that `Hardware.stop` may take, and then again the experiment that it stops
 INTERRUPT_SECONDS = 1.5  # that both may take after Ctrl-C
+BEGIN_SECONDS = 0.2  # that a thread may take to begin
 MESSAGE_LENGTH = 250  # characters of an error that a hardware raises
 
 
@@ -190,8 +191,8 @@ class CheckedHardware(Hardware):
         try:
             in_time = call.ended(self._timeout)
         except BaseException:  # interrupted
-            call.interrupt()
             until = time.monotonic() + INTERRUPT_SECONDS
+            call.interrupt()
             for each in (_Call(self._hardware.stop), call):
                 each.ended(max(0.0, until - time.monotonic()))
             raise
@@ -221,19 +222,21 @@ class CheckedHardware(Hardware):
 
 
 class _Call:
-    """A call in a thread that ends with the process at the latest."""
+    """A call in a thread that ends with the process at the latest; `ended` begins it."""
 
     def __init__(self, function: Callable[[], Any]) -> None:
         self._function = function
         self._result: Any = None
         self._error: BaseException | None = None
+        self._started = False
+        self._begun = threading.Event()
         self._ended = threading.Event()  # Ctrl-C makes `Thread.join` of Python 3.11 forget the thread
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
-        self._thread.start()
 
     def _run(self) -> None:
         """Keep the function's result or error."""
         try:
+            self._begun.set()
             self._result = self._function()
         except BaseException as error:
             self._error = error
@@ -242,12 +245,17 @@ class _Call:
 
     def ended(self, seconds: float) -> bool:
         """Whether it has ended, after `seconds` or sooner."""
+        if not self._started:
+            self._started = True
+            self._thread.start()
         return self._ended.wait(min(seconds, threading.TIMEOUT_MAX))
 
     def interrupt(self) -> None:
         """Raise KeyboardInterrupt in the call, so that its `finally` brings the robot to rest."""
-        thread = ctypes.c_ulong(self._thread.ident or 0)
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(KeyboardInterrupt))
+        self._started = True  # one that was interrupted before it began does not begin
+        if self._begun.wait(BEGIN_SECONDS):
+            thread = ctypes.c_ulong(self._thread.ident or 0)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(KeyboardInterrupt))
 
     def result(self) -> Any:
         """The call's result; its error is raised."""
