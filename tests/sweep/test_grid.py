@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from sweeping import write_sweep
 
 from simbias.config import ConfigError, Variations, compose, sweeps
-from simbias.mlflow.results import COLUMNS
 from simbias.sweep.axes import RESERVED
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.results import COLUMNS
