@@ -45,11 +45,9 @@ def _exists(name: str) -> bool:
 
 def _imports(name: str) -> bool:
     """Whether there is a module or a class of this name."""
+    module, _, attribute = name.rpartition(".")
     try:
-        if find_spec(name) is not None:
-            return True
-        module, _, attribute = name.rpartition(".")
-        return hasattr(import_module(module), attribute)
+        return hasattr(import_module(module), attribute) or find_spec(name) is not None
     except ImportError:
         return False
 
