@@ -204,7 +204,7 @@ class SweepState:
     @cached_property
     def export(self) -> SweepExport:
         """Shows the sweep elsewhere."""
-        return self._store.export_sweep(self.folder, live=True) if self.folder else SweepExport()
+        return self._store.export_sweep(self.folder) if self.folder else SweepExport()
 
     def begin(self) -> None:
         """Note that trials or figures are about to be made; a finished sweep stays so."""

@@ -104,8 +104,9 @@ class TrialFolder:
         return list(dict.fromkeys(each["platform"] for each in self.attempts() if "platform" in each))
 
     def seconds(self) -> float:
-        """Wall time of the attempts that stopped."""
-        return sum(float(each["stopped"]["seconds"]) for each in self.attempts() if "stopped" in each)
+        """Wall time of all attempts but those that were killed."""
+        stops = [each["stopped"] for each in self.attempts() if "stopped" in each]
+        return float(stops[-1]["seconds"]) if stops else 0.0  # which has that of those before it
 
     def steps(self) -> list[Path]:
         """The files of the steps, in their order."""
@@ -314,6 +315,18 @@ def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a process holds this lock."""
+    try:
+        if path.exists():
+            FileLock(path).acquire(timeout=0).lock.release()
+    except Timeout:
+        return True
+    except OSError:  # a copy that nobody may write
+        pass
+    return False
 
 
 def read_json(path: Path) -> dict[str, Any]:

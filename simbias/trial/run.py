@@ -90,7 +90,7 @@ class _Run(Observer):
 
     def __init__(self, study: Study, kept: FolderRecord | None, observer: Observer) -> None:
         self._study, self._kept, self._observer = study, kept, observer
-        self._started, self._clock = time.time(), time.perf_counter()
+        self._clock = time.perf_counter()
         self._iterations: list[Iteration] = []
         self._unfinished: list[Rollout] = []
         self._policy_test: PolicyTestResult | None = None
@@ -151,7 +151,7 @@ class _Run(Observer):
             iterations=len(self._iterations),
             max_experiments=method.max_experiments,
             max_iterations=method.max_iterations,
-            started=self._started,
+            ended=time.time(),
             seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
             hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in made),
             test_episodes=test.successes if test else "",
