@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from simbias.core.errors import ConfigError
 from simbias.engine import workplace
-from simbias.trial.folder import locked
+from simbias.trial.disk import locked
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient

@@ -16,7 +16,8 @@ from simbias.mlflow.runs import NOT_EXPORTED, Runs
 from simbias.mlflow.trial import NOTE, Nested, TrialExport, began_at, origin_tags, write_yaml
 from simbias.sweep.folder import FIGURES, SweepFolder
 from simbias.sweep.tracking import SweepExport
-from simbias.trial.folder import LOCK, TrialFolder, is_locked
+from simbias.trial.disk import LOCK, is_locked
+from simbias.trial.folder import TrialFolder
 
 if TYPE_CHECKING:
     from mlflow.entities import Run

@@ -18,7 +18,8 @@ from simbias.mlflow.pages import PARENT
 from simbias.mlflow.runs import Runs
 from simbias.mlflow.writes import File, Point, Writes
 from simbias.sweep.tracking import Export
-from simbias.trial.folder import LOCK, PICTURES, TrialFolder, is_locked
+from simbias.trial.disk import LOCK, is_locked
+from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
 
 if TYPE_CHECKING:

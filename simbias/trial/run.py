@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import Waiting, platform
 from simbias.core.error_origin import told
+from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.trial import diagnostics
@@ -80,7 +81,13 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
     kept = FolderRecord(folder, study, writes=False)
     run = _Run(study, kept, Observer())
     with threadpool_limits(1, user_api="blas"), suppress(EndOfRecord):
-        run.run()
+        try:
+            run.run()
+        except (EndOfRecord, ConfigError):
+            raise
+        except Exception:  # of a component, as when the trial stopped
+            if kept.folder.ended:
+                raise
     record = run.record(Outcome.INTERRUPTED)
     return replace(record, summary=kept.folder.summary() or record.summary)
 
