@@ -83,9 +83,9 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
     with threadpool_limits(1, user_api="blas"), suppress(EndOfRecord):
         try:
             run.run()
-        except (EndOfRecord, ConfigError):
+        except (EndOfRecord, ConfigError, KeyboardInterrupt, GeneratorExit):
             raise
-        except Exception:  # of a component, as when the trial stopped
+        except BaseException:  # of a component, as when the trial stopped
             if kept.folder.ended:
                 raise
     record = run.record(Outcome.INTERRUPTED)
