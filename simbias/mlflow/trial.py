@@ -19,7 +19,7 @@ from simbias.mlflow.runs import Runs
 from simbias.mlflow.writes import File, Point, Writes
 from simbias.sweep.tracking import Export
 from simbias.trial.disk import LOCK, is_locked
-from simbias.trial.folder import PICTURES, TrialFolder
+from simbias.trial.folder import PICTURES, TRIAL, TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
 
 if TYPE_CHECKING:
@@ -89,9 +89,10 @@ class TrialExport(Export):
         self.run_id = ""  # to be found again if the store fails now
         run = self._runs.client.get_run(run_id) if run_id else self._run(description, began)
         writes = Writes(files=list(self._new_files(run)), tags=_tags(summary) if summary else {})
-        if not run.data.params:
+        if any(name == f"{FOLDER}/{TRIAL}" for name, _ in writes.files):
             writes.files.append(("config.yaml", partial(write_yaml, description["config"])))
-            writes.parameters |= parameters(description)
+        kept = run.data.params
+        writes.parameters = {key: each for key, each in parameters(description).items() if key not in kept}
         writes.metrics += _new_metrics(iterations, summary, run)
         writes.tags[NOTE] = notes.note(description, iterations, summary, running)
         for tag in {"error", "outcome"} & run.data.tags.keys() - writes.tags.keys():
@@ -151,16 +152,13 @@ def began_at(folder: TrialFolder) -> int:
 def _new_metrics(
     iterations: Sequence[Mapping[str, Any]], summary: TrialSummary | None, run: Run
 ) -> Iterator[list[Point]]:
-    """The numbers that the run lacks: a list for each iteration, and one for the trial."""
+    """The numbers that the run lacks: a list for each iteration, and one for the trial that has ended."""
     for each in iterations[int(run.data.metrics.get(ITERATIONS, 0)) :]:
-        yield [
-            (_name(key), value, each["iteration"], each["ended"]) for key, value in each["metrics"].items()
-        ]
-    if summary is not None:
-        numbers = {
-            key: value for key, value in summary.metrics().items() if run.data.metrics.get(key) != value
-        }
-        yield [(key, value, 0, summary.ended) for key, value in numbers.items()]
+        step, time = each["iteration"], each["ended"]
+        yield [(_name(key), value, step, time) for key, value in each["metrics"].items()]
+    if summary is not None and summary.outcome.final:
+        new = {key: each for key, each in summary.metrics().items() if run.data.metrics.get(key) != each}
+        yield [(key, value, 0, summary.ended) for key, value in new.items()]
 
 
 def parameters(description: Mapping[str, Any]) -> dict[str, str]:

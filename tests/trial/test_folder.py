@@ -38,7 +38,7 @@ SHORT = [
 ]
 ROBUST = [
     *SHORT,
-    *("bias=sparse_gp", "evaluation=robust_models", "optimizer=hybrid", "method=frugal"),
+    *("bias=sparse_gp", "evaluation=domain_randomization", "optimizer=hybrid", "method=model_based"),
     *("optimizer.explorations=10", "evaluation.rollouts=3", "evaluation.sample_bias=true"),
     *("method.retry_search=1", "method.stop_at_failure=false"),
 ]
