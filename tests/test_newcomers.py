@@ -165,7 +165,7 @@ def test_a_state_that_is_no_number_has_failed_whatever_the_criteria_measure(poin
 
 def test_a_cost_that_is_no_number_names_its_class(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, cost=Always(np.nan)))
-    assert record.reason == "ValueError: Always.of: expected a finite number, got nan"
+    assert record.summary.reason == "ValueError: Always.of: expected a finite number, got nan"
 
 
 def test_policies_that_all_cost_the_same_are_told(point_mass: Study) -> None:

@@ -25,7 +25,7 @@ from pathlib import Path
 
 IMPORTED = ["config.build", "sweep.services", "engine.loky", "pictures.trial.gallery", "sweep.running"]
 IMPORTED += ["sweep.worker", "terminal.sweep", "terminal.trial", "testing.rehearsal", "mlflow.tracking"]
-IMPORTED += ["mlflow.mlflow_sweep", "mlflow.results"]
+IMPORTED += ["mlflow.sweep", "sweep.results"]
 LIBRARIES = ["hydra", "joblib", "nlopt", "scipy.optimize", "scipy.signal", "scipy.stats"]
 LIBRARIES += ["mlflow", "mlflow.store.artifact.local_artifact_repo", "mlflow.store.tracking.sqlalchemy_store"]
 
