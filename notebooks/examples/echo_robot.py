@@ -2,8 +2,9 @@
 
     python -m simbias ... hardware=process hardware.command="python3 echo_robot.py"
 
-It reads an order from standard input, runs the loop itself, and writes a trajectory to standard output. A
+It reads a request from standard input, runs the loop itself, and writes a trajectory to standard output. A
 program for a real robot does the same: send u, wait for the next frame, read x; and stop beyond the limits.
+On SIGTERM it brings the robot to rest within a second.
 """
 
 import json
@@ -13,12 +14,12 @@ WIND = 2.0  # N
 
 
 def main() -> None:
-    order = json.load(sys.stdin)
-    dt, frames = order["time_step"], order["frames"]
-    spring, damper, force = order["policy"]["parameters"]
-    limit = order["inputs"][0]["limit"]
-    distance = next(each["limit"] for each in order["failure"] if each["name"] == "distance")
-    position, velocity = (state["start"] for state in order["states"])
+    request = json.load(sys.stdin)
+    dt, frames = request["time_step"], request["frames"]
+    spring, damper, force = request["policy"]["parameters"]
+    limit = request["inputs"][0]["limit"]
+    distance = next(each["limit"] for each in request["failure"] if each["name"] == "distance")
+    position, velocity = (state["start"] for state in request["states"])
     states, inputs = [[position, velocity]], []
     for _ in range(frames):
         u = max(-limit, min(limit, force - spring * position - damper * velocity))

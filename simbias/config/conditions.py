@@ -9,7 +9,7 @@ from simbias.config.components import validate
 from simbias.core import Task
 from simbias.core.errors import ConfigError
 from simbias.core.messages import words
-from simbias.lab.checked_hardware import Conditions
+from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import NO_LIMITS, Safety
 
 HARDWARE = "hardware"  # the group
@@ -36,7 +36,7 @@ def safety(config: Any) -> Safety:
     return found
 
 
-def conditions(config: Any, task: Task, timeout: float | None) -> Conditions:
+def conditions(config: Any, task: Task, timeout: float | None) -> ExperimentConditions:
     """The conditions in a hardware's config.
 
     Raises
@@ -44,7 +44,7 @@ def conditions(config: Any, task: Task, timeout: float | None) -> Conditions:
     ConfigError
         If a value has the wrong type or range, or names nothing of the task.
     """
-    values = Conditions(timeout, **validate(split(config)[1], FIELDS, HARDWARE))
+    values = ExperimentConditions(timeout, **validate(split(config)[1], FIELDS, HARDWARE))
     try:
         values.safety.bounds(task)
     except ValueError as error:

@@ -31,6 +31,7 @@ FORMER = {  # classes and arguments whose identities, and so whose seeds, come f
     "ModelBased.posterior_scale": "retry_spread",
     "ModelBased.model_selection": "by_evidence",
     "ModelBased.lqr_candidates": "design",
+    "WindowGP": "HeldOut",
 }
 DIGITS = 12  # hexadecimal
 

@@ -9,9 +9,11 @@ from simbias.core.errors import ConfigError
 # An old key (`group.key`), option (`group=option`), module or class -> the new one. A key or module stands
 # for all that is below it. Sorted.
 RENAMED: Mapping[str, str] = {
+    "bias=held_out": "bias=window_gp",
     "evaluation=lasting": "evaluation=domain_randomization_30s",
     "evaluation=robust_models": "evaluation=domain_randomization",
     "evaluation=robust_posterior": "evaluation.sample_bias",
+    "hardware.orders": "hardware.requests",
     "held_out.lasting": "policy_test.long_episodes",
     "held_out.seconds": "policy_test.long_seconds",
     "held_out.starts": "policy_test.episodes",
@@ -35,6 +37,7 @@ RENAMED: Mapping[str, str] = {
     "simbias.hardware.recorded": "simbias.lab.recorded",
     "simbias.identification": "simbias.learning.identification",
     "simbias.interfaces": "simbias.core",
+    "simbias.learning.bias.held_out.HeldOut": "simbias.learning.bias.window_gp.WindowGP",
     "simbias.method": "simbias.trial.methods",
     "simbias.nominal.bongoboard": "simbias.robots.bongoboard.model",
     "simbias.nominal.cartpole": "simbias.robots.cartpole",

@@ -13,7 +13,7 @@ from simbias.core.records import Array
 
 
 class Law(NamedTuple):
-    """A policy in words and numbers, as an order to a lab says it."""
+    """A policy in words and numbers, as a request to a lab says it."""
 
     words: str  # as u = H z
     numbers: Mapping[str, Array]  # what the words name, in the task's units

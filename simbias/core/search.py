@@ -56,8 +56,8 @@ class Cost(ABC):
         raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
 
     def with_horizon(self, horizon: int) -> Cost:
-        """The cost of rollouts that may take so many frames; only what simulates for longer needs it."""
-        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`")
+        """The cost of rollouts of at most `horizon` frames; only `evaluation.seconds` needs it."""
+        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`: evaluation.seconds needs it")
 
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""

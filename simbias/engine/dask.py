@@ -15,7 +15,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.extras import library
 from simbias.core.ranges import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
-from simbias.engine.workplace import tidy, workplace
+from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -153,7 +153,6 @@ def _local_cluster(workers: int) -> Iterator[Any]:
     import dask
     from distributed import LocalCluster
 
-    tidy()
     pages: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}
     with (
         dask.config.set(pages),

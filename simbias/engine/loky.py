@@ -18,7 +18,7 @@ from typing import Any
 
 from simbias.core.ranges import Workers
 from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
-from simbias.engine.workplace import tidy, workplace
+from simbias.engine.workplace import workplace
 
 WATCH_SECONDS = 1.0
 LEAVE_SECONDS = 5.0  # that threads and children of a worker's components have at its end
@@ -50,7 +50,6 @@ class Loky(Engine):
         self, function: Callable[[T], R], tasks: Sequence[T]
     ) -> Iterator[tuple[int, R | WorkerLostError]]:
         """Yield indices and results as tasks end."""
-        tidy()
         return run_rounds(partial(self._round, function), tasks)
 
     def _round(

@@ -27,7 +27,8 @@ def workplace() -> Path:
 
 @cache
 def _folder() -> TemporaryDirectory:
-    """The folder, which is removed at the process' end."""
+    """The folder, which is removed at the process' end; what dead processes left goes first."""
+    tidy()
     folder = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-")
     atexit.register(folder.cleanup)  # else Python warns of what it removes itself
     made = Path(folder.name, f"new {LOCK}")

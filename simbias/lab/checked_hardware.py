@@ -1,14 +1,17 @@
-"""Experiments on a hardware, whatever the hardware does: raise, return what is no rollout, or never end."""
+"""Experiments that end in a checked rollout or one clear line, whatever the hardware does."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
+import time
 from collections.abc import Callable
 from contextvars import copy_context
 from copy import copy
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Protocol, final
 
 import numpy as np
 
@@ -16,14 +19,16 @@ from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.core.messages import with_type
 from simbias.core.records import Array, Rollout
 from simbias.lab.checks import check_rollout
-from simbias.lab.safety import NO_LIMITS, Guarded, Safety
+from simbias.lab.safety import NO_LIMITS, Safety, SafetyLimitedPolicy
 
-STOP_SECONDS = 5.0  # that `Hardware.stop` has, and then again the experiment that it stops
-MESSAGE_LENGTH = 250  # of what a hardware raises
+STOP_SECONDS = 5.0  # that `Hardware.stop` may take, and then again the experiment that it stops
+INTERRUPT_SECONDS = 1.5  # that both may take after Ctrl-C
+BEGIN_SECONDS = 0.2  # that a thread may take to begin
+MESSAGE_LENGTH = 250  # characters of an error that a hardware raises
 
 
 def ask(theta: Array, start: Array) -> bool:
-    """Ask a person whether the hardware may be used; where nobody is, it may not."""
+    """Ask a person whether the hardware may be used; without a terminal it may not."""
     try:
         answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
     except (EOFError, OSError):
@@ -32,15 +37,15 @@ def ask(theta: Array, start: Array) -> bool:
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """Under which experiments are made.
+class ExperimentConditions:
+    """Under which conditions experiments are made.
 
     Parameters
     ----------
     timeout
-        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own; where
-        it takes longer, the hardware is asked to stop, and what it still does is of no interest. Code that
-        never returns to Python's interpreter cannot be stopped so.
+        Seconds of wall time that an experiment may take. With a limit, it runs in a thread of its own. One
+        that takes longer is stopped, and its result ignored. Code that never returns to Python's interpreter
+        cannot be stopped so.
     safety
         Limits at which an experiment is aborted; it has failed then.
     confirm
@@ -55,37 +60,57 @@ class Conditions:
     ask: Callable[[Array, Array], bool] = ask
 
 
-UNCONDITIONED = Conditions()
+DEFAULT_CONDITIONS = ExperimentConditions()
 
 
-class Conducted(Hardware):
+class ExperimentRecord(Protocol):
+    """Keeps experiments, and replays those that it has kept."""
+
+    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+        """The next experiment, with theta (p,): replayed, or made and kept before anyone uses it."""
+
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        """Keep what a hardware returned that is no rollout; where it is, as the end of a message."""
+
+
+@final
+class CheckedHardware(Hardware):
     """A hardware whose every experiment ends in a rollout that keeps the contract, or in one line.
 
     Parameters
     ----------
     hardware
-        Whatever it does.
+        May raise, hang, or return anything.
     task
-        Whose rollouts it should return.
+        Defines the shapes, the horizon and the limits of its rollouts.
     conditions
-        Of all experiments.
+        Timeout, safety limits and confirmation.
+    record
+        Replays and keeps its experiments; without one, nothing is kept.
 
     Raises
     ------
     ValueError
-        If a limit names nothing of the task.
+        If a safety limit names no quantity of the task.
     """
 
-    def __init__(self, hardware: Hardware, task: Task, conditions: Conditions) -> None:
+    def __init__(
+        self,
+        hardware: Hardware,
+        task: Task,
+        conditions: ExperimentConditions = DEFAULT_CONDITIONS,
+        record: ExperimentRecord | None = None,
+    ) -> None:
         self._hardware = hardware
         self._task = task
         self._timeout = conditions.timeout
         self._bounds = conditions.safety.bounds(task) if conditions.safety.limits else None
         self._ask = conditions.ask if conditions.confirm else None
+        self._record = record
         self.sets_start = hardware.sets_start
 
-    def wrap(self, hardware: Hardware, task: Task) -> Conducted:
-        """The same of another hardware, on a task whose experiments may take longer or shorter."""
+    def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
+        """The same conditions and record, for a task of another horizon; the timeout grows with it."""
         other = copy(self)
         other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
         if self._timeout is not None:
@@ -93,7 +118,7 @@ class Conducted(Hardware):
         return other
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment.
+        """One experiment with theta (p,), or its replay.
 
         Raises
         ------
@@ -103,67 +128,83 @@ class Conducted(Hardware):
         Waiting
             If its result is not there yet.
         """
+        make = partial(self._make, policy, theta, start, rng)
+        return make() if self._record is None else self._record.experiment(theta, make)
+
+    def _make(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """Make an experiment on the hardware."""
         if self._ask is not None:
             if not self._ask(theta, start):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
             self._ask = None
-        returned = self._guarded(policy, theta, start, rng)
+        returned = self._run(policy, theta.copy(), start.copy(), rng)  # it may write into its copies
+        return replace(self._checked(returned, theta, start), parameters=theta)
+
+    def _checked(self, returned: Any, theta: Array, start: Array) -> Rollout:
+        """The rollout that the hardware returned."""
         try:
-            return check_rollout(returned, self._hardware, self._task)
+            return check_rollout(returned, self._name, self._task, self._bounds)
         except Exception as error:  # also what a rollout of its own class raises
             problem = str(error)
             if not isinstance(error, HardwareError):
-                problem = f"{self._name}.run: expected a Rollout, got {with_type(error, MESSAGE_LENGTH)}"
-            raise HardwareError(f"{problem}{self.refuse(returned, theta, start, problem)}") from error
+                problem = f"{self._name}: expected a Rollout, got {with_type(error, MESSAGE_LENGTH)}"
+            where = self._record.refuse(returned, theta, start, problem) if self._record else ""
+            raise HardwareError(f"{problem}{where}") from error
 
-    def _guarded(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
-        """What the hardware returns, not yet checked; an aborted experiment as far as it was recorded.
+    def _run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
+        """What the hardware returns, not yet checked; an aborted experiment up to its last frame."""
+        limited = SafetyLimitedPolicy(policy, self._task, self._bounds) if self._bounds else None
 
-        It gets copies: what it writes into them is its own.
-        """
-        theta, start = theta.copy(), start.copy()
-        if self._bounds is None:
-            return self._returned(lambda: _in_one_process(self._hardware.run, policy, theta, start, rng))
-        guarded = Guarded(policy, self._task, self._bounds)
+        def experiment() -> Any:
+            process = os.getpid()
+            try:
+                return self._hardware.run(limited or policy, theta, start, rng)
+            finally:
+                if os.getpid() != process:  # a process that the hardware forked ends here
+                    os._exit(1)
+
         try:
-            return self._returned(lambda: _in_one_process(self._hardware.run, guarded, theta, start, rng))
-        except Exception:
-            if guarded.last is None or not guarded.last.failure:
-                raise
-            _Call(self._hardware.stop).ended(STOP_SECONDS)
-            return guarded.last.record()
-
-    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
-        """Keep what breaks the contract; where it is, in words that follow those of the error."""
-        return ""
-
-    def _returned(self, experiment: Callable[[], Any]) -> Any:
-        """What the hardware returns, not yet checked."""
-        try:
-            return experiment() if self._timeout is None else self._in_time(experiment, self._timeout)
-        except (HardwareError, Waiting, KeyboardInterrupt):
+            return self._here(experiment) if self._timeout is None else self._in_time(experiment)
+        except KeyboardInterrupt:
             raise
-        except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
+        except BaseException as error:  # also SystemExit, and what other libraries cancel tasks by
+            if limited and (aborted := limited.aborted):
+                _Call(self._hardware.stop).ended(STOP_SECONDS)
+                return aborted
+            if isinstance(error, HardwareError | Waiting):
+                raise
             got = with_type(error, MESSAGE_LENGTH)
-            raise HardwareError(f"{self._name}.run: expected a Rollout, got {got}") from error
+            raise HardwareError(f"{self._name}: expected a Rollout, got {got}") from error
 
-    def _in_time(self, experiment: Callable[[], Any], seconds: float) -> Any:
-        """What an experiment returns within so many seconds."""
+    def _here(self, experiment: Callable[[], Any]) -> Any:
+        """What an experiment returns, in this thread."""
+        try:
+            return experiment()
+        except KeyboardInterrupt:
+            _Call(self._hardware.stop).ended(INTERRUPT_SECONDS)
+            raise
+
+    def _in_time(self, experiment: Callable[[], Any]) -> Any:
+        """What an experiment returns before its timeout, in a thread of its own."""
+        assert self._timeout is not None
         call = _Call(experiment)
         try:
-            in_time = call.ended(seconds)
+            in_time = call.ended(self._timeout)
         except BaseException:  # interrupted
-            self._stop(call)
+            until = time.monotonic() + INTERRUPT_SECONDS
+            call.interrupt()
+            for each in (_Call(self._hardware.stop), call):
+                each.ended(max(0.0, until - time.monotonic()))
             raise
         if not in_time:
             raise HardwareError(
-                f"{self._name}.run: expected an end within {seconds:g} s (experiment_timeout), got none; "
-                f"{self._name}.stop {self._stop(call)}"
+                f"{self._name}: expected an end within {self._timeout:g} s (experiment_timeout), got none; "
+                f"{type(self._hardware).__name__}.stop {self._stop(call)}"
             )
         return call.result()
 
     def _stop(self, experiment: _Call) -> str:
-        """Ask the hardware to stop; how that went."""
+        """Stop an experiment; how that went."""
         stop = _Call(self._hardware.stop)
         if not stop.ended(STOP_SECONDS):
             return f"did not end within {STOP_SECONDS:g} s either"
@@ -176,47 +217,48 @@ class Conducted(Hardware):
 
     @property
     def _name(self) -> str:
-        """The component."""
-        return type(self._hardware).__name__
-
-
-def _in_one_process(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function returns or raises; a process that it forks and that comes back from it ends here.
-
-    It would go on with the trial, too, and write what its parent writes.
-    """
-    process = os.getpid()
-    try:
-        return function(*arguments)
-    finally:
-        if os.getpid() != process:
-            os._exit(1)
+        """The hardware's method, as errors name it."""
+        return f"{type(self._hardware).__name__}.run"
 
 
 class _Call:
-    """A call in a thread, which ends with the process at the latest, and what came of it."""
+    """A call in a thread that ends with the process at the latest; `ended` begins it."""
 
     def __init__(self, function: Callable[[], Any]) -> None:
         self._function = function
         self._result: Any = None
         self._error: BaseException | None = None
+        self._started = False
+        self._begun = threading.Event()
+        self._ended = threading.Event()  # Ctrl-C makes `Thread.join` of Python 3.11 forget the thread
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
-        self._thread.start()
 
     def _run(self) -> None:
-        """In the thread."""
+        """Keep the function's result or error."""
         try:
+            self._begun.set()
             self._result = self._function()
         except BaseException as error:
             self._error = error
+        finally:
+            self._ended.set()
 
     def ended(self, seconds: float) -> bool:
-        """Whether it has ended, after so many seconds or sooner."""
-        self._thread.join(min(seconds, threading.TIMEOUT_MAX))
-        return not self._thread.is_alive()
+        """Whether it has ended, after `seconds` or sooner."""
+        if not self._started:
+            self._started = True
+            self._thread.start()
+        return self._ended.wait(min(seconds, threading.TIMEOUT_MAX))
+
+    def interrupt(self) -> None:
+        """Raise KeyboardInterrupt in the call, so that its `finally` brings the robot to rest."""
+        self._started = True  # one that was interrupted before it began does not begin
+        if self._begun.wait(BEGIN_SECONDS):
+            thread = ctypes.c_ulong(self._thread.ident or 0)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, ctypes.py_object(KeyboardInterrupt))
 
     def result(self) -> Any:
-        """What it returned; what it raised is raised."""
+        """The call's result; its error is raised."""
         if self._error is not None:
             raise self._error
         return self._result

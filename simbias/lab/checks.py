@@ -1,4 +1,4 @@
-"""What enters from a hardware is checked once, here: shapes, numbers, length."""
+"""The check of what enters from a hardware: shapes, numbers, length, safety limits."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import Hardware, HardwareError, Task
+from simbias.core import HardwareError, Task
 from simbias.core.messages import LONGEST_VALUE, brief, quote
 from simbias.core.records import Array, Rollout
+from simbias.lab.safety import Bounds, hold
 
-LARGEST = 1e15  # of a state or input, in any unit: no sensor says more, and single precision holds its square
+LARGEST = 1e15  # size of a state or input in any unit: no sensor exceeds it, and float32 holds its square
 
 
-def check_rollout(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
-    """A hardware's rollout, its arrays as float64 and copies of its own; without cost and parameters.
+def check_rollout(rollout: Any, source: str, task: Task, bounds: Bounds | None = None) -> Rollout:
+    """A rollout with float64 arrays of its own, held against safety limits; without cost and parameters.
 
     Raises
     ------
     HardwareError
-        In one line that names the component, the field, what was expected and what came.
+        One line: source, field, what was expected, what came.
     """
-    source = f"{type(hardware).__name__}.run"
     if not isinstance(rollout, Rollout):
         raise HardwareError(f"{source}: expected a Rollout, got {type(rollout).__name__}")
     n, m, T = len(task.states), len(task.inputs), task.horizon
@@ -47,16 +47,17 @@ def check_rollout(rollout: Any, hardware: Hardware, task: Task) -> Rollout:
     if failed_at not in (None, k):
         raise HardwareError(f"{source}: failed_at: expected {k}, the last frame, got {failed_at}")
     failure = _failure(rollout.failure, failed_at, f"{source}: failure")
-    return Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
+    checked = Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
+    return checked if bounds is None else hold(checked, task, bounds, source)
 
 
 def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
-    """An array of finite numbers of this shape; None is any length."""
+    """A float64 copy of finite numbers in this shape; None is any length."""
     words = f"({', '.join('k' if length is None else str(length) for length in shape)})"
     try:
         masked = isinstance(given, np.ma.MaskedArray)
         array = given.astype(np.float64).filled(np.nan) if masked else np.asarray(given)
-    except Exception as error:  # rows of several lengths, or whatever an object of its own raises
+    except Exception as error:  # rows of several lengths, or an object of its own class
         raise HardwareError(f"{name}: expected the shape {words}, got {quote(given)}") from error
     if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):
         kind = quote(given) if array.ndim == 0 else array.dtype
@@ -77,7 +78,7 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
 
 
 def _frame(given: Any, name: str) -> int | None:
-    """The number of a frame, or None."""
+    """An integer frame, or None."""
     if given is None:
         return None
     if isinstance(given, float | np.floating) and float(given).is_integer():
@@ -89,7 +90,7 @@ def _frame(given: Any, name: str) -> int | None:
 
 
 def _failure(given: Any, failed_at: int | None, name: str) -> str | None:
-    """What failed, of a rollout that did."""
+    """The name of a failure, short enough to be stored; None without one."""
     if given is not None and not isinstance(given, str):
         raise HardwareError(f"{name}: expected a name or None, got {quote(given)}")
     if failed_at is None and given is not None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task
 from simbias.core.records import Array, Rollout
+from simbias.lab.table import read_table
 
 ENDS = "recording_ends"
 
@@ -30,7 +29,7 @@ class Recorded(Hardware):
     folder
         Where the recordings are.
     files
-        Their names, in order; by default all of the folder, by name.
+        Their names, in order; by default every file of the folder, by name.
     columns
         The name of the column of `time` (s), and of each state and input; by default its own.
     """
@@ -54,7 +53,7 @@ class Recorded(Hardware):
         self._columns = [(columns or {}).get(name, name) for name in ("time", *names)]
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """The next recording. Which one that is, the generator tells: it was spawned from the trial's."""
+        """The next recording, numbered by the generator, which was spawned from the trial's."""
         files = self.files
         spawned = getattr(rng.bit_generator.seed_seq, "spawn_key", ())
         return self.rollout(files[(spawned[-1] if spawned else 0) % len(files)])
@@ -72,7 +71,7 @@ class Recorded(Hardware):
         columns = self._read(self._folder / file)
         time, n = columns[0], len(self._task.states)
         if len(time) < 2 or not (np.diff(time) > 0).all():
-            raise HardwareError(f"{file}: its times do not increase")
+            raise HardwareError(f"{self._folder / file}: its times do not increase")
         frames = min(int((time[-1] - time[0]) / self._task.time_step + 1e-9), self._task.horizon)
         at = time[0] + self._task.time_step * np.arange(frames + 1)
         states, inputs = (
@@ -83,14 +82,9 @@ class Recorded(Hardware):
         return rollout if frames == self._task.horizon else replace(rollout, failed_at=frames, failure=ENDS)
 
     def _read(self, path: Path) -> Array:
-        """The columns."""
-        try:
-            opened = gzip.open(path, "rt") if path.suffix == ".gz" else open(path)  # noqa: SIM115
-            with opened as file:
-                rows = csv.DictReader(file)
-                lacking = [name for name in self._columns if name not in (rows.fieldnames or ())]
-                if lacking:
-                    raise HardwareError(f"{path.name} has no column {', '.join(lacking)}")
-                return np.array([[float(row[name]) for name in self._columns] for row in rows]).T
-        except (OSError, ValueError, TypeError) as error:
-            raise HardwareError(f"{path}: no recording can be read ({error})") from error
+        """The columns (1 + n + m, r) of time, states and inputs."""
+        table = read_table(path)
+        lacking = [name for name in self._columns if name not in table.names]
+        if lacking:
+            raise HardwareError(f"{path}: row 1: expected a column {', '.join(lacking)}, got none")
+        return table.numbers([table.names.index(name) for name in self._columns]).T

@@ -1,21 +1,24 @@
-"""Limits at which an experiment is aborted: held at each frame where simbias runs the loop, else ordered."""
+"""Limits at which an experiment is aborted: held in each frame where simbias runs the loop, or requested."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Controller, Law, Policy, Quantity, Task
+from simbias.core import Controller, HardwareError, Law, Policy, Quantity, Task
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Rollout
+
+ROUNDING = 1e-12  # relative, of a limit that a controller holds itself
+RECORDED_ROUNDING = 1e-6  # relative, of a limit in what was recorded with a few digits
 
 
 @dataclass(frozen=True)
 class Safety:
-    """Limits by the names of the task's quantities, or their kinds; the task's own hold besides.
+    """Limits by the names of the task's quantities, or their kinds; the task's own limits hold besides.
 
     Parameters
     ----------
@@ -45,7 +48,7 @@ class Safety:
         Raises
         ------
         ValueError
-            If a limit names nothing of the task.
+            If a limit names no quantity of the task.
         """
         inputs = _by_quantity("inputs", self.inputs, task.inputs)
         return Bounds(
@@ -85,56 +88,118 @@ class UnsafeError(Exception):
     """A limit is exceeded: the experiment ends here, with what was recorded so far."""
 
 
-class Guarded(Policy):
-    """A policy whose controller refuses to go on beyond limits.
+class _Monitor:
+    """Names the limit that a state, or an input after the one before, exceeds; "" for none."""
 
-    It holds them for hardware that runs its loop by `controller`; what calls `act` holds none.
+    def __init__(self, task: Task, bounds: Bounds, time_step: float, rounding: float = ROUNDING) -> None:
+        self._task = task
+        self._states, self._criteria = bounds.states, bounds.criteria
+        self._inputs = bounds.inputs * (1 + rounding)
+        self._changes = bounds.input_rates * time_step * (1 + rounding)
+        self._last: Array | None = None  # input (m,)
+
+    def of_state(self, x: Array) -> str:
+        """The limit that the state x (n,) exceeds."""
+        beyond = np.flatnonzero(~(np.abs(x) <= self._states))
+        if len(beyond):
+            return f"unsafe_state_{self._task.states[beyond[0]].name}"
+        return (self._task.failure(x) or "") if self._criteria else ""
+
+    def of_input(self, u: Array) -> str:
+        """The limit that the input u (m,) of the next frame exceeds."""
+        beyond = np.flatnonzero(~(np.abs(u) <= self._inputs))
+        if len(beyond):
+            return f"unsafe_input_{self._task.inputs[beyond[0]].name}"
+        if self._last is not None:
+            beyond = np.flatnonzero(~(np.abs(u - self._last) <= self._changes))
+            if len(beyond):
+                return f"unsafe_rate_of_{self._task.inputs[beyond[0]].name}"
+        self._last = np.array(u, dtype=np.float64)
+        return ""
+
+
+def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
+    """A rollout up to the first state beyond its limits, as if the experiment had been aborted there.
+
+    Raises
+    ------
+    HardwareError
+        If an input was beyond its limits: nobody held them.
+    """
+    monitor = _Monitor(task, bounds, task.time_step, RECORDED_ROUNDING)
+    seen = rollout.states if rollout.measured is None else rollout.measured
+    for frame in range(rollout.frames):
+        if failure := monitor.of_state(seen[frame]):
+            return _cut(rollout, frame, failure)
+        if failure := monitor.of_input(rollout.inputs[frame]):
+            raise HardwareError(
+                f"{source}: inputs: expected them within the limits of the experiment (hardware.safety), "
+                f"got {failure} in frame {frame}: {rollout.inputs[max(frame - 1, 0) : frame + 1].tolist()}"
+            )
+    return rollout
+
+
+def _cut(rollout: Rollout, frame: int, failure: str) -> Rollout:
+    """The rollout, failed in an earlier frame."""
+    measured = None if rollout.measured is None else rollout.measured[: frame + 1]
+    states, inputs = rollout.states[: frame + 1], rollout.inputs[:frame]
+    return replace(rollout, states=states, inputs=inputs, measured=measured, failed_at=frame, failure=failure)
+
+
+class SafetyLimitedPolicy(Policy):
+    """A policy whose controller raises UnsafeError at a frame beyond the limits.
+
+    It holds them for hardware that runs its loop by `controller`, not for one that calls `act`.
     """
 
-    def __init__(self, policy: Policy, task: Task, bounds: Bounds) -> None:
+    def __init__(self, policy: Policy, task: Task, safety_bounds: Bounds) -> None:
         self.policy = policy
-        self.bounds_of_safety = bounds
+        self.safety_bounds = safety_bounds
         self._task = task
         self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
         self.memory_size, self.kernel = policy.memory_size, policy.kernel
-        self.last: _GuardedController | None = None  # controller, which knows what has been recorded
+        self._last: _SafetyLimitedController | None = None
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        """As the policy does."""
+        """Inputs and memory of the policy, without limits."""
         return self.policy.act(theta, x, t, memory)
 
     def outputs(self, x: Array) -> Array:
-        """As the policy does."""
+        """The policy's outputs z (..., q) at states x (..., n)."""
         return self.policy.outputs(x)
 
     def law(self, theta: Array) -> Law:
-        """As the policy does."""
+        """The policy's law."""
         return self.policy.law(theta)
 
     def __getattr__(self, name: str) -> Any:
-        """What else the policy has."""
+        """Attributes of the policy's own class."""
         if name.startswith("__") or "policy" not in vars(self):  # while it is copied
             raise AttributeError(name)
         return getattr(self.policy, name)
 
     def controller(self, theta: Array, time_step: float) -> Controller:
-        """The policy's controller, watched."""
+        """The policy's controller, within the limits."""
         inner = self.policy.controller(theta, time_step)
-        self.last = _GuardedController(inner, self._task, self.bounds_of_safety, time_step)
-        return self.last
+        self._last = _SafetyLimitedController(inner, self._task, self.safety_bounds, time_step)
+        return self._last
+
+    @property
+    def aborted(self) -> Rollout | None:
+        """What the last controller recorded, if it aborted its experiment."""
+        return self._last.record() if self._last and self._last.failure else None
 
 
-class _GuardedController(Controller):
-    """A controller that raises before it gives an input beyond the limits, and whenever it is asked again."""
+class _SafetyLimitedController(Controller):
+    """A controller that raises before it gives an input beyond the limits, and at each call afterwards."""
 
     def __init__(self, controller: Controller, task: Task, bounds: Bounds, time_step: float) -> None:
         self._controller = controller
-        self._task = task
-        self._bounds = bounds
-        self._largest_change = bounds.input_rates * time_step
+        self._m = len(task.inputs)
+        self._monitor = _Monitor(task, bounds, time_step)
         self._states: list[Array] = []
         self._inputs: list[Array] = []
-        self.failure = ""  # what ended the experiment
+        self.failure = ""  # name of the limit that ended the experiment
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the (measured) state x (n,) of the next frame.
@@ -142,41 +207,22 @@ class _GuardedController(Controller):
         Raises
         ------
         UnsafeError
-            If state or input is beyond its limits.
+            If state or input is beyond its limits, or one was before.
         """
         if not self.failure:
             self._states.append(np.array(x, dtype=np.float64))
-            self.failure = self._of_state(x)
+            self.failure = self._monitor.of_state(x)
         if not self.failure:
             u = self._controller(x)
-            self.failure = self._of_input(u)
+            self.failure = self._monitor.of_input(u)
             if not self.failure:
                 self._inputs.append(np.array(u, dtype=np.float64))
                 return u
         raise UnsafeError(self.failure)
 
     def record(self) -> Rollout:
-        """What the controller saw and gave, up to the frame that was unsafe."""
+        """The measured states and the inputs up to the frame that was unsafe."""
         k = len(self._inputs)
         states = np.array(self._states)[: k + 1]
-        inputs = np.array(self._inputs).reshape(k, len(self._task.inputs))
+        inputs = np.array(self._inputs).reshape(k, self._m)
         return Rollout(states, inputs, k, self.failure, measured=states, sensed=True)
-
-    def _of_state(self, x: Array) -> str:
-        """What is unsafe about a state; "" if nothing."""
-        beyond = np.flatnonzero(~(np.abs(x) <= self._bounds.states))
-        if len(beyond):
-            return f"unsafe_state_{self._task.states[beyond[0]].name}"
-        return (self._task.failure(x) or "") if self._bounds.criteria else ""
-
-    def _of_input(self, u: Array) -> str:
-        """What is unsafe about an input; "" if nothing."""
-        beyond = np.flatnonzero(~(np.abs(u) <= self._bounds.inputs * (1 + 1e-12)))
-        if len(beyond):
-            return f"unsafe_input_{self._task.inputs[beyond[0]].name}"
-        if self._inputs:
-            change = np.abs(u - self._inputs[-1])
-            beyond = np.flatnonzero(~(change <= self._largest_change * (1 + 1e-12)))
-            if len(beyond):
-                return f"unsafe_rate_of_{self._task.inputs[beyond[0]].name}"
-        return ""

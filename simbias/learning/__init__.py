@@ -1,1 +1,1 @@
-"""What is learned from experiments: samples, parameters, a bias, and how well a model predicts."""
+"""Learning from experiments: samples, parameters, a bias, and the distribution of prediction errors."""

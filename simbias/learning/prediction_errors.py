@@ -1,4 +1,4 @@
-"""How errors of predictions over windows are distributed, and how much each window tells anew."""
+"""The distribution of prediction errors over windows, robust to outliers and correlated windows."""
 
 from __future__ import annotations
 
@@ -9,76 +9,77 @@ from typing import Any
 import numpy as np
 
 from simbias.core.records import Array, Indices
-from simbias.learning.measurement import Linearised, covariance_of_noise
+from simbias.learning.measurement_noise import Linearisation, noise_covariance
 from simbias.simulation.open_loop import Windows
 
-FREEDOM = 1.0  # nu / d: a window whose errors are ten times as large as usual counts a fiftieth
-ROUNDS = 5  # of expectation maximisation; the weights have settled then
-TINY = 1e-6  # of what a state varies: no error is known better
-HUGE = 1e6  # standard deviations, in place of what is no number
+FREEDOM = 1.0  # nu / d: a window of ten times the usual errors has a fiftieth of the usual weight
+ROUNDS = 5  # of expectation maximisation, until the weights have converged
+RELATIVE_FLOOR = 1e-6  # least error, of the standard deviation of a state
+CEILING = 1e6  # standard deviations, in place of errors that are not finite
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
-    """Errors of windows: each has Student's t distribution in all d = J n numbers together.
+class ErrorDistribution:
+    """Multivariate Student's t distribution of the d = J n errors of a window, with nu = freedom * d.
 
-    So a window in which something happens that the model does not know counts little as a whole (K. L. Lange,
-    R. J. A. Little and J. M. G. Taylor, Journal of the American Statistical Association 84, 1989).
+    A window with an event that the model lacks has little weight as a whole (K. L. Lange, R. J. A. Little and
+    J. M. G. Taylor, Journal of the American Statistical Association 84, 1989).
     """
 
     factor: Array  # (d, d) lower factor L of the scale matrix
     freedom: float = FREEDOM
-    share: float = 1.0  # of the windows that tells something new; 1 if their errors are independent
+    independent_share: float = 1.0  # effective over actual number of windows; 1 if they are independent
 
     @staticmethod
     def of(
-        errors: Array, windows: Windows, freedom: float = FREEDOM, linearised: Linearised | None = None
-    ) -> Errors:
-        """Estimated from errors (w, J, n), some of which may be outliers or no numbers.
+        errors: Array, windows: Windows, freedom: float = FREEDOM, linearisation: Linearisation | None = None
+    ) -> ErrorDistribution:
+        """Estimate it from errors (w, J, n), some of which may be outliers or not finite.
 
-        The scale matrix is shrunk, the more the fewer windows there are: towards that of noise in the
-        measured states where the predictions are linearised, else towards its diagonal.
+        The fewer the windows, the more the scale matrix is shrunk: towards that of measurement noise if
+        linearised predictions are given, else towards its diagonal.
         """
         w, J = errors.shape[:2]
-        least = np.tile(TINY * np.std(windows.states, axis=0) + 1e-12, J)
+        floor = np.tile(RELATIVE_FLOOR * np.std(windows.states, axis=0) + 1e-12, J)
         e = np.nan_to_num(errors.reshape(w, -1), nan=np.inf)
-        scale = np.clip(np.median(np.abs(e), axis=0) / 0.6745, least, HUGE)
-        e = np.clip(e, -HUGE * scale, HUGE * scale)
-        made = Errors(np.diag(scale), freedom)
-        shrink = len(least) / (len(least) + w)
+        scale = np.clip(np.median(np.abs(e), axis=0) / 0.6745, floor, CEILING)
+        e = np.clip(e, -CEILING * scale, CEILING * scale)
+        estimate = ErrorDistribution(np.diag(scale), freedom)
+        shrink = len(floor) / (len(floor) + w)
         for _ in range(ROUNDS):
-            weights = made.weights(made.whiten(errors))
-            covariance = e.T @ (weights[:, None] * e) / w + np.diag(least**2)
+            weights = estimate.weights(estimate.whiten(errors))
+            covariance = e.T @ (weights[:, None] * e) / w + np.diag(floor**2)
             target = np.diag(np.diag(covariance))
-            if linearised is not None:
-                covariance += linearised.doubt(weights)
-                target = covariance_of_noise(e, weights, linearised, least)
-            made = Errors(np.linalg.cholesky((1.0 - shrink) * covariance + shrink * target), freedom)
-        white = made.whiten(errors)
-        weighted = np.sqrt(made.weights(white))[:, None] * white
-        return replace(made, share=1.0 / correlation_time(weighted, windows.experiments))
+            if linearisation is not None:
+                covariance += linearisation.parameter_covariance(weights)
+                target = noise_covariance(e, weights, linearisation, floor)
+            factor = np.linalg.cholesky((1.0 - shrink) * covariance + shrink * target)
+            estimate = ErrorDistribution(factor, freedom)
+        white = estimate.whiten(errors)
+        weighted = np.sqrt(estimate.weights(white))[:, None] * white
+        return replace(estimate, independent_share=1.0 / correlation_time(weighted, windows.experiments))
 
     @cached_property
     def inverse(self) -> Array:
-        """L^-1 (d, d), which a fit asks for a hundred times."""
+        """L^-1 (d, d), cached: a fit whitens a hundred times."""
         inverse: Any = np.linalg.inv(self.factor)
         return inverse
 
     def whiten(self, errors: Array) -> Array:
         """Whitened errors (..., d) of errors (..., J, n)."""
         white = errors.reshape(*errors.shape[:-2], -1) @ self.inverse.T
-        return np.clip(np.nan_to_num(white, nan=HUGE), -HUGE, HUGE)
+        return np.clip(np.nan_to_num(white, nan=CEILING), -CEILING, CEILING)
 
     def weights(self, white: Array) -> Array:
-        """How much windows (w, d) of whitened errors count: less than 1 if they are large."""
+        """Weights (w,) of windows with whitened errors (w, d): below 1 where they are larger than usual."""
         return (self.freedom + 1.0) / (self.freedom + np.mean(white**2, axis=-1))
 
     def losses(self, white: Array) -> Array:
-        """Twice the negative logarithms (w,) of the density of whitened errors (w, d), but for a constant."""
+        """Twice the negative log-density (w,) of whitened errors (w, d), up to a constant."""
         return (self.freedom + 1.0) * white.shape[-1] * np.log1p(np.mean(white**2, axis=-1) / self.freedom)
 
     def log_likelihoods(self, errors: Array) -> Array:
-        """Log-likelihoods (w,) of errors (w, J, n), in nats."""
+        """Log-likelihoods (w,) in nats of errors (w, J, n)."""
         from scipy.special import gammaln  # lazily: few trials need it
 
         d, nu = len(self.factor), self.freedom * len(self.factor)
@@ -87,9 +88,9 @@ class Errors:
 
 
 def correlation_time(e: Array, experiments: Indices) -> float:
-    """1 + 2 sum of the autocorrelations of errors e (w, d) of successive windows, pooled; at least 1.
+    """Integrated autocorrelation time of errors e (w, d) of successive windows: at least 1, pooled over d.
 
-    The sum ends with the last pair of lags that is positive (C. J. Geyer, Statistical Science 7, 1992).
+    The sum over lags ends with the last positive pair (C. J. Geyer, Statistical Science 7, 1992).
     """
     sums = np.zeros(max(np.bincount(experiments)))
     for experiment in np.unique(experiments):

@@ -85,12 +85,13 @@ class MlflowSweep(SweepExport):
         client.set_tag(run_id, NOTE, self._note(state, run_id))
         if final:
             for name, value in _metrics(state).items():
-                client.log_metric(run_id, name, value, step=state["done"])
+                if run.data.metrics.get(name) != value:
+                    client.log_metric(run_id, name, value, step=state["done"])
         status = STATUS.get(verdict, "FAILED") if self._live or verdict != "**Running**" else "KILLED"
         if status == "RUNNING":
             if run.info.status != status:
                 client.update_run(run_id, status=status)
-        elif run.info.status != status or final:
+        elif run.info.status != status:
             client.set_terminated(run_id, status)
 
     def _upload(self, run_id: str, final: bool) -> None:

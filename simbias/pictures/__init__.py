@@ -3,8 +3,8 @@
 No function touches pyplot, so none needs a display or leaves an open figure: save a figure with `save`, or
 let a notebook show what a function returns. Those of a trial take its study and its iterations, as
 `study.run()` yields them or `simbias.load_trial` reads them back; a picture that a trial cannot have, because
-its method does not search or learn, raises `NoPictureError`. How a task looks is told by the module beside
-it (`simbias.pictures.elements.drawing`).
+its method does not search or learn, raises `NoPictureError`. A task is drawn by the module beside it
+(`simbias.pictures.elements.drawing`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """What `__all__` names, imported when it is asked for: Matplotlib takes a third of a second."""
+    """Import a name of `__all__` when it is asked for: Matplotlib takes a third of a second."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

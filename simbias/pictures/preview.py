@@ -1,4 +1,4 @@
-"""An experiment before it is made: what is predicted, with a band."""
+"""The prediction of an experiment before it is made, with a band."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from simbias.core import Quantity
 from simbias.core.records import Array
 from simbias.lab.safety import Bounds
-from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import LIMIT, SIMULATION, label, plain
 from simbias.trial.prediction import DRAWS, Prediction
 from simbias.trial.study import Study
@@ -40,8 +40,8 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     legend(
         figure,
         {
-            "from its start": Line2D([], [], color=SIMULATION),
-            f"90 % of {DRAWS} draws of start and model{f', {fail} fail' if fail else ''}": Patch(
+            "from the experiment's start": Line2D([], [], color=SIMULATION),
+            f"90 % of {DRAWS} draws of other starts and models{f', {fail} fail' if fail else ''}": Patch(
                 color=SIMULATION, alpha=0.2
             ),
             "limit": Line2D([], [], color=LIMIT, linestyle=":"),
@@ -60,6 +60,5 @@ def _draw(
     for edge in (-limit, limit):
         if np.isfinite(edge) and bottom - (top - bottom) <= edge <= top + (top - bottom):
             axes.axhline(edge, color=LIMIT, linestyle=":", linewidth=0.8)
-    axes.set_xlabel("time (s)", labelpad=1)
-    axes.set_ylabel(label(quantity), labelpad=1)
+    axes.set(xlabel="time (s)", ylabel=label(quantity))
     plain(axes)

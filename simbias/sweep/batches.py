@@ -37,7 +37,7 @@ class Batch:
 
     @property
     def composition(self) -> Composition:
-        """What the study is built from."""
+        """The composition of the study."""
         return Composition(self.config, self.choices, self.allowed)
 
     @property
@@ -49,7 +49,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Outcomes:
-    """What the k experiments of a batch came to."""
+    """The outcomes of the k experiments of a batch."""
 
     costs: tuple[float, ...]  # (k,) Z of Eq. 8
     frames: tuple[int, ...]  # (k,) for which the robot was controlled
@@ -58,7 +58,7 @@ class Outcomes:
     error: str = ""  # why there are none
 
     def as_json(self) -> str:
-        """Text of which `from_json` makes the same again."""
+        """Text for `from_json`."""
         return json.dumps({name: getattr(self, name) for name in COLUMNS})
 
     @staticmethod
@@ -78,7 +78,7 @@ class Outcomes:
 
 
 def run_batch(batch: Batch) -> Outcomes:
-    """Run the experiments of a batch; what the hardware raises is part of the outcomes."""
+    """Run the experiments of a batch; an error of the hardware is part of the outcomes."""
     study = build(batch.composition)
     parameters, starts = np.array(batch.parameters), np.array(batch.starts)
     try:

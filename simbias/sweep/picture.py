@@ -1,4 +1,4 @@
-"""What a figure of a sweep is made of, and its files."""
+"""A figure of a sweep with its numbers and caption, and its files."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Picture:
     """A figure of a sweep."""
 
     figure: Figure
-    numbers: DataFrame  # all that it shows, or what that is summed up to
-    caption: str  # what is seen, from the numbers
+    numbers: DataFrame  # all that it shows, or their sums
+    caption: str
     animate: Callable[[Path], object] | None = None  # writes a GIF
 
     def write(self, folder: Path, name: str) -> list[Path]:
-        """Write name.png, .svg, .csv, .md (the caption) and, of what moves, .gif; return their paths."""
+        """Write name.png, .svg, .csv, .md (the caption) and, with an animation, .gif; return their paths."""
         paths = [folder / f"{name}{suffix}" for suffix in (".png", ".svg", ".csv", ".md")]
         png, svg, csv, md = paths
         save(self.figure, png)

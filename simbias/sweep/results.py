@@ -11,8 +11,7 @@ does on average.
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -33,23 +32,23 @@ LATER = ("hardware_seconds", EPISODES, "long_success_rate", "long_seconds")  # t
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, "raised")
 
 
-def of_folders(sweep: Sweep, trials: Path) -> pd.DataFrame:
-    """The trials that ended or raised, in the sweep's order; a folder that cannot be read counts as none."""
+def of_folders(
+    sweep: Sweep, trials: Path, damaged: Callable[[ConfigError], object] = lambda error: None
+) -> pd.DataFrame:
+    """The trials that ended or raised, in the sweep's order.
+
+    A folder that cannot be read counts as none; `damaged` is called with the error that names it.
+    """
     rows = {}
     for trial in sweep.trials:
-        if (found := _row_of(trial, sweep, TrialFolder(trials / trial.hash))) is not None:
-            rows[trial.hash] = found
+        try:
+            summary = TrialFolder(trials / trial.hash).summary()
+        except ConfigError as error:
+            damaged(error)
+            continue
+        if summary is not None and summary.outcome in SHOWN:
+            rows[trial.hash] = row(trial, sweep, summary)
     return in_order(rows, sweep)
-
-
-def _row_of(trial: Trial, sweep: Sweep, folder: TrialFolder) -> dict[str, Any] | None:
-    """The row of a trial that ended or raised."""
-    try:
-        summary = folder.summary() if folder.path.is_dir() else None
-    except ConfigError as error:
-        logging.getLogger(__name__).warning("simbias: %s; the trial is run again", error)
-        return None
-    return row(trial, sweep, summary) if summary is not None and summary.outcome in SHOWN else None
 
 
 def in_order(rows: Mapping[str, Mapping[Any, Any]], sweep: Sweep) -> pd.DataFrame:

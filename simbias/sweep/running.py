@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -25,14 +25,17 @@ from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.services import engine, tracking
 from simbias.sweep.tracking import SweepExport, Tracking
-from simbias.sweep.worker import Plan, Result, lost, run_plan, unpack
+from simbias.sweep.worker import Plan, Result, lost, pack, run_plan, unpack
 from simbias.testing.rehearsal import rehearse
-from simbias.trial.folder import LOCK, TrialFolder, locked
+from simbias.trial.folder import LOCK, PICTURES, TrialFolder, locked
 from simbias.trial.origin import changed_code, provenance
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
+DAMAGED = "simbias: %s; the trial is run again"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
+DONE = "**Done**"  # first words on a sweep without an error
+MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
 STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
 STATE_SHARE = 0.02  # unless it would take more than this of the time
 IN_SWEEPS = ("overview",)  # pictures of a cell's first trial; the others take long
@@ -104,10 +107,24 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, Data
 
 def _finished(sweep: Sweep, store: Tracking) -> DataFrame:
     """The trials of a sweep that have ended."""
-    if store.folder is None:
-        return results.in_order({}, sweep)
-    trials = results.of_folders(sweep, store.folder)
-    return trials[trials["outcome"] != Outcome.ERROR]
+    return (
+        _done(results.of_folders(sweep, store.folder), store) if store.folder else results.in_order({}, sweep)
+    )
+
+
+def _done(trials: DataFrame, store: Tracking) -> DataFrame:
+    """Those trials that have ended, and have their pictures; a kill may have come between."""
+    ended = trials[trials["outcome"] != Outcome.ERROR]
+    drawn = [
+        not _pictures(repetition, store) or Path(store.folder or "", identity, PICTURES).is_dir()
+        for identity, repetition in zip(ended["hash"], ended["repetition"], strict=True)
+    ]
+    return ended.loc[drawn]
+
+
+def _pictures(repetition: int, store: Tracking) -> tuple[str, ...]:
+    """Pictures of a trial: a cell's first trial has some, which stand for all."""
+    return IN_SWEEPS if store.pictures and not repetition else ()
 
 
 def run_sweep(
@@ -138,6 +155,7 @@ def run_sweep(
             with Interruption() as interruption:
                 observer.begun(sweep, state.finished, store.folder is not None)
                 try:
+                    state.begin()
                     for trial, result in _results(trials_engine, state):
                         with interruption.defer():
                             state.keep(trial, result)
@@ -168,20 +186,32 @@ class SweepState:
     def __init__(self, sweep: Sweep, store: Tracking, again: str) -> None:
         self._sweep, self._store, self._again = sweep, store, again
         self.folder = store.sweep_folder(sweep.name, sweep.hash)
-        done = results.of_folders(sweep, store.folder) if store.folder else results.in_order({}, sweep)
-        self.finished = done[done["outcome"] != Outcome.ERROR]
+        done = results.of_folders(sweep, store.folder, _warn) if store.folder else results.in_order({}, sweep)
+        self.finished = _done(done, store)
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
-        self._platforms: Counter[tuple[str, ...]] = Counter()
+        ended = self.finished["hash"] if store.folder else ()
+        ran_on = (tuple(TrialFolder(store.folder / name).platforms()) for name in ended)
+        self._platforms = Counter(filter(None, ran_on))  # trials of each
         self._captions: dict[str, str] = {}  # of figures
         self._due = 0.0
         self._outcomes: dict[str, Any] = {}  # of batches of experiments, where nothing is kept
         self._marker = ""
         if self.folder is not None:
             self.folder.begin(_description(sweep, again))
-            self._marker = str(self.folder.path / f".shared_{uuid4().hex}")
+            for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
+                left.unlink()
+            self._marker = str((self.folder.path / f"{MARKER}{uuid4().hex}").absolute())
             Path(self._marker).touch()
-        self.export = store.export_sweep(self.folder, live=True) if self.folder else SweepExport()
-        self._write("**Running**")
+
+    @cached_property
+    def export(self) -> SweepExport:
+        """Shows the sweep elsewhere."""
+        return self._store.export_sweep(self.folder, live=True) if self.folder else SweepExport()
+
+    def begin(self) -> None:
+        """Note that trials or figures are about to be made; a finished sweep stays so."""
+        if self.folder is not None and (self.missing or self.folder.state().get("verdict") != DONE):
+            self._write("**Running**")
 
     @property
     def missing(self) -> list[Trial]:
@@ -190,12 +220,19 @@ class SweepState:
         return [trial for trial in self._sweep.trials if trial.hash not in ended]
 
     def plan(self, trial: Trial) -> Plan:
-        """What a worker needs of a trial; a cell's first trial has pictures that stand for all."""
+        """What a worker needs of a trial."""
         folder, composition = self._store.trial_folder(trial.hash), trial.composition
-        pictures = IN_SWEEPS if self._store.pictures and not trial.repetition else ()
-        path = None if folder is None else str(folder.absolute())
-        marker = str(Path(self._marker).absolute()) if self._marker else ""
-        return Plan(composition.config, composition.choices, path, marker, pictures, composition.allowed)
+        if folder is None:
+            return Plan(composition.config, composition.choices, allowed=composition.allowed)
+        return Plan(
+            composition.config,
+            composition.choices,
+            str(folder.absolute()),
+            self._marker,
+            pack(folder) if TrialFolder(folder).steps() else b"",
+            _pictures(trial.repetition, self._store),
+            composition.allowed,
+        )
 
     def keep(self, trial: Trial, result: Result) -> None:
         """Note a trial that ended or stopped, and export it."""
@@ -289,6 +326,11 @@ class SweepState:
         self._due = ended + max(STATE_SECONDS, (ended - began) / STATE_SHARE)
 
 
+def _warn(damaged: ConfigError) -> None:
+    """Say which folder cannot be read."""
+    logging.getLogger(__name__).warning(DAMAGED, damaged)
+
+
 def _read(trials: Path, allowed: Sequence[str], identity: str) -> Any:
     """A trial, read back."""
     return read_folder(trials / identity, allow=allowed)
@@ -328,7 +370,7 @@ def _description(sweep: Sweep, again: str) -> dict[str, Any]:
 def _verdict(error: BaseException | None, raised: bool) -> str:
     """First words on a sweep that ended."""
     if error is None:
-        return "**Ended**, some trials with an error" if raised else "**Done**"
+        return "**Ended**, some trials with an error" if raised else DONE
     interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
     return "**Interrupted**" if interrupted else "**Ended early** by an error"
 

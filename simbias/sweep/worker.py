@@ -14,7 +14,7 @@ from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.messages import with_type
-from simbias.trial.folder import TrialFolder
+from simbias.trial.folder import OUTCOME, TrialFolder, write_whole
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
@@ -26,6 +26,7 @@ class Plan(NamedTuple):
     choices: Mapping[str, str]
     folder: str | None = None  # in which it is kept
     marker: str = ""  # a file beside it: seen only by workers that share the disk
+    kept: bytes = b""  # what the folder holds so far, for the others
     pictures: tuple[str, ...] = ()  # to draw at its end
     allowed: tuple[str, ...] = ()  # modules of which the config may name classes
 
@@ -43,7 +44,10 @@ def run_plan(plan: Plan) -> Result:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
         folder = None if plan.folder is None else Path(plan.folder)
+        apart = bool(plan.marker) and not Path(plan.marker).exists()
         try:
+            if folder is not None and apart and plan.kept:
+                unpack(plan.kept, folder)
             study = build(Composition(plan.config, plan.choices, plan.allowed))
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:
@@ -54,8 +58,8 @@ def run_plan(plan: Plan) -> Result:
             raise
         except BaseException as error:
             return lost(with_type(error))
-    apart = folder is not None and bool(plan.marker) and not Path(plan.marker).exists()
-    return Result(record.summary, "" if folder else record.traceback, _pack(folder) if apart else b"")
+    packed = pack(folder) if folder is not None and apart else b""
+    return Result(record.summary, "" if folder else record.traceback, packed)
 
 
 def lost(reason: str) -> Result:
@@ -63,17 +67,20 @@ def lost(reason: str) -> Result:
     return Result(TrialSummary(Outcome.ERROR, reason=reason, started=time.time()))
 
 
-def _pack(folder: Path | None) -> bytes:
-    """A trial's folder as a zip file."""
-    stream = io.BytesIO()
+def pack(folder: Path) -> bytes:
+    """A trial's folder as a zip file, its outcome last."""
+    stream, files = io.BytesIO(), TrialFolder(folder).files()
     with zipfile.ZipFile(stream, "w") as archive:
-        for file in TrialFolder(folder).files() if folder else ():
-            archive.write(file, file.relative_to(folder or Path()).as_posix())
+        for file in sorted(files, key=lambda file: file.name == OUTCOME):
+            archive.write(file, file.relative_to(folder).as_posix())
     return stream.getvalue()
 
 
 def unpack(packed: bytes, folder: Path) -> None:
-    """Lay out a trial's folder that travelled."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Lay out a trial's folder that travelled: each file is there in whole or not at all."""
     with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        archive.extractall(folder)
+        for name in archive.namelist():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            content = archive.read(name)
+            write_whole(path, lambda file, content=content: file.write(content))  # type: ignore[misc]

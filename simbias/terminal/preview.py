@@ -36,9 +36,9 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
             study = build(compose(overrides, config_dir, allow))
             rehearse(study)
         say(console, "Searching the trial's first policy; no experiment is made ...")
-        order = study.ask()
-        assert order is not None  # a trial begins with one
-        prediction = predict(study, order.theta, order.start)
+        request = study.ask()
+        assert request is not None  # a trial begins with one
+        prediction = predict(study, request.theta, request.start)
     bounds = study.conditions.safety.bounds(study.task)
     for line in describe(study, prediction, bounds):
         say(console, line)

@@ -15,9 +15,11 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
+from threadpoolctl import threadpool_limits
+
 from simbias.core.error_origin import told
 from simbias.core.messages import brief
-from simbias.testing import learners, robots, searches  # noqa: F401  they register their checks
+from simbias.testing import learners, robots, searches, studies  # noqa: F401  they register their checks
 from simbias.testing.check import CHECKS, Check
 from simbias.testing.expectations import ConformanceError
 from simbias.trial.study import Study
@@ -39,7 +41,8 @@ def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
     for check in CHECKS:
         if check.group in groups:
             try:
-                check.run(study)
+                with threadpool_limits(1, user_api="blas"):  # as in a trial
+                    check.run(study)
             except KeyboardInterrupt:
                 raise
             except BaseException as error:  # also SystemExit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from threadpoolctl import threadpool_limits
+
 from simbias.core.error_origin import is_own, told
 from simbias.core.errors import ConfigError
 from simbias.testing.conformance import verdicts
@@ -31,7 +33,8 @@ def rehearse(study: Study) -> None:
         if verdict.problem:
             raise ConfigError("", verdict.problem) from verdict.error
     try:
-        study.warm_up()
+        with threadpool_limits(1, user_api="blas"):  # as in a trial
+            study.warm_up()
     except KeyboardInterrupt:
         raise
     except BaseException as error:

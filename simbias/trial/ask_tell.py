@@ -10,7 +10,7 @@ import numpy as np
 from simbias.core import Hardware, Policy, Task, Waiting
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checks import check_rollout
-from simbias.lab.requests.order import Order
+from simbias.lab.requests.request import ExperimentRequest
 from simbias.trial.replay import EndOfRecord, Record
 
 
@@ -32,13 +32,13 @@ class AskTell:
         self._task = task
         self._run = run
         self._steps = _Steps()
-        self._order: Order | None = None
+        self._request: ExperimentRequest | None = None
         self.iterations: tuple[Iteration, ...] = ()  # those that have ended
 
-    def ask(self) -> Order | None:
+    def ask(self) -> ExperimentRequest | None:
         """The next experiment; None once the trial has ended."""
-        if self._order is not None:
-            return self._order
+        if self._request is not None:
+            return self._request
         iterations: list[Iteration] = []
         self._steps.begin()
         asking = _Asking(self._task)
@@ -46,9 +46,9 @@ class AskTell:
             for iteration in self._run(self._steps, asking):
                 iterations.append(iteration)
         except EndOfRecord:
-            self._order = asking.order
+            self._request = asking.request
         self.iterations = tuple(iterations)
-        return self._order
+        return self._request
 
     def tell(self, rollout: Rollout) -> None:
         """The rollout of the experiment that was asked for.
@@ -60,11 +60,12 @@ class AskTell:
         HardwareError
             If the rollout breaks the contract; the question stays open.
         """
-        if self._order is None:
+        if self._request is None:
             raise ValueError("no experiment was asked for: ask() comes first")
-        checked = check_rollout(rollout, _Asking(self._task), self._task)
-        self._steps.experiments.append(replace(checked, parameters=self._order.theta))
-        self._order = None
+        request = self._request
+        checked = check_rollout(rollout, "study.tell", self._task, request.bounds)
+        self._steps.experiments.append(replace(checked, parameters=request.theta))
+        self._request = None
 
 
 class _Asking(Hardware):
@@ -74,12 +75,13 @@ class _Asking(Hardware):
 
     def __init__(self, task: Task) -> None:
         self._task = task
-        self.order: Order | None = None
+        self.request: ExperimentRequest | None = None
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """End the trial's run at this experiment."""
-        self.order = Order(self._task, policy, theta, start, int(rng.integers(2**62)))
-        raise _AskedError(self.order.name)
+        token = int(rng.integers(2**62))
+        self.request = ExperimentRequest(self._task, policy, theta, start, token)
+        raise _AskedError("the experiment that was asked for")
 
 
 class _AskedError(Waiting, EndOfRecord):

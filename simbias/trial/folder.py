@@ -67,8 +67,14 @@ class TrialFolder:
 
     @property
     def ended(self) -> bool:
-        """Whether the trial has ended; else it runs, or can be resumed."""
-        return (self.path / OUTCOME).exists()
+        """Whether the trial has ended; else it runs, or can be resumed.
+
+        An outcome that somebody damaged is none: it follows from the steps.
+        """
+        try:
+            return (self.path / OUTCOME).exists() and self.summary() is not None
+        except ConfigError:
+            return False
 
     def summary(self) -> TrialSummary | None:
         """How the trial ended, or how its last attempt stopped; None if it runs, or was killed.

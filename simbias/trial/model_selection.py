@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from simbias.core.records import Array, Rollout
-from simbias.learning.prediction_errors import Errors
+from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import Windows, World, predict
 from simbias.trial.steps import ModelVariant, learn
 from simbias.trial.study import Study
@@ -46,7 +46,7 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, f
         for fold, own in enumerate(errors):
             others = [other for other in range(len(folds)) if other != fold]
             seen = Windows.of([r for other in others for r in folds[other]], frames, chunk)
-            distribution = Errors.of(np.concatenate([errors[other] for other in others]), seen)
+            distribution = ErrorDistribution.of(np.concatenate([errors[other] for other in others]), seen)
             total += float(distribution.log_likelihoods(own).sum())
         values[name] = total / sum(map(len, errors))
     return values

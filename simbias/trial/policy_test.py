@@ -101,7 +101,7 @@ def run_policy_test(
     for number, rng in enumerate(np.random.default_rng(SEED).spawn(test.episodes)):
         own, start = studies[horizons[number]], task.draw_start(rng)
         trying(number, test.episodes)
-        rollout = own.conducted.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
+        rollout = own.checked_hardware.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
         asked, lasted = own.task.horizon * task.time_step, rollout.frames * task.time_step
         episodes.append(Episode(start, asked, lasted, rollout.failure))
     return PolicyTestResult(task.horizon * task.time_step, tuple(episodes))

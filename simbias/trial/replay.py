@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Hardware, Optimizer, Policy, Task
+from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
 from simbias.core.records import Array, Iteration, Optimum, Rollout
-from simbias.lab.checked_hardware import Conditions, Conducted
 
 
 class EndOfRecord(Exception):  # noqa: N818 (no error: as far as a trial came)
@@ -20,7 +18,7 @@ class EndOfRecord(Exception):  # noqa: N818 (no error: as far as a trial came)
 
 
 class Record(ABC):
-    """The steps of a trial in their order."""
+    """The steps of a trial in their order; also a `simbias.lab.checked_hardware.ExperimentRecord`."""
 
     @abstractmethod
     def search(self, make: Callable[[], Optimum]) -> Optimum:
@@ -37,25 +35,6 @@ class Record(ABC):
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what a hardware returned that is no rollout; where it is, as the end of a message."""
         return ""
-
-
-class ReplayedHardware(Conducted):
-    """A hardware each of whose experiments is made but once."""
-
-    def __init__(self, hardware: Hardware, task: Task, conditions: Conditions, record: Record) -> None:
-        super().__init__(hardware, task, conditions)
-        self._record = record
-
-    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
-        """One experiment, or the one that was made in its place before."""
-        run = super().run
-        return self._record.experiment(
-            theta, lambda: replace(run(policy, theta, start, rng), parameters=theta)
-        )
-
-    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
-        """Keep it beside the steps: as a step it would be replayed for ever."""
-        return self._record.refuse(returned, theta, start, why)
 
 
 class ReplayedOptimizer(Optimizer):

@@ -29,11 +29,13 @@ from simbias.core import (
 )
 from simbias.core.ranges import CountOrZero, Seconds
 from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
-from simbias.lab.checked_hardware import UNCONDITIONED, Conditions, Conducted
-from simbias.lab.requests.order import Order
+from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
+from simbias.lab.requests.request import ExperimentRequest
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.ask_tell import AskTell
-from simbias.trial.replay import Record, ReplayedHardware, ReplayedOptimizer
+from simbias.trial.replay import Record, ReplayedOptimizer
+
+WARM_UP = 0.2  # s of a rollout that is learned from, so that what learns is compiled
 
 
 class Observer:
@@ -139,7 +141,7 @@ class Study:
     seed: int
     composition: Origin  # what the components were built from
     hardware_of: Callable[[Task], Hardware]  # constructs the hardware anew, for another horizon
-    conditions: Conditions = UNCONDITIONED  # of hardware experiments
+    conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = PolicyTest()
 
     @property
@@ -199,25 +201,25 @@ class Study:
         """
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
-        return self._judged(self.conducted.run(self.policy, theta, begin, rng), theta)
+        return self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
 
     @cached_property
-    def conducted(self) -> Conducted:
+    def checked_hardware(self) -> CheckedHardware:
         """The hardware, its experiments bounded in time and checked."""
-        if isinstance(self.hardware, Conducted):
+        if isinstance(self.hardware, CheckedHardware):
             return self.hardware
-        return Conducted(self.hardware, self.task, self.conditions)
+        return CheckedHardware(self.hardware, self.task, self.conditions)
 
     def over(self, record: Record) -> Study:
         """The study, whose searches and experiments are replayed from a record, then kept in it."""
-        hardware = ReplayedHardware(self.hardware, self.task, self.conditions, record)
+        hardware = CheckedHardware(self.hardware, self.task, self.conditions, record)
         return replace(self, hardware=hardware, optimizer=ReplayedOptimizer(self.optimizer, record))
 
-    def ask(self) -> Order | None:
+    def ask(self) -> ExperimentRequest | None:
         """The next experiment of a trial whose hardware is you; None once the trial has ended.
 
-        >>> while (order := study.ask()) is not None:
-        ...     study.tell(made(order.controller(), order.start))
+        >>> while (request := study.ask()) is not None:
+        ...     study.tell(run(request.controller(), request.start))
         """
         return self.ask_tell.ask()
 
@@ -236,7 +238,7 @@ class Study:
     @cached_property
     def ask_tell(self) -> AskTell:
         """The trial that asks and is told; nobody is asked whether an experiment may be made."""
-        unasked = Conditions(safety=self.conditions.safety)
+        unasked = ExperimentConditions(safety=self.conditions.safety)
 
         def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
             return replace(self, hardware=hardware, conditions=unasked).over(record).run()
@@ -249,7 +251,8 @@ class Study:
         Its costs are those of the old horizon.
         """
         task = self.task.with_horizon(horizon)
-        return replace(self, task=task, hardware=self.conducted.wrap(self.hardware_of(task), task))
+        hardware = self.checked_hardware.with_hardware(self.hardware_of(task), task)
+        return replace(self, task=task, hardware=hardware)
 
     def _judged(self, rollout: Rollout, theta: Array) -> Rollout:
         """A rollout with its cost and the policy that it ran."""
@@ -266,7 +269,7 @@ class Study:
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
-        theta, rng = np.zeros(self.policy.n_parameters), np.random.default_rng(0)
+        theta, rng = np.clip(0.0, *self.policy.bounds), np.random.default_rng(0)
         n, m = len(self.task.states), len(self.task.inputs)
         some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
         self._warm_up(self.no_data, theta, rng)
@@ -279,6 +282,8 @@ class Study:
         fitted_bias = self.bias.fit(data)
         rollout = self.simulate(theta, fitted_bias)
         if len(data):
+            frames = min(self.task.frames(WARM_UP), rollout.frames)
+            rollout = replace(rollout, states=rollout.states[: frames + 1], inputs=rollout.inputs[:frames])
             nominal = self.identification.fit(self.nominal, [rollout])
             self.bias.learn(data, [rollout], nominal)
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)

@@ -8,6 +8,8 @@ from enum import StrEnum
 from math import isfinite, nan
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from simbias.core.messages import counted
 from simbias.core.records import Iteration, Learning, Search
 from simbias.trial import diagnostics
@@ -92,12 +94,11 @@ class TrialSummary:
 
         Raises
         ------
-        KeyError, TypeError, ValueError
+        ValueError
             If a value is missing or of another kind.
         """
-        known: dict[str, Any] = {name: nan if value is None else value for name, value in values.items()}
-        known |= {name: tuple(known[name]) for name in ("platforms", "diagnostics")}
-        return TrialSummary(**{**known, "outcome": Outcome(known["outcome"])})
+        known = {name: nan if value is None else value for name, value in values.items()}
+        return TypeAdapter(TrialSummary).validate_python(known)
 
 
 def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> dict[str, Any]:

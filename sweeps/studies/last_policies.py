@@ -1,8 +1,8 @@
 """How often the policies with which a sweep's trials ended balance the hardware.
 
-`python sweeps/studies/last_policies.py NAME FILE`, in the folder of the store, tries the last policy of each
-finished trial of `+sweep=NAME` from 20 held-out starts, writes a row of the file for it and prints the
-sweep's table with them. It is for sweeps that ran without `held_out.starts=20`, which does the same.
+`python sweeps/studies/last_policies.py NAME FILE`, beside the folder `trials`, tests the last policy of each
+finished trial of `+sweep=NAME` in 20 episodes, writes a row of the file for it and prints the sweep's table
+with them. It is for sweeps that ran without `policy_test.episodes=20`, which does the same.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ import pandas as pd
 from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
 
-from simbias.mlflow.trials import load_trial
-from simbias.sweep import tables
+import simbias
+from simbias.sweep import results, tables
 from simbias.sweep.grid import Sweep, expand
-from simbias.sweep.services import tracking
+
+TRIALS = Path("trials")
 
 
 def outcome_of(row: dict[Any, Any], axes: list[str]) -> dict[str, Any]:
     """A trial's last policy, tried."""
-    trial = load_trial(row["run_id"])
+    trial = simbias.load_trial(TRIALS / row["hash"])
     balanced = balanced_starts(trial.study, trial.iterations[-1].parameters)
     own = {name: row[name] for name in (*axes, "repetition", "outcome")}
     return own | {"balanced": balanced, "starts": STARTS}
@@ -50,7 +51,7 @@ def main(name: str, path: Path) -> None:
     if sweep.report.columns is not None:
         sys.exit(f"{name} has cells side by side")
     axes = [axis.name for axis in sweep.axes]
-    trials = tracking(sweep.base).finished(sweep)
+    trials = results.of_folders(sweep, TRIALS).query("outcome != 'error'")
     rows = Parallel(n_jobs=2)(delayed(outcome_of)(row, axes) for row in trials.to_dict("records"))
     policies = pd.DataFrame(rows)
     policies.to_csv(path, index=False, lineterminator="\n")

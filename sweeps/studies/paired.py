@@ -11,7 +11,7 @@ import argparse
 
 import pandas as pd
 
-from simbias.mlflow import results
+from simbias.sweep import results
 from simbias.sweep.grid import expand
 
 HEAD = (

@@ -19,18 +19,18 @@ from joblib import Parallel, delayed
 
 import simbias
 from simbias.core.records import Array
-from simbias.trial.policy_test import try_policy
-from simbias.trial.study import HeldOut, Study
+from simbias.trial.policy_test import run_policy_test
+from simbias.trial.study import PolicyTest, Study
 
 SEEDS = range(10)
 STARTS = 20
 
 
 def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
-    """From how many held-out starts theta balances the hardware, for the task's horizon."""
-    tries = try_policy(study, theta, HeldOut(starts, lasting=0))
-    assert tries is not None
-    return sum(tries.holds)
+    """In how many test episodes theta balances the hardware, for the task's horizon."""
+    test = run_policy_test(study, theta, PolicyTest(starts, long_episodes=0))
+    assert test is not None
+    return test.successes.count("1")
 
 
 def measure(seed: int, overrides: Sequence[str]) -> dict[str, Any]:

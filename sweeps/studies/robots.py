@@ -11,8 +11,8 @@ tries, for each preset and seed,
 - `bayesian`: Bayesian optimisation of the trial's own policy on the hardware: of the logarithm of an
   experiment's cost.
 
-and writes the experiments until a policy passes two in a row, the seconds, and from how many of 20 held-out
-starts the last policy balances. `pip install 'simbias[study]'`.
+and writes the experiments until a policy passes two in a row, the seconds, and in how many of 20 test
+episodes the last policy balances. `pip install 'simbias[study]'`.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def _row(
     made: int,
     began: float,
 ) -> dict[str, Any]:
-    """What came of a trial, and from how many held-out starts its last policy balances."""
+    """What came of a trial, and in how many test episodes its last policy balances."""
     return {
         "preset": preset,
         "way": way,
@@ -170,8 +170,8 @@ def _row(
         "succeeded": succeeded,
         "experiments": made,
         "seconds": round(time.perf_counter() - began, 1),
-        "held": 0 if theta is None else balanced_starts(study, theta),
-        "starts": STARTS,
+        "test_successes": 0 if theta is None else balanced_starts(study, theta),
+        "test_episodes": STARTS,
     }
 
 
@@ -194,6 +194,5 @@ if __name__ == "__main__":
     )
     table = pd.DataFrame(rows)
     table.to_csv(arguments.file, index=False, lineterminator="\n")
-    print(
-        table.groupby(["preset", "way"], sort=False)[["succeeded", "experiments", "held", "seconds"]].mean()
-    )
+    measures = ["succeeded", "experiments", "test_successes", "seconds"]
+    print(table.groupby(["preset", "way"], sort=False)[measures].mean())

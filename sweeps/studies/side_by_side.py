@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from simbias.mlflow import results
-from simbias.sweep import tables
+from simbias.sweep import results, tables
 from simbias.sweep.grid import Sweep, expand
 
 MEASURES = ("paper", "its method here", "ours", "our iterations")

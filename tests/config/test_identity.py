@@ -82,7 +82,7 @@ def test_what_may_change_a_result_changes_the_identity() -> None:
 
 def test_a_preset_is_the_same_as_its_options_one_by_one() -> None:
     options = [
-        "bias=held_out",
+        "bias=window_gp",
         "identification=posterior",
         "evaluation=domain_randomization_30s",
         "method=model_selection",

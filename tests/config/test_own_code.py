@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from collections.abc import Iterator
@@ -10,13 +9,14 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from sweeping import write_sweep
+from sweeping import FOLDERS, write_sweep
 
 import simbias
 from simbias.__main__ import main
 from simbias.config.own_code import digests
+from simbias.trial.folder import TrialFolder
 
-SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20"]
+SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20", *FOLDERS]
 SWEEP = "sweep: {trials: 1, figures: {}, axes: {hardware.inertia_error: [0.0, 0.1]}}"
 
 
@@ -47,7 +47,8 @@ def test_digests_are_of_own_modules_and_what_they_import_beside(folder: Path) ->
     before = digests(config)
     assert before.keys() == {"my_hardware", "my_gains"}
     (folder / "my_gains.py").write_text("GAIN = 2.0\n")
-    assert {name for name, digest in digests(config).items() if digest != before[name]} == {"my_gains"}
+    after = digests(config)
+    assert {name for name in after if after[name] != before[name]} == {"my_gains"}
     (folder / "my_gains.py").write_text("GAIN = 1.0\n")
     assert digests(config) == before
     assert digests(simbias.load(["tracking=none"]).config) == {}
@@ -70,11 +71,11 @@ def test_a_package_of_ones_own_counts_its_version(folder: Path) -> None:
 def test_a_finished_trial_says_that_its_code_has_changed(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["--config-dir", "conf", *SMALL, "tracking=folders"]
+    command = ["--config-dir", "conf", *SMALL]
     assert main(command) == main(command) == 0
     assert "has changed" not in capsys.readouterr().err
-    (file,) = folder.glob("trials/*/trial.json")
-    assert json.loads(file.read_text())["code"].keys() == {"my_hardware", "my_gains"}
+    (trial,) = folder.glob("trials/*")
+    assert TrialFolder(trial).description()["code"].keys() == {"my_hardware", "my_gains"}
     (folder / "my_gains.py").write_text("GAIN = 2.0\n")
     assert main(command) == 0
     line = "the trial is shown as it was; its code has changed since it began (my_gains)"
@@ -86,7 +87,7 @@ def test_a_sweep_says_which_of_its_trials_ran_on_other_code(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_sweep(folder, "mine", SWEEP)
-    command = ["--config-dir", "conf", "+sweep=mine", *SMALL, "tracking=folders", "engine=sequential"]
+    command = ["--config-dir", "conf", "+sweep=mine", *SMALL, "engine=sequential"]
     assert main(command) == main(command) == 0
     assert "has changed" not in capsys.readouterr().err
     shutil.copy(folder / "unrelated.py", folder / "my_gains.py")

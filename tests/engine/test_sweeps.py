@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import threading
 import time
 from pathlib import Path
@@ -17,14 +16,13 @@ pytestmark = pytest.mark.slow
 pytest.importorskip("distributed")
 
 
-def test_dask_sweep_with_a_killed_worker(tmp_path: Path, new_store: Path) -> None:
+def test_dask_sweep_with_a_killed_worker(tmp_path: Path) -> None:
     """Two worker processes of a real local cluster, one killed in the middle: as without engine and kill."""
     folders = [tmp_path / name for name in ("dask", "sequential")]
     write_sweep(tmp_path, "mine", FOUR_CELLS)
     for folder in folders:
         folder.mkdir()
-        shutil.copy(new_store, folder)
-    command = ["--config-dir", str(tmp_path / "conf"), "+sweep=mine", "sweep.trials=3"]
+    command = ["--config-dir", str(tmp_path / "conf"), "+sweep=mine", "sweep.trials=3", "tracking=folders"]
     killed: list[int] = []
     killer = threading.Thread(target=kill_a_dask_worker, args=(os.getpid(), killed), daemon=True)
     killer.start()

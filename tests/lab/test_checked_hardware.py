@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PYTHONPATH
 from faulty_hardware import CONVERTED, LEFT, RAISED, RETURNED
+from processes import INTERRUPTIBLE, wait_for
 from records import assert_equal
 
 from simbias.core import Hardware, HardwareError, Policy, Waiting
 from simbias.core.messages import LONGEST_VALUE
 from simbias.core.records import Array, Rollout
-from simbias.lab import checked_hardware as experiments
-from simbias.lab.checked_hardware import Conditions
+from simbias.lab import checked_hardware
+from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
@@ -75,40 +80,74 @@ class Doing(Hardware):
 
 
 def experiment(study: Study, fault: Callable[[Rollout], Any], timeout: float | None = None) -> Rollout:
-    doing = replace(study, hardware=Doing(study.hardware, fault), conditions=Conditions(timeout))
+    doing = replace(study, hardware=Doing(study.hardware, fault), conditions=ExperimentConditions(timeout))
     return doing.experiment(THETA, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("timeout", [None, 60.0], ids=["without limit", "with a limit"])
-@pytest.mark.parametrize("fault", [*RAISED, *RETURNED])
-def test_a_fault_is_one_line(point_mass: Study, fault: str, timeout: float | None) -> None:
+def test_a_fault_is_one_line(point_mass: Study, timeout: float | None) -> None:
     """It names component, field, what was expected and what came."""
-    with pytest.raises(HardwareError) as caught:
-        experiment(point_mass, (RAISED | RETURNED)[fault], timeout)
-    line = str(caught.value)
-    expected = LINES[fault] if fault == "own words" else f"Doing.{LINES[fault]}"
-    assert line.startswith(expected)
-    assert line.isprintable()
-    assert len(line) < 350
-
-
-def test_every_fault_has_its_line() -> None:
     assert LINES.keys() == {*RAISED, *RETURNED}
+    for fault, expected in LINES.items():
+        with pytest.raises(HardwareError) as caught:
+            experiment(point_mass, (RAISED | RETURNED)[fault], timeout)
+        line = str(caught.value)
+        assert line.startswith(expected if fault == "own words" else f"Doing.{expected}"), fault
+        assert line.isprintable(), fault
+        assert len(line) < 350, fault
 
 
-@pytest.mark.parametrize("fault", CONVERTED)
-def test_what_can_be_converted_without_loss_is(point_mass: Study, fault: str) -> None:
-    made = experiment(point_mass, CONVERTED[fault])
-    plain = experiment(point_mass, lambda rollout: rollout)
-    if fault == "float32":
-        plain = replace(plain, inputs=plain.inputs.astype(np.float32).astype(np.float64))
-        assert not np.isnan(made.cost)
-        plain = replace(plain, cost=made.cost)
-    assert_equal(made, plain)
-    for array in (made.states, made.inputs):
-        assert array.dtype == np.float64
-        assert array.flags.c_contiguous
-    assert (type(made.sensed), type(made)) == (bool, Rollout)
+def test_what_can_be_converted_without_loss_is(point_mass: Study) -> None:
+    for fault, convert in CONVERTED.items():
+        made = experiment(point_mass, convert)
+        plain = experiment(point_mass, lambda rollout: rollout)
+        if fault == "float32":
+            plain = replace(plain, inputs=plain.inputs.astype(np.float32).astype(np.float64))
+            assert not np.isnan(made.cost)
+            plain = replace(plain, cost=made.cost)
+        assert_equal(made, plain, fault)
+        for array in (made.states, made.inputs):
+            assert array.dtype == np.float64
+            assert array.flags.c_contiguous
+        assert (type(made.sensed), type(made)) == (bool, Rollout)
+
+
+class Memory:
+    """A record of experiments in memory."""
+
+    def __init__(self, kept: Sequence[Rollout] = ()) -> None:
+        self.kept, self.refused = list(kept), []
+        self._replayed = iter(kept)
+
+    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+        rollout = next(self._replayed, None)
+        if rollout is None:
+            rollout = make()
+            self.kept.append(rollout)
+        return rollout
+
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        self.refused.append(returned)
+        return "; it is kept"
+
+
+def test_a_record_replays_keeps_and_takes_what_is_refused(point_mass: Study) -> None:
+    """A replayed experiment is not made: nobody is asked, and the hardware rests."""
+    task, policy, record, asked = point_mass.task, point_mass.policy, Memory(), []
+    conditions = ExperimentConditions(confirm=True, ask=lambda theta, start: not asked.append(start))
+    faults = iter([lambda rollout: rollout, RETURNED["NaN"]])
+    hardware = Doing(point_mass.hardware, lambda rollout: next(faults)(rollout))
+    checked = CheckedHardware(hardware, task, conditions, record)
+    first = checked.run(policy, THETA, task.start_mean, np.random.default_rng(1))
+    assert first is record.kept[0]
+    np.testing.assert_array_equal(first.parameters, THETA)
+    with pytest.raises(HardwareError, match=r"expected finite numbers, got .*; it is kept$"):
+        checked.run(policy, THETA, task.start_mean, np.random.default_rng(2))
+    assert np.isnan(record.refused[0].states).any()
+    assert (len(record.kept), len(asked)) == (1, 1)
+    again = CheckedHardware(hardware, task, conditions, Memory(record.kept))
+    assert again.run(policy, THETA, task.start_mean, np.random.default_rng(1)) is first
+    assert len(asked) == 1
 
 
 def test_an_experiment_without_a_frame_is_one(point_mass: Study) -> None:
@@ -198,7 +237,7 @@ def hanging(study: Study, hardware: Hardware) -> tuple[str, float]:
     """What is said of an experiment that does not end, and after how long."""
     begun = time.monotonic()
     with pytest.raises(HardwareError) as caught:
-        replace(study, hardware=hardware, conditions=Conditions(0.2)).experiment(
+        replace(study, hardware=hardware, conditions=ExperimentConditions(0.2)).experiment(
             THETA, np.random.default_rng(1)
         )
     return str(caught.value), time.monotonic() - begun
@@ -222,7 +261,7 @@ def test_an_experiment_that_does_not_end_is_stopped(point_mass: Study) -> None:
 
 
 def test_how_stopping_went_is_told(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(experiments, "STOP_SECONDS", 0.1)
+    monkeypatch.setattr(checked_hardware, "STOP_SECONDS", 0.1)
     end = threading.Event()
 
     class Deaf(Doing):
@@ -252,23 +291,44 @@ def test_how_stopping_went_is_told(point_mass: Study, monkeypatch: pytest.Monkey
     end.set()
 
 
-def test_an_interruption_stops_the_hardware(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As Ctrl-C does, which comes to the thread that waits."""
+LOOP = """
+import sys, time
+from pathlib import Path
+import numpy as np
+import simbias
+from simbias.core import Hardware
+from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
 
-    def wait(rollout: Rollout) -> Rollout:
-        hardware.stopped.wait(60.0)
-        return rollout
+class Arm(Hardware):
+    def run(self, policy, theta, start, rng):
+        try:
+            Path("begun").touch()
+            {loop}
+        finally:
+            Path("at rest").touch()
 
-    def interrupted(call: Any, seconds: float) -> bool:
-        if seconds == 30.0:
-            raise KeyboardInterrupt
-        return ended(call, seconds)
+    def stop(self):
+        Path("stopped").touch()
 
-    ended = experiments._Call.ended
-    monkeypatch.setattr(experiments._Call, "ended", interrupted)
-    hardware = Doing(point_mass.hardware, wait)
-    with pytest.raises(KeyboardInterrupt):
-        replace(point_mass, hardware=hardware, conditions=Conditions(30.0)).experiment(
-            THETA, np.random.default_rng(1)
-        )
-    assert hardware.stopped.is_set()
+task = simbias.load(["tracking=none"]).task
+conditions = ExperimentConditions(timeout={timeout})
+CheckedHardware(Arm(), task, conditions).run(None, np.zeros(1), np.zeros(6), np.random.default_rng(0))
+"""
+
+
+@pytest.mark.parametrize("timeout", [None, 60.0], ids=["without limit", "with a limit"])
+@pytest.mark.parametrize("loop", ["while True: time.sleep(0.01)", "while True: pass"])
+def test_ctrl_c_ends_an_experiment(loop: str, timeout: float | None, tmp_path: Path) -> None:
+    """Within 2 s: the hardware is stopped, and its loop ends by what it does at last."""
+    text = LOOP.format(loop=loop, timeout=timeout)
+    environment = os.environ | {"PYTHONPATH": PYTHONPATH}
+    process = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTIBLE + text], cwd=tmp_path, env=environment, stderr=subprocess.PIPE
+    )
+    wait_for(lambda: (tmp_path / "begun").exists())
+    process.send_signal(signal.SIGINT)
+    begun = time.monotonic()
+    _, err = process.communicate(timeout=10)
+    assert time.monotonic() - begun < 2.0
+    assert b"KeyboardInterrupt" in err
+    assert {path.name for path in tmp_path.iterdir()} == {"begun", "at rest", "stopped"}

@@ -16,7 +16,7 @@ import simbias
 from simbias.core import Kernel, Policy, Task
 from simbias.core.records import Array
 from simbias.lab.requests.controller import c_header, derive, python_module
-from simbias.lab.requests.order import Order
+from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.requests.symbols import UntraceableError
 from simbias.lab.safety import Bounds
 from simbias.policy.output_feedback import OutputFeedback
@@ -54,14 +54,14 @@ class Branching(Integral):
         self.kernel = lambda thetas: Kernel(lambda z, p: (z[0] if z[0] > 0 else -z[0],), thetas)
 
 
-def in_python(order: Order) -> Callable[..., Any]:
+def in_python(order: ExperimentRequest) -> Callable[..., Any]:
     names: dict[str, Any] = {}
     law = derive(order.task, order.policy, order.theta)
     exec(python_module(order.task, law, "a test", order.bounds), names)
     return names["control"]
 
 
-def in_c(order: Order, states: Array, folder: Path) -> Array:
+def in_c(order: ExperimentRequest, states: Array, folder: Path) -> Array:
     """What the header gives for states (k, n): whether to abort, then the inputs (k, 1 + m)."""
     law = derive(order.task, order.policy, order.theta)
     (folder / "controller.h").write_text(c_header(order.task, law, "a test", order.bounds))
@@ -91,11 +91,11 @@ int main(void) {{
 
 
 @pytest.fixture
-def order(study: Study) -> Order:
-    return Order(study.task, study.policy, THETA, study.task.start_mean)
+def order(study: Study) -> ExperimentRequest:
+    return ExperimentRequest(study.task, study.policy, THETA, study.task.start_mean)
 
 
-def test_python_gives_the_policys_inputs(order: Order, study: Study) -> None:
+def test_python_gives_the_policys_inputs(order: ExperimentRequest, study: Study) -> None:
     control, states = in_python(order), 0.3 * np.random.default_rng(0).standard_normal((50, 6))
     expected = study.policy.act(THETA, states, 0.0, np.zeros((50, 0)))[0]
     np.testing.assert_allclose([control(x) for x in states], expected, rtol=1e-12, atol=1e-12)
@@ -106,7 +106,7 @@ def test_python_gives_the_policys_inputs(order: Order, study: Study) -> None:
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_c_gives_the_policys_inputs_and_refuses_what_is_no_number(
-    order: Order, study: Study, tmp_path
+    order: ExperimentRequest, study: Study, tmp_path
 ) -> None:
     states = 0.3 * np.random.default_rng(0).standard_normal((50, 6))
     states[7, 2] = np.nan
@@ -120,7 +120,7 @@ def test_c_gives_the_policys_inputs_and_refuses_what_is_no_number(
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_memory_and_time_pass_from_frame_to_frame(tmp_path: Path) -> None:
     task = PointMass()
-    order = Order(task, Integral(task), np.array([3.0]), task.start_mean)
+    order = ExperimentRequest(task, Integral(task), np.array([3.0]), task.start_mean)
     states = np.random.default_rng(1).standard_normal((20, 2))
     controller, control, memory = order.controller(), in_python(order), np.zeros(1)
     expected, by_python = [], []
@@ -138,7 +138,7 @@ def test_outputs_that_nobody_can_say_are_what_the_controller_is_given() -> None:
             return x**2
 
     task = Squares()
-    order = Order(task, OutputFeedback(task), np.array([1.0, -1.0]), task.start_mean)
+    order = ExperimentRequest(task, OutputFeedback(task), np.array([1.0, -1.0]), task.start_mean)
     z = np.array([0.3, 0.2])
     np.testing.assert_allclose(in_python(order)(z), OutputFeedback(task).gains(order.theta) @ z)
     assert "def control(z)" in python_module(task, derive(task, order.policy, order.theta), "", order.bounds)
@@ -154,8 +154,8 @@ def test_a_policy_that_is_no_formula_says_why() -> None:
     assert own.law(Integral(task), np.ones(1)).words == "u = Integral.act(theta, x, t, memory)"
 
 
-def test_limits_are_in_the_order_and_held_by_its_controller(order: Order, study: Study) -> None:
-    class Limited(Order):
+def test_limits_are_in_the_order_and_held_by_its_controller(order: ExperimentRequest, study: Study) -> None:
+    class Limited(ExperimentRequest):
         bounds = Bounds(np.array([5.0]), np.array([np.inf]), np.array([0.2, *[np.inf] * 5]), False)
 
     limited = Limited(study.task, study.policy, THETA, study.task.start_mean)
@@ -173,12 +173,12 @@ def test_limits_are_in_the_order_and_held_by_its_controller(order: Order, study:
         control(np.array([0.0, 0, 3.0, 0, 0, 0]))
 
 
-def test_an_orders_name_is_that_of_its_experiment(order: Order, study: Study) -> None:
-    again = Order(study.task, study.policy, THETA.copy(), order.start.copy())
+def test_an_orders_name_is_that_of_its_experiment(order: ExperimentRequest, study: Study) -> None:
+    again = ExperimentRequest(study.task, study.policy, THETA.copy(), order.start.copy())
     assert again.name == order.name
     for other in (
-        Order(study.task, study.policy, THETA + 1e-9, order.start),
-        Order(study.task, study.policy, THETA, order.start + 1e-9),
-        Order(study.task, study.policy, THETA, order.start, token=1),
+        ExperimentRequest(study.task, study.policy, THETA + 1e-9, order.start),
+        ExperimentRequest(study.task, study.policy, THETA, order.start + 1e-9),
+        ExperimentRequest(study.task, study.policy, THETA, order.start, token=1),
     ):
         assert other.name != order.name

@@ -51,7 +51,11 @@ def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(HardwareError, match="no recording"):
         run(study)
     (tmp_path / "bad.csv").write_text("time,pos_meas1\n0,1\n")
-    with pytest.raises(HardwareError, match="has no column pos_meas2"):
+    with pytest.raises(HardwareError, match="expected a column pos_meas2"):
+        run(study)
+    names = "time,pos_meas1,pos_meas2,vel_meas1,vel_meas2,tau_meas1,tau_meas2"
+    (tmp_path / "bad.csv").write_text(f"{names}\n0,0,0,0,0,0,0\n0.01,0,1_2,0,0,0,0\n")
+    with pytest.raises(HardwareError, match=r"bad\.csv: row 3, column pos_meas2: expected a finite number"):
         run(study)
     with pytest.raises(ValueError, match="columns names what the task has not: angle"):
         Recorded(study.task, str(tmp_path), columns={"angle": "q"})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,15 @@ from records import assert_equal
 import simbias
 from simbias.__main__ import SUCCEEDED, WAITING, main
 from simbias.config import ConfigError
-from simbias.core import HardwareError, Policy, Waiting
+from simbias.core import HardwareError, Policy
 from simbias.core.records import Array, Rollout
-from simbias.lab.checked_hardware import Conditions
-from simbias.lab.requests.manual import Manual
+from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety
+from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
 from simbias.trial.prediction import DRAWS, predict
+from simbias.trial.run import run_trial
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome
 
 THETA = np.array([4.0, 4.0, -2.0])
 START = np.array([0.5, 0.0])
@@ -50,37 +52,52 @@ class Swallowing(Stoppable):
 def experiment(study: Study, safety: Safety, hardware: type = Stoppable) -> tuple[Rollout, int]:
     """An experiment under limits, and how often the hardware was stopped."""
     robot = hardware(study.task)
-    limited = replace(study, hardware=robot, conditions=Conditions(safety=safety))
+    limited = replace(study, hardware=robot, conditions=ExperimentConditions(safety=safety))
     return limited.experiment(THETA, np.random.default_rng(0), START), robot.stopped
 
 
-@pytest.mark.parametrize(
-    ("safety", "failure"),
-    [
-        (Safety(states={"velocity": 0.3}), "unsafe_state_velocity"),
-        (Safety(inputs={"force": 3.9}), "unsafe_input_force"),
-        (Safety(input_rates={"force": 5.0}), "unsafe_rate_of_force"),
-    ],
-)
 @pytest.mark.parametrize("hardware", [Stoppable, Swallowing])
-def test_an_experiment_beyond_a_limit_is_aborted(
-    point_mass: Study, safety: Safety, failure: str, hardware: type
-) -> None:
+def test_an_experiment_beyond_a_limit_is_aborted(point_mass: Study, hardware: type) -> None:
     """It has failed, the hardware is stopped, and what was recorded is what the free one did up to there."""
     free, _ = experiment(point_mass, Safety())
-    aborted, stopped = experiment(point_mass, safety, hardware)
-    k = aborted.frames
-    assert (aborted.failed_at, aborted.failure, stopped) == (k, failure, 1)
-    assert aborted.cost > point_mass.cost.max_cost
-    np.testing.assert_array_equal(aborted.states, free.states[: k + 1])
-    np.testing.assert_array_equal(aborted.inputs, free.inputs[:k])
     speeds, forces = np.abs(free.states[:, 1]), np.abs(free.inputs[:, 0])
-    first = {
-        "unsafe_state_velocity": np.argmax(speeds > 0.3),
-        "unsafe_input_force": np.argmax(forces > 3.9),
-        "unsafe_rate_of_force": 1 + np.argmax(np.abs(np.diff(free.inputs[:, 0])) > 5.0 * 0.02),
-    }
-    assert k == first[failure]
+    for safety, failure, first in (
+        (Safety(states={"velocity": 0.3}), "unsafe_state_velocity", np.argmax(speeds > 0.3)),
+        (Safety(inputs={"force": 3.9}), "unsafe_input_force", np.argmax(forces > 3.9)),
+        (
+            Safety(input_rates={"force": 5.0}),
+            "unsafe_rate_of_force",
+            1 + np.argmax(np.abs(np.diff(free.inputs[:, 0])) > 5.0 * 0.02),
+        ),
+    ):
+        aborted, stopped = experiment(point_mass, safety, hardware)
+        k = aborted.frames
+        assert (aborted.failed_at, aborted.failure, stopped, k) == (k, failure, 1, first)
+        assert aborted.cost > point_mass.cost.max_cost
+        np.testing.assert_array_equal(aborted.states, free.states[: k + 1])
+        np.testing.assert_array_equal(aborted.inputs, free.inputs[:k])
+
+
+def test_a_hardware_that_does_not_ask_the_controller_is_held_against_the_limits(point_mass: Study) -> None:
+    """A state beyond them ends the rollout, as if it had been aborted; an input beyond them is refused."""
+
+    class Own(Stoppable):
+        def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+            return super().run(point_mass.policy, theta, start, rng)
+
+    free, _ = experiment(point_mass, Safety())
+    aborted, _ = experiment(point_mass, Safety(states={"velocity": 0.3}), Own)
+    assert_equal(aborted, replace(free, **_up_to(free, aborted.frames), cost=aborted.cost))
+    assert np.abs(aborted.states[-1, 1]) > 0.3 >= np.abs(aborted.states[:-1, 1]).max()
+    for safety in (Safety(inputs={"force": 3.9}), Safety(input_rates={"force": 5.0})):
+        with pytest.raises(HardwareError, match=r"^Own\.run: inputs: .*\(hardware\.safety\), got "):
+            experiment(point_mass, safety, Own)
+
+
+def _up_to(rollout: Rollout, frame: int) -> dict[str, Any]:
+    """What a rollout is that was aborted in a frame for its velocity."""
+    failed = {"failed_at": frame, "failure": "unsafe_state_velocity"}
+    return {"states": rollout.states[: frame + 1], "inputs": rollout.inputs[:frame], **failed}
 
 
 def test_limits_that_nothing_exceeds_change_nothing(point_mass: Study) -> None:
@@ -117,21 +134,15 @@ def test_what_else_a_hardware_raises_is_an_error_still(point_mass: Study) -> Non
         experiment(point_mass, Safety(criteria=True), Broken)
 
 
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        (
-            "hardware.safety.states={angl: 1}",
-            r"hardware\.safety: states names no quantity of the task: angl",
-        ),
-        ("hardware.safety.inputs={torque: -1}", r"hardware\.safety\.inputs\.torque: must be greater than 0"),
-        ("hardware.safety.input_rates={angle: 1}", r"hardware\.safety: input_rates names no quantity"),
-        ("+hardware.safety.limits=3", r"hardware\.safety\.limits: "),
-    ],
-)
-def test_a_limit_of_nothing_is_bad_input(override: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=f"^{message}"):
-        simbias.load([override, "tracking=none"])
+def test_a_limit_of_nothing_is_bad_input() -> None:
+    for override, key in {
+        "hardware.safety.states={angl: 1}": "hardware.safety",
+        "hardware.safety.inputs={torque: -1}": "hardware.safety.inputs.torque",
+        "hardware.safety.input_rates={angle: 1}": "hardware.safety",
+        "+hardware.safety.limits=3": "hardware.safety.limits",
+    }.items():
+        with pytest.raises(ConfigError, match=rf"^{re.escape(key)}: "):
+            simbias.load([override, "tracking=none"])
 
 
 @pytest.mark.slow
@@ -151,19 +162,6 @@ def test_limits_by_kind_are_those_of_each_quantity() -> None:
     bounds = study.conditions.safety.bounds(study.task)
     np.testing.assert_array_equal(bounds.states, [0.5, 0.5, 0.3, np.inf, np.inf, np.inf])
     np.testing.assert_array_equal(bounds.inputs, [100.0])
-
-
-def test_an_order_has_the_limits(point_mass: Study, tmp_path: Path) -> None:
-    manual = Manual(point_mass.task, str(tmp_path))
-    safety = Safety(states={"velocity": 0.3}, input_rates={"force": 5.0})
-    limited = replace(point_mass, hardware=manual, conditions=Conditions(safety=safety))
-    with pytest.raises(Waiting):
-        limited.experiment(THETA, np.random.default_rng(0), START)
-    (readme,) = tmp_path.glob("*/README.txt")
-    text = readme.read_text()
-    for line in ("|velocity| <= 0.3 m/s", "|change of force| <= 5 N per s", "|force| <= 5 N"):
-        assert f"  {line}\n" in text
-    assert "|position|" not in text
 
 
 def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
@@ -227,21 +225,19 @@ def test_a_person_is_asked_once(
     assert ("the experiment was not confirmed" in captured.err) == (status == WAITING)
 
 
-def test_what_is_recalled_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
-    from simbias.trial.journal import Journal
-    from simbias.trial.run import Outcome, run_trial
-
-    starts: list[Mapping[str, Any] | Array] = []
+def test_what_is_replayed_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
+    starts: list[Array] = []
 
     def allow_first(theta: Array, start: Array) -> bool:
         starts.append(start)
         return len(starts) == 1
 
-    whole = run_trial(point_mass, Journal(tmp_path / "journal"))
-    for entry in sorted((tmp_path / "journal").glob("*_experiment.npz"))[-1:]:
-        entry.unlink()  # it was killed in the last experiment
-    asking = replace(point_mass, conditions=Conditions(confirm=True, ask=allow_first))
-    record = run_trial(asking, Journal(tmp_path / "journal"))
-    assert record.outcome is Outcome.SUCCEEDED
+    whole, folder = run_trial(point_mass, tmp_path), TrialFolder(tmp_path)
+    steps = folder.steps()
+    last = max(index for index, step in enumerate(steps) if step.name.endswith(EXPERIMENT))
+    for file in (*steps[last:], tmp_path / OUTCOME):
+        file.unlink()  # it was killed in the last experiment
+    asking = replace(point_mass, conditions=ExperimentConditions(confirm=True, ask=allow_first))
+    assert run_trial(asking, tmp_path).outcome is Outcome.SUCCEEDED
     assert len(starts) == 1
     np.testing.assert_array_equal(starts[0], whole.iterations[-1].experiments[-1].states[0])

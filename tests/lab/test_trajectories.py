@@ -7,16 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from labs import Pole, lines, requested, written
 from point_mass import PointMass
 
 from simbias.core import HardwareError
 from simbias.core.records import Array, Rollout
 from simbias.lab.requests.trajectory import Recording, frame, header, read, template
+from simbias.lab.safety import Safety
 
 TASK = PointMass(horizon=20)
+REQUEST = requested(TASK, np.array([0.5, -1.0]))
 HEADER = "time (s),position (m),velocity (m/s),force (N),failure"
+POLE = Pole(horizon=20)
+POLE_HEADER = "time (s),angle (rad),rate (rad/s),torque (N m),failure"
+TIMES = TASK.time_step * np.arange(TASK.horizon + 1)
 Lines = list[str]
 
 
@@ -26,37 +32,27 @@ def motion(times: Array) -> tuple[Array, Array]:
     return states, np.floor(times / TASK.time_step + 1e-9)[:, None] % 4
 
 
-def lines(every: float = TASK.time_step, rows: int | None = None) -> Lines:
+def moving(every: float = TASK.time_step, rows: int | None = None) -> Lines:
     """A file's lines, with a row every so many seconds."""
-    count = round(TASK.horizon * TASK.time_step / every) + 1 if rows is None else rows
-    times = every * np.arange(count)
-    states, inputs = motion(times)
-    table = np.column_stack([times, states, inputs])
-    return [HEADER, *(",".join(map(repr, row)) + "," for row in table.tolist())]
+    times = every * np.arange(round(TIMES[-1] / every) + 1 if rows is None else rows)
+    return lines(HEADER, np.column_stack([times, *motion(times)]))
 
 
-def written(folder: Path, text: Lines) -> Path:
-    path = folder / "trajectory.csv"
-    path.write_text("\n".join(text) + "\n")
-    return path
+def assert_is_motion(rollout: Rollout, why: object) -> None:
+    states, inputs = motion(TIMES)
+    np.testing.assert_allclose(rollout.states, states, atol=1e-12, err_msg=str(why))
+    np.testing.assert_allclose(rollout.inputs, inputs[:-1], atol=1e-9, err_msg=str(why))
+    assert (rollout.failed_at, rollout.sensed) == (None, True), why
 
 
-def assert_is_motion(rollout: Rollout) -> None:
-    states, inputs = motion(TASK.time_step * np.arange(TASK.horizon + 1))
-    np.testing.assert_allclose(rollout.states, states, atol=1e-12)
-    np.testing.assert_allclose(rollout.inputs, inputs[:-1], atol=1e-9)
-    assert (rollout.failed_at, rollout.sensed) == (None, True)
-
-
-def test_the_template_is_filled_by_what_it_asks_for(tmp_path: Path) -> None:
-    assert ",".join(header(TASK)) == HEADER
-    assert template(TASK, np.array([0.5, -1.0])) == f"{HEADER}\n0.0,0.5,-1.0,,\n"
-    assert_is_motion(read(written(tmp_path, lines()), TASK))
-
-
-@pytest.mark.parametrize("every", [0.01, 0.005, 0.02 / 3, 0.001])
-def test_a_file_with_more_frequent_rows_is_resampled(tmp_path: Path, every: float) -> None:
-    assert_is_motion(read(written(tmp_path, lines(every)), TASK))
+def refusal(path: Path, request=REQUEST) -> str:
+    """What is wrong with a file."""
+    with pytest.raises(HardwareError) as caught:
+        read(path, request)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: ")
+    assert line.isprintable()
+    return line.removeprefix(f"{path}: ")
 
 
 def swapped(text: Lines) -> Lines:
@@ -72,24 +68,6 @@ def retimed(text: Lines, when: Callable[[int, float], float]) -> Lines:
     return [text[0], *(f"{when(index, float(time))!r},{rest}" for index, (time, rest) in enumerate(rows))]
 
 
-ACCEPTED: dict[str, Callable[[Lines], Lines]] = {
-    "columns in another order, and one more": swapped,
-    "a byte order mark, spaces and empty lines": lambda text: [
-        "\ufeff" + text[0].replace(",", " , "), "", *text[1:], ""
-    ],
-    "the last input is empty": lambda text: [*text[:-1], ",".join([*text[-1].split(",")[:3], "", ""])],
-    "no column of failures": lambda text: [line.rsplit(",", 1)[0] for line in text],
-    "the clock began before": lambda text: retimed(text, lambda index, time: time + 1e5),
-    "it goes on after the horizon": lambda text: lines(rows=25),
-    "a little jitter": lambda text: retimed(text, lambda index, time: time + 1e-3 * (index % 2)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("change", ACCEPTED)
-def test_what_is_meant_is_taken(tmp_path: Path, change: str) -> None:
-    assert_is_motion(read(written(tmp_path, ACCEPTED[change](lines())), TASK))
-
-
 def cell(row: int, column: int, text: str) -> Callable[[Lines], Lines]:
     """A change of a cell; rows count as in a spreadsheet."""
 
@@ -101,81 +79,168 @@ def cell(row: int, column: int, text: str) -> Callable[[Lines], Lines]:
     return change
 
 
+ACCEPTED: dict[str, Callable[[Lines], Lines]] = {
+    "a row every 10 ms": lambda text: moving(0.01),
+    "a row every 6.7 ms": lambda text: moving(0.02 / 3),
+    "a row every 1 ms": lambda text: moving(0.001),
+    "columns in another order, and one more": swapped,
+    "a byte order mark, spaces and empty lines": lambda text: [
+        "\ufeff" + text[0].replace(",", " , "), "", *text[1:], ""
+    ],
+    "the last input is empty": lambda text: [*text[:-1], ",".join([*text[-1].split(",")[:3], "", ""])],
+    "no column of failures": lambda text: [line.rsplit(",", 1)[0] for line in text],
+    "no cells of failures": lambda text: [text[0], *(line.rsplit(",", 1)[0] for line in text[1:])],
+    "the clock began before": lambda text: retimed(text, lambda index, time: time + 1e5),
+    "it ends after the horizon": lambda text: moving(rows=25),
+    "a little jitter": lambda text: retimed(text, lambda index, time: time + 1e-3 * (index % 2)),
+    "semicolons": lambda text: [line.replace(",", ";") for line in text],
+    "semicolons and decimal commas": lambda text: [
+        line.replace(",", ";").replace(".", ",") for line in text
+    ],
+}  # fmt: skip
+
+
+def test_what_is_meant_is_taken(tmp_path: Path) -> None:
+    assert ",".join(header(TASK)) == HEADER
+    assert template(TASK, np.array([0.5, -1.0])) == f"{HEADER}\n0.0,0.5,-1.0,,\n"
+    for why, change in ACCEPTED.items():
+        assert_is_motion(read(written(tmp_path, change(moving())), REQUEST), why)
+
+
 REFUSED: dict[str, tuple[Callable[[Lines], Lines], str]] = {
     "empty": (lambda text: [], "expected a header and rows, got 0 lines"),
     "a header alone": (lambda text: text[:1], "expected a header and rows, got 1 lines"),
-    "a column missing": (
-        cell(1, 2, "speed (m/s)"),
-        "row 1: expected a column velocity (m/s), got none among 'time (s), position (m), speed (m/s), ",
-    ),
+    "a column missing": (cell(1, 2, "speed (m/s)"), "row 1: expected a column velocity (m/s), got none"),
     "a column twice": (cell(1, 4, "force (N)"), "row 1: expected a column force (N), got several among "),
-    "another unit": (
-        cell(1, 1, "position (mm)"),
-        "row 1, column position: expected the unit (m), got 'mm'; convert the values",
-    ),
+    "another unit": (cell(1, 1, "position (mm)"), "row 1, column position: expected the unit (m), got 'mm'"),
     "no unit": (cell(1, 0, "time"), "row 1, column time: expected the unit (s), got ''; convert the values"),
-    "no number": (cell(7, 1, "0x"), "row 7, column position: expected a number, got '0x'"),
-    "an empty cell": (cell(7, 3, ""), "row 7, column force: expected a number, got ''"),
-    "NaN": (cell(9, 2, "nan"), "row 9, column velocity: expected a finite number, got 'nan'"),
-    "infinity": (cell(9, 2, "-inf"), "row 9, column velocity: expected a finite number, got '-inf'"),
-    "time goes backwards": (
-        cell(5, 0, "0.01"),
-        "row 5, column time: expected more than 0.04 s, as in the row before, got 0.01 s",
-    ),
-    "time stands still": (
-        cell(5, 0, "0.04"),
-        "row 5, column time: expected more than 0.04 s, as in the row before, got 0.04 s",
-    ),
+    "an empty cell": (cell(7, 3, ""), "row 7, column force: expected a finite number, got ''"),
+    "time goes backwards": (cell(5, 0, "0.01"), "row 5, column time: expected more than 0.04 s"),
+    "time stands still": (cell(5, 0, "0.04"), "row 5, column time: expected more than 0.04 s"),
     "a gap": (
         lambda text: [*text[:8], *text[11:]],
         "row 9, column time: expected no gap, got one of 0.08 s after 0.12 s",
     ),
-    "too rare": (
-        lambda text: lines(0.04),
-        "column time: expected a row at least every 0.02 s (50 Hz), got one every 0.04 s (25 Hz)",
-    ),
+    "too rare": (lambda text: moving(0.04), "column time: expected a row at least every 0.02 s (50 Hz)"),
     "milliseconds": (
         lambda text: retimed(text, lambda index, time: 1e3 * time),
         "column time: expected a row at least every 0.02 s (50 Hz), got one every 20 s (0.05 Hz)",
     ),
     "an input beyond its limit": (cell(6, 3, "5.1"), "row 6, column force: expected at most 5 N, got 5.1"),
-    "short": (
-        lambda text: text[:12],
-        "row 12: expected 20 frames of 0.02 s, the recording ends after 10 without a failure; if the robot "
-        "failed, name how in the last row's column failure",
-    ),
+    "short": (lambda text: text[:12], "row 12: expected 20 frames of 0.02 s, the recording ends after 10"),
     "one row": (lambda text: text[:2], "row 2: expected 20 frames of 0.02 s, the recording ends after 0"),
+    "a start elsewhere": (cell(2, 1, "0.1"), "row 2, column position: expected the start 0.5 within 0.2 m"),
+    "a start that has failed": (cell(2, 2, "-0.9"), "row 2: expected a start within the limits"),
+    "a decimal comma": (cell(7, 3, "1,5"), "row 7: expected 5 cells as in row 1, got 6; is it a decimal "),
+    "a decimal comma and no failure": (
+        lambda text: cell(7, 3, "1,5")([text[0], *(line[:-1] for line in text[1:])]),
+        "row 7, column failure: expected a name, got '5'; has a decimal comma cut a number in two?",
+    ),
+    "a decimal comma in quotes": (
+        lambda text: [*text[:6], text[6].replace("0.4,", '"0,4",'), *text[7:]],
+        "row 7, column position: expected a finite number, got '0,4'; is it a decimal comma?",
+    ),
+    "commas and points": (
+        lambda text: [line.replace(",", ";") for line in cell(7, 3, "1")(text)[:7]]
+        + [line.replace(",", ";").replace(".", ",") for line in text[7:]],
+        "row 2, column time: expected a finite number, got '0.0'",
+    ),
+    "a failure in between": (cell(7, 4, "fell"), "row 7, column failure: expected it in the last row alone"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("change", REFUSED)
-def test_what_is_wrong_is_one_line_with_row_and_column(tmp_path: Path, change: str) -> None:
-    wrong, message = REFUSED[change]
-    path = written(tmp_path, wrong(lines()))
-    with pytest.raises(HardwareError) as caught:
-        read(path, TASK)
-    assert str(caught.value).startswith(f"{path}: {message}")
-    assert str(caught.value).isprintable()
-
-
-def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "trajectory.csv"
+def test_what_is_wrong_is_one_line_with_row_and_column(tmp_path: Path) -> None:
+    near = requested(PointMass(horizon=20), np.array([0.95, -1.0]))
+    for why, (wrong, message) in REFUSED.items():
+        path, request = written(tmp_path, wrong(moving())), REQUEST
+        if why == "a start that has failed":
+            path, request = written(tmp_path, cell(2, 1, "1.1")(moving())), near
+        assert refusal(path, request).startswith(message), why
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(HardwareError, match="cannot be read"):
-        read(path, TASK)
+    assert refusal(path).startswith("cannot be read")
+
+
+def test_only_plain_digits_are_numbers(tmp_path: Path) -> None:
+    """Python's float() takes some of these."""
+    for digits in ("1_2", "\u0661", "\uff11", "0x1", "nan", "-inf", "1e999", "\u22121", "1 2", "1.2.3"):
+        message = refusal(written(tmp_path, cell(9, 3, digits)(moving())))
+        assert message.startswith("row 9, column force: expected a finite number, got "), digits
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    start=st.tuples(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15)),
+    seed=st.integers(0, 2**32 - 1),
+    row=st.integers(2, TASK.horizon + 2),
+    damage=st.sampled_from(["none", "degrees", "degrees from row 3", "decimal comma", "a cell more", "1_2"]),
+    style=st.sampled_from([",", ";", "; and decimal commas"]),
+)
+def test_a_file_is_read_as_it_was_written_or_refused(
+    tmp_path: Path,
+    start: tuple[float, float],
+    seed: int,
+    row: int,
+    damage: str,
+    style: str,
+) -> None:
+    """Whatever the numbers: none is taken for another one."""
+    rng = np.random.default_rng(seed)
+    asked = np.array(start)
+    steps = np.concatenate([np.zeros((1, 2)), 5e-5 * rng.standard_normal((POLE.horizon, 2))])
+    states = asked + np.cumsum(steps, axis=0)
+    inputs = rng.uniform(-5, 5, (POLE.horizon + 1, 1))
+    sent = states.copy()
+    if damage.startswith("degrees"):
+        assume(np.abs(asked).min() > 5e-3)
+        sent[int(damage != "degrees") :] *= 180 / np.pi
+    text = lines(POLE_HEADER, np.column_stack([TIMES, sent, inputs]))
+    if damage == "1_2":
+        text = cell(row, 3, "1_2")(text)
+    elif damage == "a cell more":
+        text[row - 1] += ",1"
+    elif damage == "decimal comma":
+        text = cell(row, 3, "1,25")(text)
+    if style != ",":
+        text = [line.replace(",", ";") for line in text]
+    if style == "; and decimal commas":
+        text = [line.replace(".", ",") for line in text]
+    path = written(tmp_path, text)
+    if damage == "none":
+        rollout = read(path, requested(POLE, asked))
+        np.testing.assert_array_equal(rollout.states, states)
+        np.testing.assert_array_equal(rollout.inputs, inputs[:-1])
+    else:
+        message = refusal(path, requested(POLE, asked))
+        at = {"degrees": 2, "degrees from row 3": 3}.get(damage, row)
+        assert message.startswith(f"row {at}"), message
+        assert "degrees" not in damage or "are these degrees?" in message
 
 
 def test_a_failure_is_that_of_the_first_state_beyond_a_limit(tmp_path: Path) -> None:
-    rollout = read(written(tmp_path, cell(8, 1, "-1.5")(lines())), TASK)
+    rollout = read(written(tmp_path, cell(8, 1, "-1.5")(moving())), REQUEST)
     assert (rollout.failed_at, rollout.failure, rollout.frames, len(rollout.states)) == (6, "distance", 6, 7)
-
-
-def test_a_failure_may_be_named(tmp_path: Path) -> None:
-    rollout = read(written(tmp_path, cell(12, 4, "the cable broke")(lines())[:12]), TASK)
+    rollout = read(written(tmp_path, cell(12, 4, "the cable broke")(moving())[:12]), REQUEST)
     assert (rollout.failed_at, rollout.failure) == (10, "the cable broke")
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_what_comes_back_is_held_against_the_safety_limits(tmp_path: Path) -> None:
+    """Beyond a state's limit the experiment has ended; an input beyond its own nobody should have sent."""
+    path = written(tmp_path, moving())
+    limited = requested(TASK, REQUEST.start, Safety(states={"position": 0.5, "velocity": 1.5}))
+    assert read(path, limited).failure is None
+    path = written(tmp_path, cell(8, 2, "-1.6")(moving()))
+    rollout = read(path, limited)
+    assert (rollout.failed_at, rollout.failure, len(rollout.states)) == (6, "unsafe_state_velocity", 7)
+    assert read(written(tmp_path, cell(8, 2, "-1.6")(moving())[:8]), limited).failed_at == 6
+    weak = requested(TASK, REQUEST.start, Safety(inputs={"force": 2.5}))
+    assert refusal(path, weak).startswith("row 5, column force: expected at most 2.5 N, got 3")
+    slow = requested(TASK, REQUEST.start, Safety(states={"velocity": 1.0}))
+    assert refusal(written(tmp_path, cell(2, 2, "-1.1")(moving())), slow).startswith(
+        "row 2, column velocity: expected at most 1 m/s, got -1.1"
+    )
+
+
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(0.002, 0.02), min_size=25, max_size=200), st.integers(0, 2**32 - 1))
 def test_resampling_keeps_the_integral_of_inputs_and_lines_of_states(steps: list[float], seed: int) -> None:
     """Whatever the times: a straight line stays one, and the mean input of all frames is that of all rows."""
@@ -184,9 +249,8 @@ def test_resampling_keeps_the_integral_of_inputs_and_lines_of_states(steps: list
         times = np.concatenate([times, np.arange(times[-1] + 0.02, 0.42, 0.02)])
     states, _ = motion(times)
     inputs = np.random.default_rng(seed).uniform(-5, 5, (len(times), 1))
-    rollout = frame(Recording(times, states, inputs), TASK, "here")
-    expected, _ = motion(TASK.time_step * np.arange(TASK.horizon + 1))
-    np.testing.assert_allclose(rollout.states, expected, atol=0.26 * TASK.time_step)
+    rollout = frame(Recording(times, states, inputs), REQUEST, "here")
+    np.testing.assert_allclose(rollout.states, motion(TIMES)[0], atol=0.26 * TASK.time_step)
     end = TASK.horizon * TASK.time_step
     held = np.diff(np.clip(times, 0, end))
     exact = np.sum(held * inputs[:-1, 0])

@@ -31,20 +31,20 @@ def scale() -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("option", OPTIONS)
-def test_draws_have_the_posteriors_mean_and_variance(option: str) -> None:
+def test_draws_have_the_posteriors_mean_and_variance() -> None:
     """At training inputs, which inducing points cover; tolerances are five standard errors."""
-    posterior, inputs = fitted(option), data().inputs[::10]
-    mean, variance = posterior.predict(inputs)
-    rng = np.random.default_rng(0)
-    values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale()
-    hyper = posterior._hyper
-    latent = variance / scale() ** 2 - hyper.noise_variance  # what is uncertain of the function itself
-    assert (latent > 1e-3).all()
-    error = values.mean(axis=0) - mean / scale()
-    assert (np.abs(error) < 5 * np.sqrt(latent / DRAWS)).all()
-    slack = 5 * np.sqrt(2 / DRAWS)
-    np.testing.assert_allclose(values.var(axis=0), latent, rtol=slack, atol=2e-4)
+    for option in OPTIONS:
+        posterior, inputs = fitted(option), data().inputs[::10]
+        mean, variance = posterior.predict(inputs)
+        rng = np.random.default_rng(0)
+        values = np.array([posterior.draw(rng).predict(inputs)[0] for _ in range(DRAWS)]) / scale()
+        hyper = posterior._hyper
+        latent = variance / scale() ** 2 - hyper.noise_variance  # what is uncertain of the function itself
+        assert (latent > 1e-3).all()
+        error = values.mean(axis=0) - mean / scale()
+        assert (np.abs(error) < 5 * np.sqrt(latent / DRAWS)).all()
+        slack = 5 * np.sqrt(2 / DRAWS)
+        np.testing.assert_allclose(values.var(axis=0), latent, rtol=slack, atol=2e-4)
 
 
 @pytest.mark.slow
@@ -68,23 +68,23 @@ def test_draws_have_the_posteriors_covariance() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("option", OPTIONS)
-def test_kernel_agrees_with_the_plain_draw(option: str) -> None:
-    draw = fitted(option).draw(np.random.default_rng(1))
-    inputs = data().inputs[:16]
-    fast = corrections(draw, inputs)
-    plain = np.array([draw.correction(x[:6], x[6:]) for x in inputs])
-    np.testing.assert_allclose(fast / scale(), plain / scale(), rtol=0, atol=1e-3)
+def test_kernel_agrees_with_the_plain_draw() -> None:
+    for option in OPTIONS:
+        draw = fitted(option).draw(np.random.default_rng(1))
+        inputs = data().inputs[:16]
+        fast = corrections(draw, inputs)
+        plain = np.array([draw.correction(x[:6], x[6:]) for x in inputs])
+        np.testing.assert_allclose(fast / scale(), plain / scale(), rtol=0, atol=1e-3)
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-def test_a_draw_follows_its_generator_and_is_one_function(option: str) -> None:
-    posterior, inputs = fitted(option), data().inputs[:3]
-    first, again, other = (posterior.draw(np.random.default_rng(seed)) for seed in (7, 7, 8))
-    np.testing.assert_array_equal(first.predict(inputs)[0], again.predict(inputs)[0])
-    np.testing.assert_array_equal(first.predict(inputs)[0], first.predict(inputs)[0])
-    assert (first.predict(inputs)[0] != other.predict(inputs)[0]).any()
-    assert not first.predict(inputs)[1].any()
+def test_a_draw_follows_its_generator_and_is_one_function() -> None:
+    for option in OPTIONS:
+        posterior, inputs = fitted(option), data().inputs[:3]
+        first, again, other = (posterior.draw(np.random.default_rng(seed)) for seed in (7, 7, 8))
+        np.testing.assert_array_equal(first.predict(inputs)[0], again.predict(inputs)[0])
+        np.testing.assert_array_equal(first.predict(inputs)[0], first.predict(inputs)[0])
+        assert (first.predict(inputs)[0] != other.predict(inputs)[0]).any()
+        assert not first.predict(inputs)[1].any()
 
 
 def test_far_from_data_a_draw_returns_to_zero() -> None:
@@ -94,16 +94,16 @@ def test_far_from_data_a_draw_returns_to_zero() -> None:
     np.testing.assert_allclose(draw.predict(far)[0], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-def test_a_rollout_on_a_draw_is_the_compiled_one(option: str) -> None:
+def test_a_rollout_on_a_draw_is_the_compiled_one() -> None:
     """One function along a whole rollout; the compiled loop and the plain one agree on it."""
-    study = simbias.load(["tracking=none", f"bias={option}", "task.horizon=60"])
-    draw = study.bias.fit(data()).draw(np.random.default_rng(2))
-    theta, start = np.zeros(study.policy.n_parameters), study.task.start_mean
-    fast = study.simulator(draw).rollout(theta, start).states
-    x = start
-    for t in range(len(fast) - 1):
-        u = study.policy.controller(theta, 0.001)(x)
-        x = study.nominal.step(x, u) + draw.predict(np.concatenate([x, u])[None])[0][0]
-        np.testing.assert_allclose(fast[t + 1], x, rtol=0, atol=1e-5)
-    assert len(fast) > 20
+    for option in OPTIONS:
+        study = simbias.load(["tracking=none", f"bias={option}", "task.horizon=60"])
+        draw = study.bias.fit(data()).draw(np.random.default_rng(2))
+        theta, start = np.zeros(study.policy.n_parameters), study.task.start_mean
+        fast = study.simulator(draw).rollout(theta, start).states
+        x = start
+        for t in range(len(fast) - 1):
+            u = study.policy.controller(theta, 0.001)(x)
+            x = study.nominal.step(x, u) + draw.predict(np.concatenate([x, u])[None])[0][0]
+            np.testing.assert_allclose(fast[t + 1], x, rtol=0, atol=1e-5)
+        assert len(fast) > 20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from pendulum import experiment, pendulum, truth, with_a_fall
 import simbias
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Identified, Problem
-from simbias.learning.prediction_errors import FREEDOM, Errors, correlation_time
+from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import Windows
 from simbias.trial.model_selection import VARIANTS, log_likelihoods, most_likely
 from simbias.trial.steps import learn
@@ -72,7 +73,18 @@ def test_without_a_whole_window_or_parameters_it_is_the_model_itself(study: Stud
     fit = study.identification.fit
     assert fit(study.nominal, []) is study.nominal
     assert fit(study.nominal, [short]) is study.nominal
-    assert fit(robot.with_parameters(np.array([p.value for p in robot.parameters])), []) is not None
+    known = copy(study.nominal)
+    known.parameters = ()
+    assert fit(known, [experiment(known, np.random.default_rng(0), 300)]) is known
+
+
+def test_a_robot_at_rest_says_nothing_of_its_parameters(study: Study) -> None:
+    """It hangs without torque, whatever they are: the posterior is the prior, exactly."""
+    rest = Rollout(np.zeros((501, 4)), np.zeros((500, 2)))
+    fitted = study.identification.fit(study.nominal, [rest])
+    assert isinstance(fitted, Identified)
+    np.testing.assert_array_equal(fitted.mode, 0.0)
+    np.testing.assert_array_equal(fitted.covariance, np.eye(len(fitted.mode)))
 
 
 def test_experiments_that_fell_count_as_others(study: Study) -> None:
@@ -181,7 +193,7 @@ def test_likelihood_is_students() -> None:
     rollout = Rollout(rng.standard_normal((401, 2)), rng.standard_normal((400, 1)))
     windows = Windows.of([rollout], 10, 5)
     e = rng.standard_normal((40, 2, 2))
-    errors = Errors.of(e, windows)
+    errors = ErrorDistribution.of(e, windows)
     exact = multivariate_t(np.zeros(4), errors.factor @ errors.factor.T, df=4 * FREEDOM)
     np.testing.assert_allclose(errors.log_likelihoods(e), exact.logpdf(e.reshape(40, 4)), rtol=1e-9)
 

@@ -35,15 +35,15 @@ def queries(k: int) -> Array:
     return np.random.default_rng(99).normal(size=(k, 7)) * SCALE
 
 
-@pytest.mark.parametrize("n", [1, 2, 40])
-def test_with_every_point_inducing_it_is_the_exact_posterior(study: Study, n: int) -> None:
-    data = along_trajectories(n)
-    every_point = GaussianProcess(study.task, inducing=Inducing(n, 1e-12, 1e-12))
-    mean, variance = every_point.fit(data).predict(queries(50))
-    exact_mean, exact_variance = GaussianProcess(study.task).fit(data).predict(queries(50))
-    np.testing.assert_allclose(mean, exact_mean, rtol=0, atol=1e-7)
-    relative_error = (variance - exact_variance) / np.mean(data.residuals**2, axis=0)
-    np.testing.assert_allclose(relative_error, 0, atol=1e-4)
+def test_with_every_point_inducing_it_is_the_exact_posterior(study: Study) -> None:
+    for n in (1, 2, 40):
+        data = along_trajectories(n)
+        every_point = GaussianProcess(study.task, inducing=Inducing(n, 1e-12, 1e-12))
+        mean, variance = every_point.fit(data).predict(queries(50))
+        exact_mean, exact_variance = GaussianProcess(study.task).fit(data).predict(queries(50))
+        np.testing.assert_allclose(mean, exact_mean, rtol=0, atol=1e-7)
+        relative_error = (variance - exact_variance) / np.mean(data.residuals**2, axis=0)
+        np.testing.assert_allclose(relative_error, 0, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -86,11 +86,11 @@ def test_the_failing_contact_is_rejected_by_its_own_criterion(study: Study) -> N
     assert len(selection.transitions) == rollout.frames - 1
 
 
-@pytest.mark.parametrize(("stride", "expected"), [(1, 100), (35, 3), (99, 2), (100, 1), (1000, 1)])
-def test_downsampling(study: Study, stride: int, expected: int) -> None:
-    rollout = Rollout(np.zeros((101, 6)), np.zeros((100, 1)))
-    selection = Thresholds(study.task, stride=stride).select([rollout], study.nominal)
-    assert (selection.frames, selection.sampled) == (100, expected)
+def test_downsampling(study: Study) -> None:
+    for stride, expected in ((1, 100), (35, 3), (99, 2), (100, 1), (1000, 1)):
+        rollout = Rollout(np.zeros((101, 6)), np.zeros((100, 1)))
+        selection = Thresholds(study.task, stride=stride).select([rollout], study.nominal)
+        assert (selection.frames, selection.sampled) == (100, expected)
 
 
 # Measured states

@@ -11,10 +11,10 @@ import pytest
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters
-from simbias.learning.bias.held_out import HeldOut, OfWindows, _Fits, _outliers, features, root
-from simbias.learning.bias.posterior import Drawn
+from simbias.learning.bias.posterior import GPSample
 from simbias.learning.bias.sensitivity import Sensitivity
-from simbias.learning.prediction_errors import Errors, correlation_time
+from simbias.learning.bias.window_gp import WindowGP, WindowPosterior, _Fits, _outlier_limits, features, root
+from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import Windows, World, predict
 
 NO_DATA = Transitions(np.empty((0, 3)), np.empty((0, 2)))
@@ -69,14 +69,16 @@ def test_sensitivities_are_those_of_differences() -> None:
     U, small, columns = root(hyper(), Z), 1e-4, []
     for weights in small * np.eye(6):  # of three functions in each of two states
         W = U.T @ weights.reshape(2, 3).T
-        there, back = (predict([World(nominal)], windows, Drawn(hyper(), Z, sign * W))[0] for sign in (1, -1))
+        there, back = (
+            predict([World(nominal)], windows, GPSample(hyper(), Z, sign * W))[0] for sign in (1, -1)
+        )
         columns.append((there - back) / (2 * small))
     expected = np.stack(columns, axis=-1)  # (w, J, n, n R)
     got = np.concatenate(sensitivity.parts)
     np.testing.assert_allclose(got, expected, atol=1e-4 * np.abs(expected).max())
     factor = np.tril(np.random.default_rng(0).uniform(1, 2, (4, 4)))
     np.testing.assert_allclose(
-        sensitivity.whiten(Errors(factor)), np.linalg.solve(factor, got.reshape(len(got), 4, 6))
+        sensitivity.whiten(ErrorDistribution(factor)), np.linalg.solve(factor, got.reshape(len(got), 4, 6))
     )
 
 
@@ -86,7 +88,7 @@ def fits(fold: Array) -> tuple[_Fits, Array, Array, Array]:
     parts, left = rng.standard_normal((w, 2, 2, 6)), rng.standard_normal((w, 2, 2))
     left[::4] *= 5.0
     factor = np.tril(rng.uniform(1, 2, (4, 4)))
-    errors, experiments = Errors(factor, share=0.5), np.repeat([0, 1], [w - 5, 5])
+    errors, experiments = ErrorDistribution(factor, independent_share=0.5), np.repeat([0, 1], [w - 5, 5])
     made = _Fits.of(Sensitivity([parts[:3], parts[3:]]), left, errors, fold, experiments)
     A = np.linalg.solve(factor, parts.reshape(w, 4, 6))
     b = np.linalg.solve(factor, left.reshape(w, 4, 1))[..., 0]
@@ -100,15 +102,14 @@ def ridge(A: Array, b: Array, signal: Array) -> tuple[Array, Array]:
     return np.linalg.solve(precision, 0.5 * A.T @ b), np.linalg.inv(precision)
 
 
-@pytest.mark.parametrize("without", [None, 0, 2])
-def test_weights_have_the_posterior_of_what_is_not_left_out(without: int | None) -> None:
+def test_weights_have_the_posterior_of_what_is_not_left_out() -> None:
     """Half of each window is told anew, so its products count half."""
-    fold, signal = np.repeat([0, 1, 2], 4), np.array([0.5, 3.0])
-    made, A, b, _ = fits(fold)
-    for got, expected in zip(
-        made.posterior(signal, without), ridge(A[fold != without], b[fold != without], signal), strict=True
-    ):
-        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-12)
+    for without in (None, 0, 2):
+        fold, signal = np.repeat([0, 1, 2], 4), np.array([0.5, 3.0])
+        made, A, b, _ = fits(fold)
+        expected = ridge(A[fold != without], b[fold != without], signal)
+        for got, each in zip(made.posterior(signal, without), expected, strict=True):
+            np.testing.assert_allclose(got, each, rtol=1e-9, atol=1e-12)
 
 
 def test_the_gain_is_that_of_windows_that_were_left_out() -> None:
@@ -134,7 +135,7 @@ def test_the_gain_is_that_of_windows_that_were_left_out() -> None:
     ],
 )
 def test_durations_are_rounded_to_frames(options: Any, window: int, chunk: int, segment: int) -> None:
-    bias = HeldOut(task(), **options)
+    bias = WindowGP(task(), **options)
     assert (bias._window, bias._chunk, bias._segment) == (window, chunk, segment)
 
 
@@ -146,12 +147,12 @@ def test_segments_of_an_experiment_are_left_out_in_turn(folds: int, expected: li
     """None is in two fits, nor of two experiments; the frames before the first window are in none."""
     zeros = [Rollout(np.zeros((frames + 1, 2)), np.zeros((frames, 1))) for frames in (36, 25)]
     windows = Windows.of(zeros, 5, 1)
-    assert HeldOut(task(), segment=0.3, folds=folds)._fold(windows).tolist() == expected
+    assert WindowGP(task(), segment=0.3, folds=folds)._fold(windows).tolist() == expected
 
 
-def test_outliers_are_beyond_four_standard_deviations() -> None:
+def test_outlier_limits_are_beyond_four_standard_deviations() -> None:
     values = np.random.default_rng(0).standard_normal((20_000, 1)) * 3.0
-    least, most = _outliers(values)
+    least, most = _outlier_limits(values)
     np.testing.assert_allclose([least, most], [[-12.0], [12.0]], rtol=0.03)
 
 
@@ -159,16 +160,16 @@ def learned(missing: float = 2.0, **options: Any) -> Any:
     robot = Oscillator(missing)
     rollouts = [experiment(robot, frames, frames) for frames in (160, 140)]
     given: Any = {"segment": 0.5, "signals": (1.0,), "length_scales": (2.0,)} | options
-    return HeldOut(task(), **given).learn(NO_DATA, rollouts, Oscillator()), rollouts
+    return WindowGP(task(), **given).learn(NO_DATA, rollouts, Oscillator()), rollouts
 
 
 def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """Inputs by their standard deviation in windows, the signal by what is left of the last chunks."""
     fitted, rollouts = learned(points=12)
-    assert isinstance(fitted, OfWindows)
+    assert isinstance(fitted, WindowPosterior)
     windows = Windows.of(rollouts, 5, 1)
     left = (windows.means - predict([World(Oscillator())], windows)[0])[:, -1]
-    expected = np.sqrt(np.mean(np.clip(left, *_outliers(left)) ** 2, axis=0)) / 5
+    expected = np.sqrt(np.mean(np.clip(left, *_outlier_limits(left)) ** 2, axis=0)) / 5
     np.testing.assert_allclose(fitted._signal, expected, rtol=1e-9)
     inputs = np.concatenate([np.concatenate([r.states[:-1], r.inputs], axis=1) for r in rollouts])
     np.testing.assert_allclose(fitted._hyper.input_scale, inputs.std(axis=0))
@@ -178,7 +179,7 @@ def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) 
     mean = fitted.predict(inputs)[0][:, 1]
     missing = 0.02 * 2.0 * np.cos(inputs[:, 0])
     assert np.sqrt(np.mean((mean - missing) ** 2)) < 0.4 * np.sqrt(np.mean(missing**2))
-    monkeypatch.setattr("simbias.learning.bias.held_out.MOST", 50)  # of many inputs, some
+    monkeypatch.setattr("simbias.learning.bias.window_gp.CANDIDATES", 50)  # of many inputs, some
     np.testing.assert_allclose(learned(points=12)[0]._hyper.input_scale, inputs[::6].std(axis=0))
 
 
@@ -194,8 +195,8 @@ def test_the_shortest_length_and_the_best_signal_are_taken() -> None:
 
 
 def test_two_folds_are_enough_and_one_is_not() -> None:
-    assert isinstance(learned(folds=2)[0], OfWindows)
-    assert not isinstance(learned(folds=1)[0], OfWindows)
+    assert isinstance(learned(folds=2)[0], WindowPosterior)
+    assert not isinstance(learned(folds=1)[0], WindowPosterior)
 
 
 def test_an_input_that_never_changes_has_a_scale_all_the_same() -> None:
@@ -204,7 +205,7 @@ def test_an_input_that_never_changes_has_a_scale_all_the_same() -> None:
         Rollout(each.states, np.zeros_like(each.inputs))
         for each in (experiment(robot, 150, 1), experiment(robot, 150, 2))
     ]
-    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Oscillator())
+    fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, rollouts, Oscillator())
     assert np.isfinite(fitted.predict(np.zeros((2, 3)))[0]).all()
 
 
@@ -229,7 +230,7 @@ def test_a_state_that_is_predicted_exactly_has_no_bias(missing: float) -> None:
         for each in u:
             states.append(robot.step(states[-1], each))
         rollouts.append(Rollout(np.array(states), u))
-    fitted = HeldOut(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
+    fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, rollouts, Decay())
     mean, variance = fitted.predict(np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1))
     np.testing.assert_allclose(mean[:, 0], 0.0, atol=1e-9)
     np.testing.assert_allclose(np.median(mean[:, 1]), 0.02 * missing, rtol=0.3)
@@ -252,7 +253,7 @@ def test_before_data_the_variance_is_the_signals() -> None:
     inputs = np.concatenate([at_points, at_points + 0.2, at_points + 100.0])
 
     def variance(covariance: Array) -> Array:
-        return OfWindows(hyper(), Z, np.zeros(10), covariance, signal, {}).predict(inputs)[1]
+        return WindowPosterior(hyper(), Z, np.zeros(10), covariance, signal, {}).predict(inputs)[1]
 
     prior = np.repeat(signal**2, 5)
     np.testing.assert_allclose(variance(np.diag(prior)), np.tile(signal**2, (15, 1)), rtol=1e-9)

@@ -1,22 +1,25 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 
 import simbias
 from simbias.core.records import Iteration, Learning, Optimum, Search
-from simbias.trial.study import Study
+from simbias.trial.study import Method, Observer, Study
 
 BALANCING = np.array([8.118, 4.783, -6.658, -0.366, -5.560])
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def short() -> Study:
     return simbias.load(["task.horizon=2000"])
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def trial(short: Study) -> list[Iteration]:
     """A policy that falls on hardware, and one that balances there; a bias was learned in between."""
     data, iterations = short.no_data, []
@@ -43,28 +46,33 @@ def trial(short: Study) -> list[Iteration]:
     return iterations
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def of_point_mass() -> tuple[Study, list[Iteration]]:
     study = simbias.load([*POINT_MASS, "optimizer.max_evaluations=150"], OWN_CONF)
     return study, list(study.run())
 
 
-@pytest.fixture(scope="module")
-def on_hardware(short: Study) -> list[Iteration]:
-    """A trial of a method without simulation: several policies on hardware, and that which did best."""
-    iterations = []
-    for index, thetas in enumerate(([np.zeros(5), BALANCING], [BALANCING + 0.1, BALANCING])):
-        rngs = np.random.default_rng(index).spawn(len(thetas))
-        experiments = tuple(short.experiment(theta, rng) for theta, rng in zip(thetas, rngs, strict=True))
-        best = min(experiments, key=lambda rollout: rollout.cost)
-        iterations.append(
-            Iteration(
+class Tries(Method):
+    """Tries two policies on the hardware in each iteration, without search, simulation or learning."""
+
+    max_iterations, max_experiments = 2, 4
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        for index, thetas in enumerate(([np.zeros(5), BALANCING], [BALANCING + 0.1, BALANCING])):
+            rngs = np.random.default_rng(index).spawn(len(thetas))
+            experiments = tuple(study.experiment(*pair) for pair in zip(thetas, rngs, strict=True))
+            best = min(experiments, key=lambda rollout: rollout.cost)
+            yield Iteration(
                 index=index,
                 parameters=best.parameters,
                 experiments=experiments,
                 hardware_cost=best.cost,
-                succeeded=short.cost.passes(best),
+                succeeded=study.cost.passes(best),
                 total_experiments=2 * (index + 1),
             )
-        )
-    return iterations
+
+
+@pytest.fixture(scope="session")
+def on_hardware(short: Study) -> list[Iteration]:
+    """A trial of a method without search and learning: several policies, and that which did best."""
+    return list(replace(short, method=Tries()).run())

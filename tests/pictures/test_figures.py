@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
+from figures import lines, texts
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -16,26 +15,16 @@ from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, png, symbol
-from simbias.pictures.trial.comparison import search_bias, simulate, worst_experiment
+from simbias.pictures.trial.comparison import search_bias, simulated, worst_experiment
 from simbias.pictures.trial.errors import prediction_error, windows
 from simbias.pictures.trial.phases import phase_pairs, state_bounds
 from simbias.robots.bongoboard.task import Start
 from simbias.trial.study import Study
 
 
-def lines(axes: Axes, color: str, marker: str = "None") -> list[Array]:
-    """The data (k, 2) of the lines of a colour and marker."""
-    own = [line for line in axes.lines if line.get_marker() == marker]
-    return [line.get_xydata() for line in own if to_hex(line.get_color()).upper() == color]
-
-
-def of(figure: Figure, ylabel: str) -> Axes:
-    return next(axes for axes in figure.axes if axes.get_ylabel() == ylabel)
-
-
 def again(study: Study, iteration: Iteration) -> list[Rollout]:
     """An iteration's experiments in the simulation that its policy was searched in."""
-    return simulate(study, search_bias(iteration), iteration.experiments)
+    return simulated(study, iteration, iteration.experiments)
 
 
 def test_bounds_of_states_are_the_smallest_that_a_criterion_says(short: Study) -> None:
@@ -65,12 +54,15 @@ def test_phases_pair_states_with_their_rates(short: Study) -> None:
     assert phase_pairs(short.task) == [(0, 3), (1, 4), (2, 5)]
 
 
-@pytest.mark.slow
-def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None:
-    figure = phases(short, trial)
+@pytest.fixture(scope="module")
+def portrait(short: Study, trial: list[Iteration]) -> Figure:
+    return phases(short, trial)
+
+
+def test_phases_show_every_rollout(short: Study, trial: list[Iteration], portrait: Figure) -> None:
     for row, iteration in enumerate((trial[0], trial[-1])):
         for column, (i, rate) in enumerate(phase_pairs(short.task)):
-            axes = figure.axes[3 * row + column]
+            axes = portrait.axes[3 * row + column]
             measured = [rollout.states[:, (i, rate)] for rollout in iteration.experiments]
             models = [rollout.states[:, (i, rate)] for rollout in again(short, iteration)]
             for color, expected in ((HARDWARE, measured), (SIMULATION, models)):
@@ -83,9 +75,11 @@ def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None
     assert any(rollout.failed_at is not None for rollout in trial[0].experiments)
 
 
-def test_phases_shade_what_is_beyond_a_limit_that_came_near(short: Study, trial: list[Iteration]) -> None:
+def test_phases_shade_what_is_beyond_a_limit_that_came_near(
+    short: Study, trial: list[Iteration], portrait: Figure
+) -> None:
     shaded = {}
-    for axes in phases(short, trial).axes[:3]:
+    for axes in portrait.axes[:3]:
         edges = [patch.get_x() for patch in axes.patches if isinstance(patch, Rectangle)]
         edges += [patch.get_x() + patch.get_width() for patch in axes.patches if isinstance(patch, Rectangle)]
         shaded[axes.get_xlabel()] = edges
@@ -202,30 +196,40 @@ def test_no_error_at_all_can_be_shown(short: Study, trial: list[Iteration]) -> N
     png(prediction_errors(short, [exact], [1, 5]))
 
 
-def test_forecast_shows_the_experiment_and_what_was_foretold(short: Study, trial: list[Iteration]) -> None:
-    figure, last = forecast(short, trial), trial[-1]
+@pytest.fixture(scope="module")
+def forecasted(short: Study, trial: list[Iteration]) -> Figure:
+    return forecast(short, trial)
+
+
+def test_forecast_shows_the_experiment_and_its_predictions(
+    short: Study, trial: list[Iteration], forecasted: Figure
+) -> None:
+    last = trial[-1]
     measured = worst_experiment(last)
     corrected = short.simulate(last.parameters, last.search.fitted_bias, measured.states[0])
     nominal = short.simulate(last.parameters, None, measured.states[0])
-    for i, axes in enumerate(figure.axes):
+    for i, axes in enumerate(forecasted.axes):
         for color, rollout in ((HARDWARE, measured), (SIMULATION, corrected), (NOMINAL, nominal)):
             (curve,) = lines(axes, color)
             np.testing.assert_array_equal(curve[:, 1], rollout.states[:, i])
-        assert len(axes.collections) == 1
+    assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)  # nothing was learned
 
 
-def test_nothing_learned_leaves_nothing_open(short: Study, trial: list[Iteration]) -> None:
-    assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)
-
-
-def test_band_is_wide_where_the_learner_is_unsure(short: Study, trial: list[Iteration]) -> None:
-    """It starts at the start, known for sure, and grows."""
-    (band,) = forecast(short, trial).axes[0].collections
-    (path,) = band.get_paths()
-    at = path.vertices[:, 0]
-    width = {t: np.ptp(path.vertices[np.isclose(at, t, atol=1e-3), 1]) for t in (at.min(), at.max())}
-    assert width[at.min()] == pytest.approx(0.0, abs=1e-12)
-    assert width[at.max()] > 1e-3
+def test_a_band_that_leaves_the_axes_shows_it(forecasted: Figure) -> None:
+    """By a bar at their edge; it begins at the start, known for sure, and grows."""
+    left = []
+    for axes in forecasted.axes:
+        band, *bars = axes.collections
+        (path,) = band.get_paths()
+        at, values = path.vertices.T
+        width = {t: np.ptp(values[np.isclose(at, t, atol=1e-3)]) for t in (at.min(), at.max())}
+        assert width[at.min()] == pytest.approx(0.0, abs=1e-12)
+        assert width[at.max()] > 1e-3
+        bottom, top = axes.get_ylim()
+        assert len(bars) == int(values.max() > top) + int(values.min() < bottom)
+        left += bars
+    assert ("leaves the axes" in texts(forecasted)) == bool(left)
+    assert left
 
 
 def test_rejections_count_every_sample(short: Study, trial: list[Iteration]) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
@@ -15,23 +14,9 @@ from PIL import Image
 from simbias.core.records import Iteration
 from simbias.pictures import rejections, save, save_animation
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.style import png
-from simbias.pictures.trial.comparison import search_bias, simulate, worst_experiment
-from simbias.pictures.trial.gallery import ANIMATION, FIGURES, IN_SWEEPS, pictures
-from simbias.robots.bongoboard.task_drawing import draw, move
+from simbias.pictures.trial.comparison import simulated, worst_experiment
+from simbias.pictures.trial.gallery import ANIMATION, FIGURES, pictures
 from simbias.trial.study import Study
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_moving_is_drawing_anew(short: Study, seed: int) -> None:
-    state = np.random.default_rng(seed).normal(0.0, 0.4, 6)
-    moving, still = Figure(), Figure()
-    artists = draw(moving.subplots(), short.task, np.zeros(6), muted=True)
-    move(artists, short.task, state)
-    draw(still.subplots(), short.task, state)
-    for figure in (moving, still):
-        figure.axes[0].set(xlim=(-1, 1), ylim=(-0.2, 1.5))
-    assert png(moving) == png(still)
 
 
 @pytest.mark.slow
@@ -45,7 +30,7 @@ def test_animation_is_in_real_time_and_shows_all(short: Study, trial: list[Itera
         durations.append(picture.info["duration"])
         sizes.add(picture.size)
     worst = worst_experiment(trial[-1])
-    rollouts = [worst, *simulate(short, search_bias(trial[-1]), [worst])]
+    rollouts = [worst, *simulated(short, trial[-1], [worst])]
     longest = max(rollout.frames for rollout in rollouts) * short.task.time_step
     assert sum(durations[:-1]) == pytest.approx(1000 * longest, abs=100)
     assert len(sizes) == 1
@@ -59,7 +44,6 @@ def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
     assert list(files) == [*(f"{name}.png" for name in FIGURES), "animation.gif"]
     for name, content in files.items():
         assert Image.open(BytesIO(content)).format == name.rpartition(".")[2].upper()
-    assert {f"{name}.png" for name in IN_SWEEPS} == pictures(short, trial, IN_SWEEPS).keys()
     assert sum(map(len, files.values())) < 1_000_000
     assert pictures(short, []) == {}
 

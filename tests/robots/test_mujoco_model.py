@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import sys
 import weakref
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mechanisms import DOUBLE, MOTOR, URDF, cart_pole, mjcf
+from mechanisms import DOUBLE, LIFT, MOTOR, URDF, cart_pole, mjcf
 from numba import get_num_threads, set_num_threads
 
 import simbias
@@ -22,7 +22,7 @@ from simbias.core import FittedBias, Model
 from simbias.core.records import Array, Indices
 from simbias.robots.cartpole import CartPole
 from simbias.robots.mujoco import parameters as files
-from simbias.robots.mujoco.kernel import FREE, TAKEN, Places
+from simbias.robots.mujoco.kernel import FREE, TAKEN
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
@@ -155,27 +155,21 @@ def test_a_rollout_depends_neither_on_threads_nor_on_those_beside_it() -> None:
         set_num_threads(before)
 
 
-def test_a_lane_without_a_rollout_does_not_ask_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lane_without_a_rollout_does_not_ask_the_engine() -> None:
     """A frame takes as long as a thousand of other models; each rollout asks for one in vain, as it ends."""
-    made: list[Places] = []
-    monkeypatch.setattr(Places, "__init__", noted(Places.__init__, made))
     study = search("double_cartpole")
     thetas, starts, _ = candidates(study, 5)
-    _, frames = study.simulator().costs(study.cost, thetas, starts)
-    (places,) = made
-    steps = sum(data.timer[mujoco.mjtTimer.mjTIMER_STEP].number for data in places.data)
+    (library,) = Path(mujoco.__file__).parent.glob("*mujoco.*[0-9]*")
+    asked: list[None] = []
+    count = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(lambda *_: asked.append(None))
+    callback = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mjcb_control")
+    callback.value = ctypes.cast(count, ctypes.c_void_p).value
+    try:
+        _, frames = study.simulator().costs(study.cost, thetas, starts)
+    finally:
+        callback.value = None
     substeps = round(study.task.time_step / 0.01)
-    assert steps == substeps * (frames.sum() + 5)
-
-
-def noted(init: Callable[..., None], made: list[Any]) -> Callable[..., None]:
-    """A constructor that notes what it makes."""
-
-    def construct(self: Any, *arguments: Any) -> None:
-        init(self, *arguments)
-        made.append(self)
-
-    return construct
+    assert len(asked) == 4 * substeps * (frames.sum() + 5)  # 4: the file integrates by Runge and Kutta
 
 
 def test_what_a_search_simulates_stays_while_it_does() -> None:
@@ -241,6 +235,21 @@ def test_a_heavier_body_has_more_inertia_and_a_larger_one_hangs_farther(tmp_path
     np.testing.assert_allclose(scaled.step(x, u), longer.step(x, u), rtol=1e-9)
     weak = Mujoco(task, mjcf(tmp_path), factors={"push.gain": 0.5})
     np.testing.assert_allclose(weak.step(x, u), Mujoco(task, mjcf(tmp_path)).step(x, u / 2), rtol=1e-12)
+
+
+def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
+    """As a propeller, which drags as well: 3 N lift 2 kg by 1.5 m/s^2, in units of neither gear nor gain."""
+    file = tmp_path / "lift.xml"
+    file.write_text(LIFT)
+    states = {"height": {"unit": "m"}, "d_height": {"unit": "m/s"}}
+    task = cart_pole(states=states, failure={"far": {"value": "abs(height)", "above": 5.0}})
+    after = Mujoco(task, str(file)).step(np.zeros(2), np.array([3.0]))
+    assert after[1] == pytest.approx(3.0 / 2.0 * 0.02)
+    half = Mujoco(task, str(file), factors={"lift.gain": 0.5}).step(np.zeros(2), np.array([3.0]))
+    assert half[1] == pytest.approx(after[1] / 2)
+    file.write_text(LIFT.replace("-5 5", "-4 4"))
+    with pytest.raises(ValueError, match="the task's input may be 20; the actuator lift gives 16"):
+        Mujoco(task, str(file))
 
 
 def test_what_has_blown_up_is_no_number(tmp_path: Path) -> None:

@@ -142,3 +142,19 @@ print([str(each.message) for each in said])
     )
     said = "a stick figure is drawn: OpenGL cannot run here without a screen (EGL)"
     assert made.stdout.strip() == str([said]), made.stderr
+
+
+def test_a_flat_robot_is_seen_from_the_side_that_it_moves_in(tmp_path: Path) -> None:
+    """A hinge turns in the plane across its axis."""
+    flat = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body>
+      <joint name="hinge" type="hinge" axis="{axis}"/>
+      <geom name="arm" type="capsule" fromto="0 0 0 0.3 0.2 0.1" size="0.02"/></body></worldbody>
+      <actuator><motor name="motor" joint="hinge" gear="20"/></actuator></mujoco>"""
+    for axis, plane in (("1 0 0", [1, 2]), ("0 1 0", [0, 2]), ("0 0 1", [0, 1])):
+        file = tmp_path / f"{axis}.xml"
+        file.write_text(flat.format(axis=axis))
+        task, straight = slider(file), np.array([0.3, 0.2, 0.1])
+        for angle, sign in ((0.0, 1.0), (np.pi, -1.0)):
+            ends = task.points(np.array([angle, 0.0]))["arm"]
+            tip = max(ends, key=np.linalg.norm)
+            np.testing.assert_allclose(tip, sign * straight[plane], atol=1e-9)

@@ -31,6 +31,19 @@ MJCF = """
 </mujoco>
 """
 MOTOR = '<motor name="push" joint="slider" gear="20" ctrllimited="true" ctrlrange="-1 1"/>'
+LIFT = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <body name="body">
+      <joint name="up" type="slide" axis="0 0 1"/>
+      <inertial mass="2" pos="0 0 0" diaginertia="1 1 1"/>
+      <site name="propeller" quat="1 1 0 0"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="lift" site="propeller" gear="0 4 0 0 -0.1 0" ctrlrange="-5 5"/></actuator>
+</mujoco>
+"""
 URDF = """
 <robot name="slider">
   <link name="cart">

@@ -1,7 +1,8 @@
-"""Sweeps as a person starts them, and what the store holds of them afterwards."""
+"""Sweeps as a person starts them, and what their folders hold afterwards."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 NO_FIGURES = "+sweep.figures={}"  # to draw them takes a second
+FOLDERS = ["tracking=folders", "tracking.pictures=false"]
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 FOUR_CELLS = """
 task: {horizon: 600}
@@ -132,38 +134,48 @@ def artifacts(run: Run) -> Path:
 
 
 def trial_by_trial(folder: Path) -> dict[str, Any]:
-    """Everything that trials found, by their hashes; asserts that each is there once, and finished."""
-    parents, trials = runs(folder)
-    assert len(parents) == 1
-    assert {run.data.tags["mlflow.parentRunId"] for run in trials} == {parents[0].info.run_id}
-    assert {run.info.status for run in trials} == {"FINISHED"}
-    assert len({run.data.tags["hash"] for run in trials}) == len(trials)
-    client = client_of(folder)
-    return {run.data.tags["hash"]: everything(client, run) for run in trials}
+    """Content of all trials by their hashes; asserts that each has ended."""
+    trials = {file.parent.name: file.parent for file in folder.glob("trials/*/trial.json")}
+    assert all((trial / "outcome.json").exists() for trial in trials.values())
+    return {identity: content(trial) for identity, trial in sorted(trials.items())}
 
 
-def everything(client: MlflowClient, run: Run) -> dict[str, Any]:
-    """Parameters, metrics of every iteration, and files, without times and pictures."""
-    names = sorted(name for name in run.data.metrics if not name.startswith(("seconds/", "trial/seconds")))
-    histories = {
-        name: [(m.step, m.value) for m in client.get_metric_history(run.info.run_id, name)] for name in names
+def content(trial: Path) -> dict[str, Any]:
+    """Files of a trial, comparable: without pictures, attempts and times."""
+    files = [*trial.glob("[0-9]*"), *trial.glob("*.json"), *trial.glob("*.csv")]
+    return {file.name: _timeless(_read(file)) for file in sorted(files)}
+
+
+def _read(file: Path) -> Any:
+    if file.suffix == ".json":
+        return json.loads(file.read_text())
+    if file.suffix != ".npz":
+        return file.read_text()
+    with np.load(file) as arrays:
+        return {name: (arrays[name].shape, arrays[name].tobytes()) for name in arrays.files}
+
+
+def _timeless(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    return {
+        key: _timeless(each)
+        for key, each in value.items()
+        if key not in ("started", "ended", "seconds", "versions") and not key.startswith("seconds/")
     }
-    root = artifacts(run)
-    paths = [path for path in sorted(root.rglob("*")) if path.is_file() and path.parent.name != "pictures"]
-    files = {str(path.relative_to(root)): content(path) for path in paths}
-    params = {key: value for key, value in run.data.params.items() if not key.startswith("tracking")}
-    return {"params": params, "metrics": histories, "files": files, "outcome": run.data.tags["outcome"]}
 
 
-def content(path: Path) -> Any:
-    """A file's content, comparable."""
-    if path.suffix != ".npz":
-        return re.sub(r"tracking:(\n  .*)*", "", path.read_text())
-    with np.load(path) as file:
-        return {name: (file[name].shape, file[name].tobytes()) for name in file.files}
+def sweep_folder(folder: Path) -> Path:
+    """The folder of the only sweep."""
+    (only,) = folder.glob("trials/sweeps/*")
+    return only
+
+
+def state(folder: Path) -> dict[str, Any]:
+    """How far the only sweep is."""
+    return json.loads((sweep_folder(folder) / "state.json").read_text())
 
 
 def table(folder: Path) -> str:
-    """The table that the parent run keeps."""
-    (parent,) = runs(folder)[0]
-    return (artifacts(parent) / "table.csv").read_text()
+    """The table of the only sweep."""
+    return (sweep_folder(folder) / "table.csv").read_text()

@@ -19,6 +19,8 @@ from simbias.sweep.grid import expand
 from simbias.sweep.picture import Picture
 from simbias.trial.study import Study
 
+pytestmark = pytest.mark.slow
+
 STATES = ("alpha_w", "alpha_b", "theta")
 FALLING = np.array([8.118, 4.731, -6.740, -1.024, -4.0])  # in about a second
 EXPERIMENTS = 3
@@ -67,16 +69,25 @@ def trial_of(*overrides: str, replaced: Callable[[Study], Study] = lambda study:
     return Trial(study, (first, last))
 
 
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    return trial_of()
+
+
+@pytest.fixture(scope="module")
+def picture(trial: Trial) -> Picture:
+    return picture_of(trial)
+
+
 def picture_of(trial: Trial) -> Picture:
-    table = pd.DataFrame([{"run_id": "0", "outcome": "succeeded"}])
+    table = pd.DataFrame([{"hash": "0", "outcome": "succeeded"}])
     figure = BiasField(trial.study.task, STATES, EXPERIMENTS)
     return figure.draw(SweptTrials(expand(["+sweep=fig5"]), table, lambda _: trial), ())
 
 
-@pytest.mark.slow
-def test_what_is_learned_predicts_what_was_not_seen() -> None:
+def test_what_is_learned_predicts_what_was_not_seen(picture: Picture) -> None:
     """Without a bias, all of the residual is left."""
-    errors = picture_of(trial_of()).numbers.set_index("state")
+    errors = picture.numbers.set_index("state")
     assert (errors["samples"] > 50).all()
     assert (errors.loc[["alpha_b", "d_alpha_b"], ["relative_mean", "relative_eq7"]] < 0.6).all(axis=None)
     nothing = picture_of(trial_of("bias=none")).numbers
@@ -84,7 +95,6 @@ def test_what_is_learned_predicts_what_was_not_seen() -> None:
     assert nothing["residual"].to_numpy() == pytest.approx(errors["residual"].to_numpy())
 
 
-@pytest.mark.slow
 def test_held_out_experiments_are_new() -> None:
     trial = trial_of(replaced=lambda study: replace(study, hardware=Noting(study.hardware)))
     hardware = trial.study.hardware
@@ -95,11 +105,8 @@ def test_held_out_experiments_are_new() -> None:
     assert len(set(hardware.starts)) == 4 + 2 * EXPERIMENTS
 
 
-@pytest.mark.slow
-def test_arrows_are_velocities() -> None:
+def test_arrows_are_velocities(trial: Trial, picture: Picture) -> None:
     """All arrows stand for the same time, in which the bias of the angles would carry the state along."""
-    trial = trial_of()
-    picture = picture_of(trial)
     panels = [axes for axes in picture.figure.axes if axes.collections]
     assert len(panels) == 3
     data, truth, prediction = panels[0].collections[:3]
@@ -112,16 +119,13 @@ def test_arrows_are_velocities() -> None:
     assert np.corrcoef(truth.U, prediction.U)[0, 1] > 0.7
 
 
-@pytest.mark.slow
 def test_without_any_sample() -> None:
     trial = trial_of("samples.limits.distance=1e-9")
     with pytest.raises(FigureError, match="no held-out sample"):
         picture_of(trial)
 
 
-@pytest.mark.slow
-def test_without_a_search() -> None:
-    trial = trial_of()
+def test_without_a_search(trial: Trial) -> None:
     iterations = tuple(replace(iteration, search=None) for iteration in trial.iterations)
     with pytest.raises(FigureError, match="not searched"):
         picture_of(trial._replace(iterations=iterations))

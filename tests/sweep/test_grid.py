@@ -8,12 +8,12 @@ import pytest
 from conftest import ROOT, rest_slow
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from simbias.mlflow.results import COLUMNS
 from sweeping import write_sweep
 
 from simbias.config import ConfigError, Variations, compose, sweeps
 from simbias.sweep.axes import RESERVED
 from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.results import COLUMNS
 from simbias.sweep.tables import MEASURES
 
 VALUES = [0.0, 0.001, 0.1, 0.2, 0.35, 1.5]

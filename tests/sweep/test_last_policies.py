@@ -1,4 +1,4 @@
-"""The figure of what last policies are worth, from trials that are made up."""
+"""The figure of last policies, of trials that are made up."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ def made_up(starts: dict[str, list[str]]) -> SweptTrials:
     """A sweep of which so many trials have ended, and one more that raised."""
     rows = [
         {"gap": gap, "repetition": i, "outcome": "succeeded" if i else "not succeeded", "experiments": 4 + i}
-        | {"held_out": text}
+        | {"test_episodes": text}
         for gap, texts in starts.items()
         for i, text in enumerate(texts)
     ]
-    raised = {"gap": "lag 20 ms", "repetition": 0, "outcome": "error", "experiments": 1, "held_out": ""}
+    raised = {"gap": "lag 20 ms", "repetition": 0, "outcome": "error", "experiments": 1, "test_episodes": ""}
     return SweptTrials(expand(["+sweep=gaps"]), pd.DataFrame([*rows, raised]), lambda _: None)  # type: ignore[arg-type]
 
 
 def test_shares_are_of_the_starts_that_a_policy_holds() -> None:
     picture = LastPolicies().draw(made_up(STARTS), ())
-    assert picture.numbers["held"].tolist() == pytest.approx([1, 2 / 3, 0, 1])
+    assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 2 / 3, 0, 1])
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
-    assert "of 3 held-out starts" in picture.caption
+    assert "of 3 test episodes" in picture.caption
     assert "2 of 4 trials end" in picture.caption
     assert "in 0 of 2 cells" in picture.caption
 
@@ -47,5 +47,5 @@ def test_every_trial_is_a_dot_that_no_other_hides() -> None:
 
 
 def test_without_tries_there_is_nothing_to_draw() -> None:
-    with pytest.raises(FigureError, match=r"held_out\.starts=20"):
+    with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
         LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())

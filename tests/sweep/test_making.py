@@ -38,11 +38,8 @@ class Store:
         self.kept: dict[str, Outcomes] = {}
         self.captions: dict[str, str] = {}
 
-    def results(self) -> pd.DataFrame:
-        return pd.DataFrame()
-
-    def load(self, run_id: str) -> Any:
-        raise AssertionError
+    def swept(self) -> Any:
+        return None
 
     def outcomes(self, hashes: Sequence[str]) -> dict[str, Outcomes]:
         return {identity: self.kept[identity] for identity in hashes if identity in self.kept}
@@ -108,36 +105,39 @@ def test_batches_are_run_once_and_kept(brief: Study, tmp_path: Path) -> None:
     assert store.captions == {"tries": "3 batches."}
 
 
-@pytest.mark.parametrize("error", [HardwareError("a leg broke"), Waiting("the lab is closed until Monday")])
-def test_hardware_that_gives_no_result(
-    brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
-    def fail(self, policy, theta, start, rng) -> None:
-        raise error
+def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the hardware among its experiments, and those of drawing; nothing is kept of what failed."""
 
-    monkeypatch.setattr(PymunkBongoboard, "run", fail)
-    store = Store()
-    with pytest.raises(FigureError, match=f"^tries: hardware: {error}$"):
-        make(Tries(brief, 1), store, FigureObserver(), tmp_path)
-    assert not store.kept
+    def failing(error: Exception) -> Any:
+        def fail(*_: Any) -> None:
+            raise error
+
+        return fail
+
+    broken, closed = HardwareError("a leg broke"), Waiting("the lab is closed until Monday")
+    for owner, method, error, message in (
+        (PymunkBongoboard, "run", broken, "hardware: a leg broke"),
+        (PymunkBongoboard, "run", closed, "hardware: the lab is closed until Monday"),
+        (Tries, "draw", NoPictureError("nothing to see"), "nothing to see"),
+        (Tries, "draw", closed, "hardware: the lab is closed until Monday"),
+    ):
+        store = Store()
+        figure = Tries(brief, int(owner is PymunkBongoboard))
+        with monkeypatch.context() as patch:
+            patch.setattr(owner, method, failing(error))
+            with pytest.raises(FigureError) as raised:
+                make(figure, store, FigureObserver(), tmp_path)
+        assert str(raised.value) == f"tries: {message}"
+        assert not store.kept
 
 
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (NoPictureError("nothing to see"), "tries: nothing to see"),
-        (Waiting("later"), "tries: hardware: later"),
-    ],
-)
-def test_what_cannot_be_drawn(
-    brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, message: str
-) -> None:
-    def fail(self, trials, outcomes) -> None:
-        raise error
-
-    monkeypatch.setattr(Tries, "draw", fail)
-    with pytest.raises(FigureError, match=f"^{message}$"):
-        make(Tries(brief, 0), Store(), FigureObserver(), tmp_path)
+def test_outcomes_travel_as_text() -> None:
+    outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "speed"), (True, False))
+    text = outcomes.as_json()
+    assert Outcomes.from_json(text) == outcomes
+    for bad in (*(text[:length] for length in range(len(text))), '{"costs": [1.0], "frames": [17]}', "3"):
+        with pytest.raises(ValueError, match=r"not the outcomes|line 1"):
+            Outcomes.from_json(bad)
 
 
 def test_hardware_without_starts_has_no_grid_of_them(monkeypatch: pytest.MonkeyPatch) -> None:

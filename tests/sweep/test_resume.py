@@ -1,4 +1,4 @@
-"""A sweep that is killed and started again gives what an undisturbed one gives, trial by trial."""
+"""A sweep that is killed and started again gives what an uninterrupted one gives, trial by trial."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from sweeping import (
     FOUR_CELLS,
-    artifacts,
     finish,
     run,
-    runs,
     start,
+    state,
+    sweep_folder,
     table,
     trial_by_trial,
     until_trials,
@@ -26,25 +26,22 @@ from sweeping import (
 
 pytestmark = pytest.mark.slow
 
-COMMAND = ["--config-dir", "conf", "+sweep=mine"]
+COMMAND = ["--config-dir", "conf", "+sweep=mine", "tracking=folders"]
 ONE_PROCESS = "engine=sequential"  # where it is the parent that something happens to
-TRIALS = 20  # so many that some are left after every killing
+TRIALS = 20  # enough that some are left after every kill
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_sweep(tmp_path / "here", "mine", FOUR_CELLS)
+    return tmp_path / "here"
+
+
 @pytest.fixture(scope="session")
-def empty(new_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a store and a sweep, in which nothing ran."""
-    folder = tmp_path_factory.mktemp("empty")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("uninterrupted")
     write_sweep(folder, "mine", FOUR_CELLS)
-    shutil.copy(new_store, folder)
-    return folder
-
-
-@pytest.fixture(scope="session")
-def undisturbed(empty: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("undisturbed") / "here"
-    shutil.copytree(empty, folder)
     status, out, err = run(*COMMAND, ONE_PROCESS, folder=folder)
     assert (status, err) == (0, "")
     assert f"[{TRIALS}/{TRIALS}]" in out
@@ -52,29 +49,23 @@ def undisturbed(empty: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def folder(empty: Path, tmp_path: Path) -> Path:
-    shutil.copytree(empty, tmp_path / "here")
-    return tmp_path / "here"
+def check(folder: Path, uninterrupted: Path) -> None:
+    """Everything is as if nothing had happened, and nothing is left over."""
+    assert trial_by_trial(folder) == trial_by_trial(uninterrupted)
+    assert table(folder) == table(uninterrupted)
+    assert state(folder)["verdict"] == "**Done**"
+    assert not [*folder.rglob("*.part"), *folder.rglob(".shared_*")]
 
 
-def check(folder: Path, undisturbed: Path) -> None:
-    """Everything is as if nothing had happened."""
-    assert trial_by_trial(folder) == trial_by_trial(undisturbed)
-    assert table(folder) == table(undisturbed)
-    assert {run.info.status for run in runs(folder)[0]} == {"FINISHED"}
+def finished(folder: Path) -> dict[str, int]:
+    """When the trials ended that have."""
+    return {file.parent.name: file.stat().st_mtime_ns for file in folder.glob("trials/*/outcome.json")}
 
 
-def finished(folder: Path) -> set[str]:
-    """Trials' runs that are finished."""
-    return {run.info.run_id for run in runs(folder)[1] if run.info.status == "FINISHED"}
-
-
-@pytest.mark.parametrize("seed", [0])
-def test_killed_again_and_again(folder: Path, undisturbed: Path, seed: int) -> None:
+def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
     """At random points: by Ctrl-C, politely, for good, and one of its workers."""
-    rng = random.Random(seed)
-    done: set[str] = set()
+    rng = random.Random(0)
+    done: dict[str, int] = {}
     orphans: list[int] = []
     for number in rng.sample(ENDINGS, len(ENDINGS)):
         process = start(*COMMAND, folder=folder)
@@ -88,17 +79,18 @@ def test_killed_again_and_again(folder: Path, undisturbed: Path, seed: int) -> N
         else:
             assert status == 130
             assert "simbias: interrupted; " in err
-            assert "-m simbias --config-dir conf +sweep=mine" in err.partition("Go on with:  ")[2]
+            assert "-m simbias --config-dir conf +sweep=mine" in err.partition("Resume with:  ")[2]
             assert "Traceback" not in err
-        assert done < finished(folder)  # none is lost, none runs twice
+            assert state(folder)["verdict"] == "**Interrupted**"
+        assert done.items() < finished(folder).items()  # none is lost, none runs twice
         done = finished(folder)
     process = start(*COMMAND, folder=folder)
     until_trials(process, 1)
     os.kill(rng.choice(workers(process)), signal.SIGKILL)
     status, out, err = finish(process)
     assert (status, err) == (0, ""), out + err
-    assert done < finished(folder)
-    check(folder, undisturbed)
+    assert done.items() < finished(folder).items()
+    check(folder, uninterrupted)
     assert orphans
     assert not [pid for pid in orphans if alive(pid)]
 
@@ -111,19 +103,16 @@ def alive(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
 
 
-def test_disk_is_full(folder: Path, undisturbed: Path) -> None:
-    """Files may not grow beyond what the store has now: SQLite cannot write, as on a full disk."""
-    limit = (folder / "mlflow.db").stat().st_size + 20_000
-    status, _, err = run(
-        *COMMAND,
-        folder=folder,
-        largest_file=limit,
-    )
+def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
+    """Files may not grow beyond the size of half an experiment: none can be kept, as on a full disk."""
+    kept = next(uninterrupted.glob("trials/*/*_experiment.npz")).stat().st_size
+    status, out, err = run(*COMMAND, folder=folder, largest_file=kept // 2)
     assert status == 1
-    assert "-m simbias --config-dir conf +sweep=mine" in err.partition("Go on with:  ")[2]
-    assert "Traceback" not in err
+    assert "OSError: [Errno 27] File too large" in out
+    assert "Traceback" not in out + err
+    assert not list(folder.glob("trials/*/*_experiment.npz"))
     assert run(*COMMAND, ONE_PROCESS, folder=folder)[0] == 0
-    check(folder, undisturbed)
+    check(folder, uninterrupted)
 
 
 def test_one_sweep_at_a_time(folder: Path) -> None:
@@ -131,10 +120,19 @@ def test_one_sweep_at_a_time(folder: Path) -> None:
     until_trials(process, 1)
     process.send_signal(signal.SIGSTOP)
     status, out, err = run(*COMMAND, folder=folder)
-    assert (status, out) == (2, "")
-    assert err == "simbias: sweep: another process is running this sweep into the same store\n"
+    assert (status, out, err) == (2, "", "simbias: sweep: another process is running this sweep\n")
     process.kill()
     finish(process)
+
+
+def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> None:
+    command = [*COMMAND, ONE_PROCESS, "tracking.pictures=true", "sweep.trials=1"]
+    assert run(*command, folder=folder)[0] == 0
+    first, *others = sorted(folder.glob("trials/*/pictures"))
+    shutil.rmtree(first)
+    status, out, _ = run(*command, folder=folder)
+    assert (status, f"{len(others)} of them finished already" in out) == (0, True)
+    assert (first / "overview.png").exists()
 
 
 def kill(folder: Path, temporary: Path, trials: int) -> None:
@@ -145,19 +143,13 @@ def kill(folder: Path, temporary: Path, trials: int) -> None:
     assert finish(process)[0] == -signal.SIGKILL
 
 
-def test_a_later_start_removes_what_a_kill_left(folder: Path, undisturbed: Path, tmp_path: Path) -> None:
+def test_a_later_start_removes_what_a_kill_left(folder: Path, uninterrupted: Path, tmp_path: Path) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     for trials in (1, 2):
         kill(folder, temporary, trials)
     assert list(temporary.iterdir())
-    (parent,) = runs(folder)[0]
-    (artifacts(parent) / "sweep.yaml").unlink()  # as if it had been killed before it wrote that
-    left = artifacts(parent) / ".artifact.uploading.x1"
-    left.touch()
+    assert list(sweep_folder(folder).glob(".shared_*"))
     assert run(*COMMAND, folder=folder, temporary=temporary)[0] == 0
-    check(folder, undisturbed)
+    check(folder, uninterrupted)
     assert list(temporary.iterdir()) == []
-    assert not list(folder.rglob("*.artifact.uploading.*"))
-    assert "time_step" in (artifacts(parent) / "sweep.yaml").read_text()
-    assert not (folder / "journals").exists()

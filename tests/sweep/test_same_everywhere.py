@@ -6,13 +6,11 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any
+from pathlib import Path
 
-import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import PYTHONPATH
+from sweeping import content
 
 from simbias.config import compose
 from simbias.engine.contract import Engine
@@ -20,7 +18,6 @@ from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky
 from simbias.engine.sequential import Sequential
 from simbias.sweep.worker import Plan, run_plan
-from simbias.trial.run import TrialRecord
 
 pytestmark = pytest.mark.slow
 
@@ -34,81 +31,46 @@ TRIALS = [  # what learns, searches and samples differently
     ["bias=gp_learned", "optimizer=cma", "hardware.record=measured", "hardware.noise.angle_variance=1e-6"],
     ["preset=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=4", "evaluation.seconds=1"],
 ]
-FORGOTTEN = ("started", "seconds", "processor", "machines", "fitted_bias")
-ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential()))"
+ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Path(sys.argv[1])))"
 
 
-def plans() -> list[Plan]:
-    composed = [compose([*SHORT, *trial, f"seed={seed}"]) for seed, trial in enumerate(TRIALS)]
-    return [Plan(each.config, each.choices) for each in composed]
-
-
-def parts(thing: Any) -> Iterator[bytes]:
-    """All bits of a record but those of times."""
-    if isinstance(thing, np.ndarray):
-        yield f"{thing.dtype} {thing.shape}".encode() + thing.tobytes()
-    elif is_dataclass(thing):
-        for field in fields(thing):
-            if field.name not in FORGOTTEN:
-                yield field.name.encode()
-                yield from parts(getattr(thing, field.name))
-    elif isinstance(thing, tuple | list):
-        for each in thing:
-            yield from parts(each)
-    elif isinstance(thing, Mapping):
-        for key, value in thing.items():
-            yield key.encode()
-            yield from parts(value)
-    else:
-        yield repr(thing).encode()
-
-
-def digest(record: TrialRecord) -> str:
-    assert record.outcome.final, record.reason
-    return hashlib.sha256(b"|".join(parts(record))).hexdigest()
-
-
-def digests(engine: Engine, backwards: bool = False) -> list[str]:
-    """Of every trial, in the order of TRIALS."""
-    todo = plans()[::-1] if backwards else plans()
-    found = {index: digest(record) for index, record in engine.run(run_plan, todo)}  # type: ignore[arg-type]
-    ordered = [found[index] for index in range(len(todo))]
-    return ordered[::-1] if backwards else ordered
+def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
+    """Of every trial's folder, in the order of TRIALS."""
+    trials = [compose([*SHORT, *trial, f"seed={seed}"]).trial for seed, trial in enumerate(TRIALS)]
+    plans = [Plan(each.config, each.choices, str(folder / str(i))) for i, each in enumerate(trials)]
+    for _, result in engine.run(run_plan, plans[::-1] if backwards else plans):
+        assert result.summary.outcome.final, result.summary.reason  # type: ignore[union-attr]
+    return [hashlib.sha256(repr(content(Path(str(plan.folder)))).encode()).hexdigest() for plan in plans]
 
 
 @pytest.fixture(scope="module")
-def expected() -> list[str]:
-    found = digests(Sequential())
+def expected(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    found = digests(Sequential(), tmp_path_factory.mktemp("here"))
     assert len(set(found)) == len(TRIALS)
     return found
 
 
-def elsewhere(**environment: str) -> list[str]:
-    """As a process of its own finds them."""
-    path = os.pathsep.join(map(str, [ROOT, ROOT / "tests", ROOT / "tests" / "sweep"]))
+def test_engines_and_jobs_change_no_bit(expected: list[str], tmp_path: Path) -> None:
+    assert digests(Loky(n_jobs=3), tmp_path / "loky") == expected
+    pytest.importorskip("distributed")
+    assert digests(Dask(n_jobs=2), tmp_path / "dask") == expected
+
+
+def test_the_order_changes_no_bit(expected: list[str], tmp_path: Path) -> None:
+    assert digests(Sequential(), tmp_path, backwards=True) == expected
+
+
+def test_hash_seeds_and_threads_change_no_bit(expected: list[str], tmp_path: Path) -> None:
+    """Here linear algebra has one thread, and here and in the workers above hash seeds are random."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "4")
     made = subprocess.run(
-        [sys.executable, "-c", ELSEWHERE],
-        env=os.environ | {"PYTHONPATH": path} | environment,
+        [sys.executable, "-c", ELSEWHERE, str(tmp_path)],
+        env=os.environ
+        | {"PYTHONPATH": f"{PYTHONPATH}:{Path(__file__).parent}", "PYTHONHASHSEED": "2015"}
+        | threads,
         stdout=subprocess.PIPE,
         text=True,
         timeout=120,
         check=True,
     )
-    return made.stdout.split()
-
-
-@pytest.mark.parametrize("engine", [Loky(n_jobs=3), Dask(n_jobs=2)], ids=["loky", "dask"])
-def test_engines_and_jobs_change_no_bit(engine: Engine, expected: list[str]) -> None:
-    if isinstance(engine, Dask):
-        pytest.importorskip("distributed")
-    assert digests(engine) == expected
-
-
-def test_the_order_changes_no_bit(expected: list[str]) -> None:
-    assert digests(Sequential(), backwards=True) == expected
-
-
-def test_hash_seeds_and_threads_change_no_bit(expected: list[str]) -> None:
-    """Here linear algebra has one thread, and here and in the workers above hash seeds are random."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    assert elsewhere(PYTHONHASHSEED="2015", **dict.fromkeys(names, "4")) == expected
+    assert made.stdout.split() == expected

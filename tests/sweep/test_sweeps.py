@@ -1,23 +1,28 @@
-"""Figures as a person makes them: one command each, from the store, resumable."""
+"""Figures of sweeps as a person makes them: one command each, resumable."""
 
 from __future__ import annotations
 
-import json
+import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from contextlib import chdir
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 from PIL import Image
-from sweeping import artifacts, finish, run, runs, start, until_trials, write_sweep
+from sweeping import finish, run, start, until_trials, write_sweep
 
 import simbias
 from simbias.__main__ import main
-from simbias.sweep.batches import Outcomes
 from simbias.sweep.grid import expand
 
 pytestmark = pytest.mark.slow
@@ -36,116 +41,124 @@ SMALL = {
         "sweep.figures.fig7.experiments=1",
     ],
 }
-MOVING = ("fig4",)
+FOLDERS = ["tracking=folders", "tracking.pictures=false"]
 
 
-def command(name: str, folder: Path) -> list[str]:
-    """An absolute URI: in one process MLflow keeps what a relative one meant at first."""
-    small = [*SMALL[name], "tracking.pictures=false"]  # those are of trials
-    return [f"+sweep={name}", *small, f"tracking.uri=sqlite:///{folder}/mlflow.db"]
+def command(name: str) -> list[str]:
+    """A small sweep of a figure, without MLflow and without pictures of its trials."""
+    return [f"+sweep={name}", *SMALL[name], *FOLDERS]
 
 
-def pieces(folder: Path) -> dict[str, str]:
-    """Outcomes of the batches that the parent run keeps, by their files."""
-    (parent,) = runs(folder)[0]
-    return {file.name: file.read_text() for file in (artifacts(parent) / "figures/experiments").glob("*")}
+def made_files(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in (folder / "figures").iterdir()}
 
 
-@pytest.fixture(params=SMALL)
-def made(request: pytest.FixtureRequest, folder: Path) -> tuple[str, Path]:
-    """A figure's name, and a folder with its sweep's store and files."""
-    assert main([*command(request.param, folder), "engine=sequential"]) == 0
-    return request.param, folder
+def trials(folder: Path) -> list[Path]:
+    return [file.parent for file in folder.glob("trials/*/outcome.json")]
 
 
-def test_files(made: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    """Beside the store and in it; the same trials give the same files."""
-    name, folder = made
-    names = {f"{name}{suffix}" for suffix in (".png", ".svg", ".csv", ".md")}
-    names |= {f"{name}.gif"} if name in MOVING else set()
-    files = {file.name: file.read_bytes() for file in (folder / "figures").iterdir()}
-    assert set(files) == names
+def batches(folder: Path) -> dict[str, str]:
+    """The outcomes that the sweep keeps of the experiments of its figure, by file."""
+    return {file.name: file.read_text() for file in folder.glob("trials/sweeps/*/experiments/*")}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A folder in which a figure's sweep has run, by the figure's name."""
+
+    @cache
+    def make(name: str) -> Path:
+        folder = tmp_path_factory.mktemp(name)
+        with chdir(folder):
+            assert main([*command(name), "engine=sequential"]) == 0
+        return folder
+
+    return make
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_files(made: Callable[[str], Path], name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the user's folder and in the sweep's; the same trials give the same files."""
+    folder = made(name)
+    files = made_files(folder)
+    suffixes = [".png", ".svg", ".csv", ".md", *([".gif"] if name == "fig4" else [])]
+    assert set(files) == {f"{name}{suffix}" for suffix in suffixes}
     assert len(np.unique(np.asarray(Image.open(folder / "figures" / f"{name}.png").convert("L")))) > 20
     assert ET.fromstring(files[f"{name}.svg"]).tag.endswith("svg")
     assert len(pd.read_csv(folder / "figures" / f"{name}.csv")) >= 4
-    (parent,) = runs(folder)[0]
-    assert parent.info.status == "FINISHED"
-    kept = {file.name: file.read_bytes() for file in (artifacts(parent) / "figures").glob(f"{name}.*")}
-    assert kept == files
-    caption = " ".join(files[f"{name}.md"].decode().split())
-    assert caption in parent.data.tags["mlflow.note.content"]
+    (kept,) = folder.glob("trials/sweeps/*/figures")
+    assert {file.name: file.read_bytes() for file in kept.iterdir()} == files
+    assert len(trials(folder)) == len(expand(command(name)).trials)
     shutil.rmtree(folder / "figures")
-    assert main(command(name, folder)) == 0
-    assert {file.name: file.read_bytes() for file in (folder / "figures").iterdir()} == files
+    capsys.readouterr()
+    with chdir(folder):
+        assert main(command(name)) == 0
+    assert made_files(folder) == files
     out = capsys.readouterr().out
     assert f"figures/{name}.png" in out
-    assert f"{name}: {caption}" in out
-    assert len(runs(folder)[1]) == len(expand(command(name, folder)).trials)
+    assert f"{name}: {' '.join(files[f'{name}.md'].decode().split())}" in out
 
 
-def test_costs_are_those_of_the_trials(folder: Path) -> None:
-    assert main([*command("fig6", folder), "engine=sequential"]) == 0
-    numbers = pd.read_csv("figures/fig6.csv")
-    trials = runs(folder)[1]
-    assert len(trials) == 4
-    for run_ in trials:
-        trial = simbias.load_trial(run_.info.run_id, f"sqlite:///{folder}/mlflow.db")
+def test_costs_are_those_of_the_trials(made: Callable[[str], Path]) -> None:
+    folder = made("fig6")
+    numbers = pd.read_csv(folder / "figures" / "fig6.csv")
+    assert len(trials(folder)) == numbers.groupby(["cell", "seed"]).ngroups == 4
+    for path in trials(folder):
+        trial = simbias.load_trial(path)
         own = numbers[numbers["seed"] == trial.study.seed]
         expected = [iteration.hardware_cost for iteration in trial.iterations]
         assert list(own["hardware_cost"]) == pytest.approx(expected, rel=1e-5)
-        assert set(own["cell"]) == {run_.data.tags["axis.noise"]}
 
 
-def test_success_rates_are_those_of_experiments_from_the_grid(folder: Path) -> None:
-    """Tried again one by one; jobs change nothing; a finer grid runs anew, the trials do not."""
-    assert main([*command("fig7", folder), "engine.n_jobs=2"]) == 0
-    numbers, once = pd.read_csv("figures/fig7.csv"), pieces(folder)
+def test_success_rates_are_those_of_experiments_from_the_grid(tmp_path: Path) -> None:
+    """Repeated one by one; jobs change nothing; a finer grid runs its own experiments, the trials do not."""
+    with chdir(tmp_path):
+        assert main([*command("fig7"), "engine.n_jobs=2"]) == 0
+    numbers, once = pd.read_csv(tmp_path / "figures" / "fig7.csv"), batches(tmp_path)
     assert 2 <= len(once) <= 4  # two policies of each of two cells, once each, if they differ
     assert 0 < numbers["succeeded"].sum() < numbers["experiments"].sum()
-    for run_ in runs(folder)[1]:
-        trial = simbias.load_trial(run_.info.run_id, f"sqlite:///{folder}/mlflow.db")
-        repetition = int(run_.data.tags["repetition"])
-        noise = [f"hardware.noise.{key}_variance" for key in ("torque", "angle", "velocity")]
-        values = zip(noise, (0.1, 1.6e-5, 1.6e-2), strict=True)
-        study = simbias.load([*MIXED, *(f"{key}={value}" for key, value in values)])
-        own = numbers[
-            (numbers["cell"] == run_.data.tags["axis.noise"]) & (numbers["repetition"] == repetition)
-        ]
-        rngs = np.random.default_rng(repetition).spawn(len(own))
-        for row, rng in zip(own.to_dict("records"), rngs, strict=True):
+    found = pd.read_csv(next(tmp_path.glob("trials/sweeps/*/trials.csv")), dtype={"hash": str})
+    noise = {"torque": 0.1, "angle": 1.6e-5, "velocity": 1.6e-2}
+    study = simbias.load(
+        [*MIXED, *(f"hardware.noise.{key}_variance={value}" for key, value in noise.items())]
+    )
+    for trial in found.to_dict("records"):
+        policy = simbias.load_trial(tmp_path / "trials" / trial["hash"]).iterations[-1].parameters
+        same = (numbers["cell"] == trial["noise"]) & (numbers["repetition"] == trial["repetition"])
+        rngs = np.random.default_rng(trial["repetition"]).spawn(same.sum())
+        for row, rng in zip(numbers[same].to_dict("records"), rngs, strict=True):
             x = np.array([row["alpha_w"], row["alpha_b"], *study.task.start_mean[2:]])
-            rollout = study.experiment(trial.iterations[-1].parameters, rng, x)
-            assert study.cost.passes(rollout) == row["succeeded"]
-    assert main([*command("fig7", folder), "sweep.figures.fig7.x.points=2", "engine=sequential"]) == 0
-    assert len(pieces(folder)) == 2 * len(once)
-    assert once.items() < pieces(folder).items()
-    assert len(runs(folder)[1]) == 4
+            assert study.cost.passes(study.experiment(policy, rng, x)) == row["succeeded"]
+    with chdir(tmp_path):
+        assert main([*command("fig7"), "sweep.figures.fig7.x.points=2", "engine=sequential"]) == 0
+    assert len(batches(tmp_path)) == 2 * len(once)
+    assert once.items() < batches(tmp_path).items()
+    assert len(trials(tmp_path)) == 4
 
 
-def test_killed_among_a_figures_experiments(folder: Path) -> None:
-    """What is kept is not run again, what was half written is, and the end is as if undisturbed."""
-    undisturbed = folder / "undisturbed"
-    undisturbed.mkdir()
-    shutil.copy(folder / "mlflow.db", undisturbed)
-    arguments = [*command("fig7", folder)[:-1], "sweep.trials=1", "sweep.figures.fig7.experiments=4"]
-    assert run(*arguments, "engine=sequential", folder=undisturbed)[0] == 0
-    total = len(pieces(undisturbed))
-    process = start(*arguments, folder=folder)
+def test_killed_among_a_figures_experiments(tmp_path: Path) -> None:
+    """Nothing that is kept runs again, what was half written does; the figure is as uninterrupted."""
+    arguments = [*command("fig7"), "sweep.trials=1", "sweep.figures.fig7.experiments=4"]
+    uninterrupted, killed = tmp_path / "uninterrupted", tmp_path / "killed"
+    for folder in (uninterrupted, killed):
+        folder.mkdir()
+    assert run(*arguments, "engine=sequential", folder=uninterrupted)[0] == 0
+    total = len(batches(uninterrupted))
+    process = start(*arguments, folder=killed)
     until_trials(process, 2 + 2)  # trials, then batches
     process.send_signal(signal.SIGKILL)
     finish(process)
-    before = pieces(folder)
+    before = batches(killed)
     assert 2 <= len(before) < total
     first, *others = sorted(before)
-    (parent,) = runs(folder)[0]
-    (artifacts(parent) / "figures/experiments" / first).write_text(before[first][:-9])
-    status, out, err = run(*arguments, "engine=sequential", folder=folder)
+    (folder,) = killed.glob("trials/sweeps/*/experiments")
+    (folder / first).write_text(before[first][:-9])
+    status, out, err = run(*arguments, "engine=sequential", folder=killed)
     assert (status, err) == (0, "")
     assert f"[{len(others) + 1}/{total}]" in out
     assert f"[{len(others)}/{total}]" not in out
-    assert pieces(folder) == pieces(undisturbed)
-    for name in ("fig7.csv", "fig7.png", "fig7.md"):
-        assert (folder / "figures" / name).read_bytes() == (undisturbed / "figures" / name).read_bytes()
+    assert batches(killed) == batches(uninterrupted)
+    assert made_files(killed) == made_files(uninterrupted)
 
 
 BREAKING = """
@@ -160,68 +173,84 @@ class Breaking(PymunkBongoboard):
 """
 
 
-def test_hardware_that_breaks_among_a_figures_experiments(folder: Path) -> None:
-    """The trials are kept; when the fault is mended, the same command goes on."""
-    conf = write_sweep(folder, "none", "sweep: {trials: 1, axes: {}}")
+def test_hardware_that_breaks_among_a_figures_experiments(tmp_path: Path) -> None:
+    """The trials are kept; when the fault is mended, the same command resumes."""
+    conf = write_sweep(tmp_path, "none", "sweep: {trials: 1, axes: {}}")
     (conf / "hardware").mkdir()
     noise = "{torque_variance: 0.0, angle_variance: 0.0, velocity_variance: 0.0}"
     (conf / "hardware" / "breaking.yaml").write_text(f"_target_: breaking.Breaking\nnoise: {noise}\n")
-    module = folder / "breaking.py"
-    arguments = ["--config-dir", "conf", *command("fig7", folder)[:-1], "hardware=breaking", "sweep.trials=1"]
+    module = tmp_path / "breaking.py"
+    arguments = ["--config-dir", "conf", *command("fig7"), "hardware=breaking", "sweep.trials=1"]
     module.write_text(BREAKING.replace("THRESHOLD", "0.2"))
-    status, _, err = run(*arguments, folder=folder)
+    status, _, err = run(*arguments, folder=tmp_path)
     assert status == 1
-    assert "simbias: FigureError: fig7: hardware: a leg broke; 2 of 2 trials are done.\nGo on with:" in err
+    assert "fig7: hardware: a leg broke" in err
     assert "Traceback" not in err
-    assert runs(folder)[0][0].info.status == "FAILED"
+    assert len(trials(tmp_path)) == 2
     module.write_text(BREAKING.replace("THRESHOLD", "9.0"))
-    status, out, err = run(*arguments, "engine=sequential", folder=folder)
+    status, out, err = run(*arguments, "engine=sequential", folder=tmp_path)
     assert status == 0
-    assert re.fullmatch(
-        r"simbias: 2 of 2 finished trials ran on code that has changed .*\(breaking\); .*\n", err
-    )
+    assert re.fullmatch(r"simbias: .*code that has changed .*\(breaking\).*\n", err)
     assert "= 2, 2 of them finished already" in out
-    assert runs(folder)[0][0].info.status == "FINISHED"
 
 
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["+sweep=fig4", "tracking=none"], "none keeps no trials, and sweep.figures.fig4 is"),
-        (["+sweep=fig4", "sweep.figures.fig4.columns=0"], "sweep.figures.fig4.columns: must be greater than"),
-        (["+sweep=fig4", "+sweep.figures.fig4.colour=red"], "sweep.figures.fig4.colour: no such key"),
-        (["+sweep=fig5", "sweep.figures.fig5.states=[alpha_w,alpha_b,x]"], "fig5: the task has no state x"),
-        (["+sweep=fig7", "sweep.figures.fig7.hardware=real"], "figures.fig7: the sweep has no cell real"),
-        (["+sweep=fig7", "sweep.figures.fig7.y.state=z"], "sweep.figures.fig7: the task has no state z"),
-        (["+sweep=fig6", "sweep.figures.fig6._target_=simbias.trial.study.Study"], "not a SweepFigure"),
-        (["+sweep=smoke", "+sweep.figures={a/b: {_target_: x.Y}}"], "sweep.figures.a/b"),
-    ],
-)  # fmt: skip
 def test_bad_input_runs_nothing(
-    folder: Path, capsys: pytest.CaptureFixture[str], overrides: list[str], message: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*overrides, *MIXED]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert len(err.splitlines()) == 1
-    assert not (folder / "mlartifacts").exists()
+    monkeypatch.chdir(tmp_path)
+    for overrides, key in (
+        (["+sweep=fig4", "tracking=none"], "tracking: "),
+        (["+sweep=fig4", "sweep.figures.fig4.columns=0"], "sweep.figures.fig4.columns: "),
+        (["+sweep=fig4", "+sweep.figures.fig4.colour=red"], "sweep.figures.fig4.colour: "),
+        (["+sweep=fig5", "sweep.figures.fig5.states=[alpha_w,alpha_b,x]"], "sweep.figures.fig5: "),
+        (
+            ["+sweep=fig7", "sweep.figures.fig7.hardware=real"],
+            "sweep.figures.fig7: ",
+        ),
+        (["+sweep=fig7", "sweep.figures.fig7.y.state=z"], "sweep.figures.fig7: "),
+        (
+            ["+sweep=fig6", "sweep.figures.fig6._target_=simbias.trial.study.Study"],
+            "sweep.figures.fig6._target_",
+        ),
+        (["+sweep=smoke", "+sweep.figures={a/b: {_target_: x.Y}}"], "sweep.figures.a/b"),
+    ):
+        assert main([*overrides, *MIXED]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"simbias: {key}"), err
+        assert len(err.splitlines()) == 1
+        assert not list(tmp_path.iterdir())
 
 
-def test_figure_without_a_store(folder: Path) -> None:
-    """One that needs no trial in full is drawn from what there is."""
+def test_figure_without_a_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that needs no trial in full is drawn from the table."""
+    monkeypatch.chdir(tmp_path)
     quick = ["task.horizon=200", "optimizer.max_evaluations=20", "engine=sequential"]
     assert main(["+sweep=smoke", *quick, "tracking=none", "+sweep.figures_to=here"]) == 0
-    assert {file.name for file in (folder / "here").iterdir()} == {
+    assert {file.name for file in (tmp_path / "here").iterdir()} == {
         f"experiments.{suffix}" for suffix in ("png", "svg", "csv", "md")
     }
 
 
-def test_outcomes_travel_as_text() -> None:
-    outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "speed"), (True, False))
-    assert Outcomes.from_json(outcomes.as_json()) == outcomes
-    for length in range(len(outcomes.as_json())):
-        with pytest.raises(json.JSONDecodeError):
-            Outcomes.from_json(outcomes.as_json()[:length])
-    assert json.loads(outcomes.as_json())["frames"] == [5000, 17]
-    with pytest.raises(ValueError, match="not the outcomes"):
-        Outcomes.from_json('{"costs": [1.0], "frames": [17], "failures": ["too fast"]}')
+def test_figures_of_an_installed_package(tmp_path: Path) -> None:
+    """There, configs, sweeps and their figures lie inside the package; they have the same names."""
+    ignored = shutil.ignore_patterns("__pycache__", "results", "studies")
+    for folder, place in (("simbias", "simbias"), ("conf", "simbias/conf"), ("sweeps", "simbias/sweeps")):
+        shutil.copytree(ROOT / folder, tmp_path / place, ignore=ignored)
+    program = (
+        "from simbias.sweep.grid import expand; import sys\n"
+        f"for name in {sorted(SMALL)}:\n"
+        "    figure = expand(['+sweep=' + name]).figures[name]\n"
+        "    print(sys.modules[type(figure).__module__].__file__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    files = [
+        Path(line).relative_to(tmp_path / "simbias" / "sweeps" / "figures") for line in done.stdout.split()
+    ]
+    assert len(set(files)) == len(SMALL)

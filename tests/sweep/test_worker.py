@@ -1,101 +1,140 @@
-"""What runs in a sweep's workers."""
+"""What runs in a sweep's workers, and how a trial's folder travels where they share no disk."""
 
 from __future__ import annotations
 
-import pickle
+import json
 import subprocess
 import sys
 import warnings
 from pathlib import Path
 
 import pytest
-from records import assert_equal, timeless
+from sweeping import content
 
-import simbias
 from simbias.config import Composition, compose
 from simbias.core import SlowWarning
 from simbias.sweep import worker
-from simbias.sweep.worker import Plan, run_plan
-from simbias.trial.run import Outcome, run_trial
+from simbias.sweep.worker import Plan, pack, run_plan, unpack
+from simbias.trial.folder import OUTCOME, TrialFolder
+from simbias.trial.run import Outcome
 
 SHORT = [
-    *("task.horizon=400", "optimizer.max_evaluations=30", "method.max_iterations=2"),
+    *("task.horizon=400", "optimizer.max_evaluations=30", "method.max_iterations=2", "tracking=none"),
     "cost.max_cost=1e-3",  # never reached
 ]
 SCRIPT = """
 import sys
+from pathlib import Path
 from simbias.config import compose
 from simbias.sweep.worker import Plan, run_plan
 
 quick = ["task.horizon=100", "optimizer=cma", "optimizer.max_evaluations=20", "method.max_iterations=1"]
-trial = compose(quick).trial
-record = run_plan(Plan(trial.config, trial.choices, sys.argv[1], tuple(sys.argv[2:])))
-names = [f"{name}.png" for name in sys.argv[2:]]
-assert not record.reason and record.iterations and list(record.pictures) == names, record
+trial, folder = compose(quick).trial, sys.argv[1]
+result = run_plan(Plan(trial.config, trial.choices, folder, pictures=tuple(sys.argv[2:])))
+assert not result.summary.reason and result.summary.iterations, result
+assert [file.stem for file in Path(folder, "pictures").glob("*")] == sys.argv[2:]
 heavy = {"pandas", "pyarrow", "mlflow", "rich", "sklearn", "matplotlib.pyplot"}
 heavy |= {"scipy.optimize", "scipy.signal", "scipy.special", "scipy.stats"}
 print(*heavy & set(sys.modules))
 """
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def trial() -> Composition:
     return compose(SHORT).trial
 
 
+@pytest.fixture
+def plan(trial: Composition, tmp_path: Path) -> Plan:
+    """A trial in a folder."""
+    return Plan(trial.config, trial.choices, str(tmp_path / "trial"))
+
+
+@pytest.fixture(scope="module")
+def whole(trial: Composition, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the trial, ended."""
+    folder = tmp_path_factory.mktemp("whole") / "trial"
+    result = run_plan(Plan(trial.config, trial.choices, str(folder)))
+    assert (result.summary.outcome, result.packed) == (Outcome.NOT_SUCCEEDED, b"")
+    return folder
+
+
+def stopped(whole: Path, folder: Path) -> None:
+    """The trial as if it had been killed after its fifth step."""
+    unpack(pack(whole), folder)
+    for file in (folder / OUTCOME, *TrialFolder(folder).steps()[5:]):
+        file.unlink()
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("pictures", [(), ("overview",)], ids=["plain", "pictures"])
-def test_a_worker_does_without_what_only_the_parent_needs(tmp_path: Path, pictures: tuple[str, ...]) -> None:
+def test_a_worker_does_without_what_only_the_parent_needs(tmp_path: Path) -> None:
     """It saves a quarter of its memory, and half of its start."""
-    command = [sys.executable, "-c", SCRIPT, str(tmp_path / "journal"), *pictures]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
+    for pictures in ((), ("overview",)):
+        command = [sys.executable, "-c", SCRIPT, str(tmp_path / f"trial {pictures}"), *pictures]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
 
 
-def test_a_worker_sends_the_record_of_the_trial_without_fitted_biases(trial: Composition) -> None:
-    record = run_plan(Plan(trial.config, trial.choices))
-    assert record.outcome is Outcome.NOT_SUCCEEDED
-    assert_equal(timeless(record), timeless(run_trial(simbias.load(SHORT))))
-    assert [i.search.fitted_bias for i in record.iterations if i.search] == [None, None]
-    assert_equal(pickle.loads(pickle.dumps(record)), record)
-
-
-def test_a_worker_goes_on_with_what_its_journal_holds(trial: Composition, tmp_path: Path) -> None:
-    whole = Plan(trial.config, trial.choices, str(tmp_path / "journal"))
-    record = run_plan(whole)
-    last = tmp_path / "journal" / "0005_experiment.npz"
-    last.unlink()
-    kept = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "journal").glob("0*")}
+def test_a_worker_resumes_what_the_folder_holds(plan: Plan, whole: Path, tmp_path: Path) -> None:
+    """Nor does it need a folder: the summary is the same."""
+    folder = tmp_path / "trial"
+    stopped(whole, folder)
+    kept = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*")}
     assert len(kept) == 5
-    assert_equal(timeless(run_plan(whole)), timeless(record))
-    assert last.exists()
-    assert kept.items() <= {p.name: p.stat().st_mtime_ns for p in last.parent.glob("0*")}.items()
+    result = run_plan(plan)
+    assert content(folder) == content(whole)
+    assert kept.items() <= {path.name: path.stat().st_mtime_ns for path in folder.glob("0*")}.items()
+    alone = run_plan(plan._replace(folder=None))
+    assert (alone.summary.test_episodes, alone.summary.experiments) == ("", result.summary.experiments)
 
 
-def test_a_trial_that_cannot_begin_is_a_record_too(trial: Composition, tmp_path: Path) -> None:
-    bad = {**trial.config, "bias": {"_target_": "simbias.learning.bias.gp.Nothing"}}
-    record = run_plan(Plan(bad, trial.choices))
-    assert (record.outcome, record.iterations, record.experiments) == (Outcome.ERROR, (), 0)
-    assert record.reason.startswith("ConfigError: bias._target_: cannot import")
-    assert record.started > 0
+def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_path: Path) -> None:
+    """There and back: the worker gets what is kept, makes the rest, and sends all."""
+    folder, there = tmp_path / "trial", tmp_path / "another machine"
+    stopped(whole, folder)
+    begun = len(TrialFolder(folder).attempts())
+    result = run_plan(plan._replace(folder=str(there), marker=str(tmp_path / "no such"), kept=pack(folder)))
+    assert [len(TrialFolder(each).attempts()) for each in (folder, there)] == [begun, begun + 1]
+    unpack(result.packed, folder)
+    assert content(folder) == content(there) == content(whole)
+    marker = tmp_path / "marker"
+    marker.touch()
+    assert not run_plan(plan._replace(marker=str(marker))).packed
+
+
+def test_an_outcome_that_somebody_damaged_follows_from_the_steps(whole: Path, plan: Plan) -> None:
+    folder = Path(str(plan.folder))
+    unpack(pack(whole), folder)
+    kept = json.loads((whole / OUTCOME).read_text())
+    for damage in ("", "{", "[]", "{}", json.dumps(kept | {"experiments": "many"})):
+        (folder / OUTCOME).write_text(damage)
+        assert run_plan(plan).summary.outcome is Outcome.NOT_SUCCEEDED, damage
+        assert content(folder) == content(whole)
+
+
+def test_a_trial_that_cannot_begin_is_a_result_too(plan: Plan, tmp_path: Path) -> None:
+    bad = {**plan.config, "bias": {"_target_": "simbias.learning.bias.gp.Nothing"}}
+    summary = run_plan(plan._replace(config=bad)).summary
+    assert (summary.outcome, summary.experiments) == (Outcome.ERROR, 0)
+    assert summary.reason.startswith("ConfigError: bias._target_: cannot import")
     (tmp_path / "file").touch()
-    record = run_plan(Plan(trial.config, trial.choices, str(tmp_path / "file" / "journal")))
-    assert record.outcome is Outcome.ERROR
-    assert "cannot be written" in record.reason
+    summary = run_plan(plan._replace(folder=str(tmp_path / "file" / "trial"))).summary
+    assert summary.outcome is Outcome.ERROR
+    assert "cannot be written" in summary.reason
 
 
 def test_a_component_that_ends_the_process_as_it_is_built_ends_its_trial_only(
-    trial: Composition, monkeypatch: pytest.MonkeyPatch
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def leave(*_: object, task: object) -> None:
         raise SystemExit("no licence")
 
     monkeypatch.setattr("simbias.learning.bias.gp.GaussianProcess.__init__", leave)
-    config = {**trial.config, "bias": {"_target_": "simbias.learning.bias.gp.GaussianProcess"}}
-    assert run_plan(Plan(config, trial.choices)).reason == "ConfigError: bias: no licence"
+    config = {**plan.config, "bias": {"_target_": "simbias.learning.bias.gp.GaussianProcess"}}
+    assert run_plan(plan._replace(config=config)).summary.reason == "ConfigError: bias: no licence"
 
 
-def test_no_line_for_each_slow_fit_of_each_trial(trial: Composition, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_line_for_each_slow_fit_of_each_trial(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     def slow(composition: Composition) -> None:
         warnings.warn("slowly", SlowWarning, stacklevel=2)
         raise RuntimeError("far enough")
@@ -103,4 +142,4 @@ def test_no_line_for_each_slow_fit_of_each_trial(trial: Composition, monkeypatch
     monkeypatch.setattr(worker, "build", slow)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert run_plan(Plan(trial.config, trial.choices)).reason == "RuntimeError: far enough"
+        assert run_plan(plan).summary.reason == "RuntimeError: far enough"

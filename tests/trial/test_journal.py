@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from records import assert_equal, timeless
-from simbias.trial.journal import Journal, write_whole
 
 import simbias
 from simbias.config import ConfigError
 from simbias.core import Hardware, HardwareError, Policy, Waiting
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.trial.journal import Journal, write_whole
 from simbias.trial.run import Outcome, run_trial
 from simbias.trial.study import Observer, Study
 

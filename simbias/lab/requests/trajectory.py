@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,24 +10,28 @@ from pathlib import Path
 import numpy as np
 
 from simbias.core import HardwareError, Quantity, Task
-from simbias.core.messages import quote, words
+from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
+from simbias.lab.requests.request import START_DEVIATIONS, ExperimentRequest
+from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
 JITTER = 0.25  # of a frame, within which a row counts as on time
 GAP = 2.5  # intervals between rows that are no gap yet
 COARSEST = 1.05  # of the task's time step that the rows may be apart
+DEGREES, ABOUT = 180 / math.pi, 0.1  # in a radian; relative deviation of a ratio that still looks like it
+NOISE = 1e-3  # rad or rad/s, below which a ratio says nothing
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a lab recorded, a row for each time."""
+    """Measured states and commanded inputs, a row for each time."""
 
     times: Array  # (r,) s
     states: Array  # (r, n) measured
     inputs: Array  # (r, m) commanded from this time on
-    failure: str | None = None  # that the lab tells of, in the last row
-    rows: tuple[int, ...] = ()  # where in the file they stand, the header being row 1
+    failure: str | None = None  # that the lab reports in the last row
+    rows: tuple[int, ...] = ()  # (r,) where they stand in the file, the header being row 1
 
 
 def header(task: Task) -> list[str]:
@@ -44,85 +46,61 @@ def template(task: Task, start: Array) -> str:
     return f"{','.join(header(task))}\n{','.join(first)}\n"
 
 
-def read(path: Path, task: Task) -> Rollout:
-    """The rollout in a file.
+def read(path: Path, request: ExperimentRequest) -> Rollout:
+    """The rollout in a file that answers a request.
 
     Raises
     ------
     HardwareError
         If something is wrong with it: one line with file, row and column.
     """
-    return frame(_read(path, task), task, str(path))
-
-
-def _read(path: Path, task: Task) -> Recording:
-    """What stands in a file."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
-    try:
-        lines = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(row)]
-    except csv.Error as error:
-        raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
-    if len(lines) < 2:
-        raise HardwareError(f"{path}: expected a header and rows, got {len(lines)} lines")
-    columns, failure_column = _columns(path, [cell.strip() for cell in lines[0][1]], task)
-    rows = lines[1:]
-    table = np.empty((len(rows), len(columns)))
-    last_inputs = range(1 + len(task.states), len(columns))
-    for index, (number, row) in enumerate(rows):
-        if len(row) < len(lines[0][1]):
-            row = [*row, *[""] * (len(lines[0][1]) - len(row))]
-        for place, (column, name) in enumerate(columns):
-            cell = row[column].strip()
-            blank = not cell and index == len(rows) - 1 and place in last_inputs  # nothing acted any more
-            table[index, place] = 0.0 if blank else _number(cell, f"{path}: row {number}, column {name}")
-    failure = "" if failure_column is None else [*rows[-1][1], ""][failure_column : failure_column + 1]
-    n = len(task.states)
-    return Recording(
-        table[:, 0],
-        table[:, 1 : 1 + n],
-        table[:, 1 + n :],
-        "".join(failure).strip() or None,
-        tuple(number for number, _ in rows),
+    table = read_table(path, may_lack=FAILURE)
+    columns = _columns(table, request.task)
+    n = len(request.task.states)
+    numbers = table.numbers(columns, may_be_blank=columns[1 + n :])  # nothing acts after the last frame
+    recording = Recording(
+        numbers[:, 0], numbers[:, 1 : 1 + n], numbers[:, 1 + n :], _failure(table), table.rows
     )
+    return frame(recording, request, str(path))
 
 
-def _columns(path: Path, names: Sequence[str], task: Task) -> tuple[list[tuple[int, str]], int | None]:
-    """Where each quantity's column is, and that of the failure; others may stand between them."""
-    found = []
-    for quantity in (TIME, *task.states, *task.inputs):
-        bare = [name.partition("(")[0].strip() for name in names]
-        if bare.count(quantity.name) != 1:
-            several = "several" if quantity.name in bare else "none"
+def _columns(table: Table, task: Task) -> list[int]:
+    """Where time, states and inputs stand; other columns may stand between them."""
+    bare, found = [name.partition("(")[0].strip() for name in table.names], []
+    for name, unit, _ in (TIME, *task.states, *task.inputs):
+        if bare.count(name) != 1:
             raise HardwareError(
-                f"{path}: row 1: expected a column {quantity.name} ({quantity.unit}), got {several} among "
-                f"{quote(', '.join(names))}"
+                f"{table.source}: row 1: expected a column {name} ({unit}), got "
+                f"{'several' if name in bare else 'none'} among {quote(', '.join(table.names))}"
             )
-        column = bare.index(quantity.name)
-        unit = names[column].partition("(")[2].removesuffix(")").strip()
-        if unit != quantity.unit:
+        column = bare.index(name)
+        given = table.names[column].partition("(")[2].removesuffix(")").strip()
+        if given != unit:
             raise HardwareError(
-                f"{path}: row 1, column {quantity.name}: expected the unit ({quantity.unit}), "
-                f"got {quote(unit)}; convert the values"
+                f"{table.source}: row 1, column {name}: expected the unit ({unit}), got {quote(given)}; "
+                f"convert the values"
             )
-        found.append((column, quantity.name))
-    return found, names.index(FAILURE) if FAILURE in names else None
+        found.append(column)
+    return found
 
 
-def _number(cell: str, where: str) -> float:
-    """A finite number."""
-    try:
-        value = float(cell)
-    except ValueError:
-        raise HardwareError(f"{where}: expected a number, got {quote(cell)}") from None
-    if not math.isfinite(value):
-        raise HardwareError(f"{where}: expected a finite number, got {quote(cell)}")
-    return value
+def _failure(table: Table) -> str | None:
+    """The failure named in the last row, and in no other."""
+    if FAILURE not in table.names:
+        return None
+    column, last = table.names.index(FAILURE), len(table.rows) - 1
+    for index, cells in enumerate(table.cells):
+        cell = cells[column].strip()
+        if POINT.fullmatch(cell):
+            raise table.error(
+                index, column, f"expected a name, got {quote(cell)}; has a decimal comma cut a number in two?"
+            )
+        if cell and index < last:
+            raise table.error(index, column, f"expected it in the last row alone, got {quote(cell)}")
+    return table.cells[last][column].strip() or None
 
 
-def frame(recording: Recording, task: Task, source: str) -> Rollout:
+def frame(recording: Recording, request: ExperimentRequest, source: str) -> Rollout:
     """A recording at the task's frames, up to its first failure.
 
     Rows that are more frequent are resampled: states between rows lie on straight lines, an input is the
@@ -133,10 +111,12 @@ def frame(recording: Recording, task: Task, source: str) -> Rollout:
     HardwareError
         In one line that begins with the source and names row and column.
     """
+    task = request.task
     rows = recording.rows or tuple(range(1, len(recording.times) + 1))
     times = recording.times - recording.times[0]
+    _check_start(recording.states, rows, request, source)
     _check_times(times, rows, task, source)
-    _check_inputs(recording.inputs, rows, task, source)
+    _check_inputs(recording.inputs, rows, request, source)
     frames = np.arange(math.floor(times[-1] / task.time_step + JITTER) + 1)[: task.horizon + 1]
     wanted = frames * task.time_step
     if len(times) >= len(frames) and np.all(np.abs(times[: len(frames)] - wanted) <= JITTER * task.time_step):
@@ -144,11 +124,48 @@ def frame(recording: Recording, task: Task, source: str) -> Rollout:
     else:
         states = np.stack([np.interp(wanted, times, column) for column in recording.states.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
-    return _ended(states, inputs, recording.failure, task, f"{source}: row {rows[-1]}")
+    return _ended(states, inputs, recording.failure, request, f"{source}: row {rows[-1]}")
+
+
+def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
+    """Refuse a start that was not asked for, and degrees where radians were."""
+    task, start, begun = request.task, request.start, states[0]
+    reason = "; are these degrees?" if _in_degrees(begun, start, task) else "; is it another unit?"
+    for index, quantity in enumerate(task.states):
+        limit, tolerance = request.bounds.states[index], request.start_tolerance[index]
+        where = f"{source}: row {rows[0]}, column {quantity.name}: expected"
+        if abs(start[index]) <= limit < abs(begun[index]):
+            raise HardwareError(f"{where} at most {limit:g} {quantity.unit}, got {begun[index]:g}{reason}")
+        if abs(begun[index] - start[index]) > tolerance:
+            raise HardwareError(
+                f"{where} the start {start[index]:g} within {tolerance:g} {quantity.unit} "
+                f"({START_DEVIATIONS:g} deviations of the task's starts), got {begun[index]:g}{reason}"
+            )
+    failure = task.failure(begun)
+    if failure and not task.failure(start):
+        raise HardwareError(
+            f"{source}: row {rows[0]}: expected a start within the limits, got one that has failed "
+            f"({task.words(failure)}){reason}"
+        )
+    for index, before in ((0, start), (1, begun)):  # a template's first row is in radians
+        if index < len(states) and _in_degrees(states[index], before, task):
+            raise HardwareError(
+                f"{source}: row {rows[index]}: expected radians, got values that are {DEGREES:.1f} times "
+                f"{'the start' if index == 0 else 'those of the row before'}; are these degrees?"
+            )
+
+
+def _in_degrees(x: Array, radians: Array, task: Task) -> bool:
+    """Whether every angle and angular rate in x (n,) is what it is in radians (n,), in degrees."""
+    angular = np.array([quantity.unit.startswith("rad") for quantity in task.states]) & (
+        np.abs(radians) > NOISE
+    )
+    ratio = x[angular] / radians[angular]
+    return bool(len(ratio)) and bool((np.abs(ratio / DEGREES - 1) < ABOUT).all())
 
 
 def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> None:
-    """Refuse times that do not go on steadily and often enough."""
+    """Refuse times that do not increase, and rows that are too rare or leave a gap."""
     steps = np.diff(times)
     back = np.flatnonzero(steps <= 0)
     if len(back):
@@ -173,15 +190,16 @@ def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> 
         )
 
 
-def _check_inputs(inputs: Array, rows: Sequence[int], task: Task, source: str) -> None:
-    """Refuse inputs that no policy gave: they are in another unit."""
-    beyond = np.argwhere(np.abs(inputs) > task.input_limit * (1 + 1e-6))
+def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
+    """Refuse inputs beyond the limits: they are in another unit, or the limits were not held."""
+    limits = request.bounds.inputs
+    beyond = np.argwhere(np.abs(inputs) > limits * (1 + 1e-6))
     if len(beyond):
         row, column = beyond[0]
-        quantity = task.inputs[column]
+        quantity = request.task.inputs[column]
         raise HardwareError(
             f"{source}: row {rows[row]}, column {quantity.name}: expected at most "
-            f"{task.input_limit[column]:g} {quantity.unit}, got {inputs[row, column]:g}"
+            f"{limits[column]:g} {quantity.unit}, got {inputs[row, column]:g}"
         )
 
 
@@ -193,12 +211,18 @@ def _means(times: Array, inputs: Array, wanted: Array) -> Array:
     return np.diff(at, axis=0) / np.diff(wanted)[:, None]
 
 
-def _ended(states: Array, inputs: Array, failure: str | None, task: Task, end: str) -> Rollout:
-    """The rollout up to the first state that failed, or the failure that the lab tells of."""
-    violated = np.flatnonzero(task.violated(states) >= 0)
-    k = int(violated[0]) if len(violated) else len(inputs)
-    if len(violated):
-        failure = task.failure(states[k])
+def _ended(
+    states: Array, inputs: Array, failure: str | None, request: ExperimentRequest, end: str
+) -> Rollout:
+    """The rollout up to the first state that failed or was unsafe, or to the failure that the lab reports."""
+    task = request.task
+    unsafe = np.any(np.abs(states) > request.bounds.states, axis=1)
+    acted = np.arange(len(states)) < task.horizon  # nothing acts after the last frame, safe or not
+    ends = np.flatnonzero((task.violated(states) >= 0) | (unsafe & acted))
+    k = int(ends[0]) if len(ends) else len(inputs)
+    if len(ends):
+        beyond = np.flatnonzero(np.abs(states[k]) > request.bounds.states)
+        failure = task.failure(states[k]) or f"unsafe_state_{task.states[beyond[0]].name}"
     if failure is None and k < task.horizon:
         raise HardwareError(
             f"{end}: expected {task.horizon} frames of {task.time_step:g} s, the recording ends after {k} "

@@ -1,4 +1,4 @@
-"""What a Gaussian process is made of: hyper-parameters, covariance and factorisation (Section IV-B)."""
+"""Hyper-parameters, covariance and factorisation of a Gaussian process (Section IV-B)."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def hyperparameters(
     d: float,
     input_scale: Sequence[float] | None,
 ) -> Hyperparameters:
-    """Hyper-parameters for a task; inputs are scaled by their limits, states by 1, unless told otherwise.
+    """Hyper-parameters for a task; by default inputs are scaled by their limits, states by 1.
 
     Raises
     ------
     ValueError
-        If a list has not one value for each state and input.
+        If a list does not have one value for each state and input.
     """
     r = len(task.states) + len(task.inputs)
     if input_scale is None:

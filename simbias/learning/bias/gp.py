@@ -12,10 +12,10 @@ from simbias.learning.bias.inducing import Inducing
 from simbias.learning.bias.likelihood import Learning, learn
 from simbias.learning.bias.posterior import exact, sparse
 
-# By sweeps/benchmarks/gp.py, in step and on one thread: 11 us at N = 1000, more than N^2 of that beyond.
+# By sweeps/benchmarks/gp.py, batched on one thread: 11 us at N = 1000, growing faster than N^2 beyond.
 SECONDS_PER_STEP = 11e-6 / 1000**2
 STEPS_OF_A_SEARCH = 3.8e6  # of 1000 policies, some of which fall early
-PATIENCE = 60.0  # s of a search, up to which the exact posterior is sensible: N = 1200
+PATIENCE = 60.0  # s of a search that go without a warning: N = 1200
 
 
 class GaussianProcess(Bias):
@@ -68,7 +68,7 @@ class GaussianProcess(Bias):
         return posterior
 
     def _values(self, hyper: Hyperparameters) -> dict[str, float]:
-        """What has been learned, by name."""
+        """Learned hyper-parameters by name."""
         lengths = zip(self._names, hyper.length_scale.tolist(), strict=True)
         return {
             **{f"length_scale_{name}": value for name, value in lengths},
@@ -77,7 +77,7 @@ class GaussianProcess(Bias):
         }
 
     def _warn_of_a_slow_search(self, N: int) -> None:
-        """Say so where the exact posterior stops being sensible."""
+        """Warn where a search with the exact posterior takes longer than PATIENCE."""
         seconds = STEPS_OF_A_SEARCH * SECONDS_PER_STEP * N**2
         if seconds > PATIENCE:
             better = "sparse_gp_learned" if self._learning else "sparse_gp"

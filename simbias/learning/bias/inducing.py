@@ -1,4 +1,4 @@
-"""Inducing points: all data, seen through few of its points, chosen greedily."""
+"""Inducing points, chosen greedily from the data."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Tolerance = Annotated[float, Field(gt=0, lt=1)]
 class Inducing:
     """How inducing points are chosen.
 
-    The variance needs fewer than the mean, whose weights are large, and takes their number squared: it is
-    seen through the first of them.
+    The variance needs fewer points than the mean, whose weights are large, and costs their number squared: it
+    uses the first of them only.
     """
 
     points: Count = 200  # at most
-    tolerance: Tolerance = 1e-4  # no more, once all other points are known to this part of alpha^2
-    variance_tolerance: Tolerance = 1e-3  # likewise, of those for the variance; at least `tolerance`
+    tolerance: Tolerance = 1e-4  # stop once all other points have less than this part of alpha^2
+    variance_tolerance: Tolerance = 1e-3  # likewise for the variance; at least `tolerance`
 
     def __post_init__(self) -> None:
         """Check that the points for the variance are among those for the mean."""
@@ -39,7 +39,7 @@ class Inducing:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """N points seen through m inducing ones Z."""
+    """Factors of the sparse posterior of N points with m inducing points Z."""
 
     Z: Array  # (m, r)
     K_ZX: Array  # (m, N)
@@ -48,10 +48,10 @@ class View:
 
 
 def choose(hyper: Hyperparameters, points: Array, inducing: Inducing) -> tuple[list[int], int]:
-    """Indices of the inducing points among points (N, r), scaled; how many, the first, the variance needs.
+    """Indices of the inducing points among scaled points (N, r), and how many the variance needs.
 
-    They are those that a pivoted Cholesky factorisation of the covariance takes first: each is the point
-    whose latent value is the least certain given those before it.
+    They are the first pivots of a pivoted Cholesky factorisation of the covariance: each is the point whose
+    latent value is the least certain given those before it.
     """
     variance = np.full(len(points), hyper.signal_variance)
     factor = np.zeros((min(inducing.points, len(points)), len(points)))
@@ -71,7 +71,7 @@ def choose(hyper: Hyperparameters, points: Array, inducing: Inducing) -> tuple[l
 
 
 def view(hyper: Hyperparameters, points: Array, chosen: Sequence[int]) -> View:
-    """See points (N, r), scaled, through the chosen of them."""
+    """Factors for scaled points (N, r) with the chosen ones as inducing points."""
     Z = points[chosen]
     K_ZX = hyper.covariance(Z, points)
     identity = np.eye(len(chosen))

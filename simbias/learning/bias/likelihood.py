@@ -1,4 +1,4 @@
-"""Hyper-parameters that are learned: the mode of the marginal likelihood times log-normal priors."""
+"""Hyper-parameters learned as the mode of the marginal likelihood times log-normal priors."""
 
 from __future__ import annotations
 

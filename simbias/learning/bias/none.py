@@ -9,17 +9,17 @@ from simbias.core.records import Array, Transitions
 
 
 def _constant(x, u, parameters):
-    """The same everywhere."""
+    """The parameters themselves: a constant."""
     return parameters
 
 
 def zero(n: int) -> Kernel:
-    """No correction of n states."""
+    """The kernel of the zero correction of n states."""
     return Kernel(_constant, np.zeros(n))
 
 
 class ZeroBias(FittedBias):
-    """g = 0, known for sure."""
+    """g = 0 without uncertainty."""
 
     def __init__(self, n: int) -> None:
         self._n = n

@@ -16,7 +16,7 @@ from simbias.learning.bias.inducing import Inducing, choose, view
 from simbias.learning.bias.none import zero
 
 ROWS = 32
-MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, which takes N^3
+MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, at cost N^3
 
 
 @final
@@ -68,27 +68,27 @@ class Posterior(FittedBias):
         return _row_by_row(self._weighted, x, u)
 
     def _weighted(self, inputs: Array) -> Array:
-        """The mean (k, n) at raw inputs (k, n+m), as far as it is trusted."""
+        """The mean (k, n) at raw inputs (k, n+m), times its weight in Eq. 7."""
         mean, variance = self.relative(inputs)
         return self.weight(variance)[:, None] * mean
 
-    def draw(self, rng: np.random.Generator) -> Drawn:
-        """A function from the posterior of the latent values at the inducing points.
+    def draw(self, rng: np.random.Generator) -> GPSample:
+        """A sample of the latent values at the inducing points.
 
-        Beyond these points it returns to zero as the mean does: what they leave open,
-        k(x, x) - k^T K_ZZ^-1 k, is not drawn, nor is the noise. It is as good as the hyper-parameters: the
-        learned ones know how large the error of the mean is, Table I's only how far the data is.
+        Beyond these points it returns to zero as the mean does: neither the conditional variance
+        k(x, x) - k^T K_ZZ^-1 k nor the noise is sampled. Its size depends on the hyper-parameters: learned
+        ones reflect the error of the mean, Table I's only the distance from the data.
         """
         e = rng.standard_normal((len(self._R), len(self._scale)))
-        return Drawn(self._hyper, self._points, self._W + self._scale * (self._R.T @ e))
+        return GPSample(self._hyper, self._points, self._W + self._scale * (self._R.T @ e))
 
 
 @final
-class Drawn(FittedBias):
-    """A function k^T W that a posterior was drawn to be, known for sure.
+class GPSample(FittedBias):
+    """A sample k^T W of a posterior: a function without uncertainty.
 
-    Its weight in Eq. 7 is one: many draws differ where the data says little, so to trust each of them less
-    there would count the same uncertainty twice.
+    Its weight in Eq. 7 is one: samples differ where there is little data, so a smaller weight there would
+    count the same uncertainty twice.
     """
 
     def __init__(self, hyper: Hyperparameters, points: Array, W: Array) -> None:
@@ -108,9 +108,9 @@ class Drawn(FittedBias):
 
 
 def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array:
-    """A function of inputs (k, n+m), at x (..., n) and u (..., m); no row depends on the others.
+    """Apply a function of inputs (k, n+m) at x (..., n), u (..., m), each row independent of the others.
 
-    Linear algebra libraries choose how they add up by the size of a matrix: here all have ROWS rows.
+    BLAS chooses its order of summation by matrix size, so all calls have ROWS rows.
     """
     inputs = np.concatenate([x, u], axis=-1)
     rows = inputs.reshape(-1, inputs.shape[-1])
@@ -122,7 +122,7 @@ def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array
 
 
 def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
-    """The correction in single precision; without points there is none, which takes no time."""
+    """The compiled correction in single precision; without points, the constant zero."""
     if not len(points):
         return zero(W.shape[1])
     data = (
@@ -180,7 +180,7 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing)
 
 
 def _lower_root(C: Array) -> Array:
-    """The lower triangle U (m, m) with U^T U = C: a Cholesky factor in reversed order."""
+    """The lower triangular U (m, m) with U^T U = C: a Cholesky factor in reversed order."""
     return stable_cholesky(C[::-1, ::-1]).T[::-1, ::-1]
 
 

@@ -1,4 +1,4 @@
-"""How predictions over windows change with a bias along them, to first order."""
+"""First-order sensitivity of predictions over windows to a bias along them."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Indices
-from simbias.learning.prediction_errors import Errors
+from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import Windows, memories
 
 STEP = 1e-5  # of a state, for derivatives by differences
-TOGETHER = 64  # windows: their derivatives take memory
+BATCH = 64  # windows differentiated at once, to bound memory
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives (w, J, n, n R) of chunks' means by weights of R functions in each of n states."""
+    """Derivatives (w, J, n, n R) of chunk means by the weights of R features in each of n states."""
 
-    parts: list[Array]
+    parts: list[Array]  # along w
 
     @staticmethod
     def of(nominal: Nominal, windows: Windows, features: Callable[[Array], Array]) -> Sensitivity:
-        """Of features (k, R) of inputs (k, n+m), along the nominal model's own predictions."""
+        """Differentiate along the nominal model's predictions; features (k, R) are of inputs (k, n+m)."""
         starts, memory = windows.starts, memories(nominal, windows)
-        cuts = range(0, len(starts), TOGETHER)
+        cuts = range(0, len(starts), BATCH)
         return Sensitivity(
             [
                 _of(
                     nominal,
                     windows,
                     features,
-                    starts[first : first + TOGETHER],
-                    memory[first : first + TOGETHER],
+                    starts[first : first + BATCH],
+                    memory[first : first + BATCH],
                 )
                 for first in cuts
             ]
         )
 
-    def whiten(self, errors: Errors) -> Array:
-        """Derivatives (w, J n, n R) of whitened errors."""
+    def whiten(self, errors: ErrorDistribution) -> Array:
+        """Derivatives (w, J n, n R) of the whitened predictions."""
         inverse = errors.inverse
         each = [part.reshape(len(part), len(inverse), -1) for part in self.parts]
         return np.concatenate([inverse @ part for part in each])
@@ -50,7 +50,7 @@ class Sensitivity:
 def _of(
     nominal: Nominal, windows: Windows, features: Callable[[Array], Array], starts: Indices, memory: Array
 ) -> Array:
-    """Of some windows."""
+    """Derivatives (w, J, n, n R) for the windows that begin in rows `starts` (w,) with `memory` (w, s)."""
     x = windows.states[starts]
     w, n = x.shape
     diagonal = np.arange(n)

@@ -1,4 +1,4 @@
-"""The nominal model's parameters, given hardware experiments: the mode, and a normal around it."""
+"""Posterior of the nominal model's parameters given experiments: the mode and a normal around it."""
 
 from __future__ import annotations
 
@@ -13,47 +13,46 @@ from simbias.core import Identification, Nominal, Task
 from simbias.core.parameters import Estimate, values_at
 from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
-from simbias.learning.measurement import Linearised
-from simbias.learning.prediction_errors import FREEDOM, Errors
+from simbias.learning.measurement_noise import Linearisation
+from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import Windows, World, predict
 
-STEP = 1e-4  # of a coordinate, or of what a state varies, for derivatives by differences
-TINY = 1e-9  # added to what a state varies
-ROBUST = 0.1  # nu / d at first: the mode is found whatever happens in some windows
-COVARIANCES = 2  # times that the errors' covariance is estimated, with what the parameters hide of it
-TOLERANCE = 0.05  # in standard deviations of the posterior: a round that moves the mode by less is the last
+STEP = 1e-4  # of finite differences: of a coordinate, or of the standard deviation of a state
+LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
+ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
+SPREAD_ROUNDS = 2  # of estimating the errors' covariance, with the part that fitted parameters removed
+TOLERANCE = 0.05  # of the mode's convergence, in standard deviations of the posterior
 QUANTILE = 1.6449  # 95% of a standard normal
 
 
 class Posterior(Identification):
-    """Errors of predictions over short windows, from recorded states under recorded inputs, are made small.
+    """Maximum a posteriori estimate from predictions over windows of recorded experiments.
 
     In the coordinates of the parameters' priors, the mode minimises
 
-        |z|^2 + share * sum over windows of (nu + d) ln(1 + |whitened errors|^2 / nu).
+        |z|^2 + independent_share * sum over windows of (nu + d) ln(1 + |whitened errors|^2 / nu).
 
-    The d errors of a window are whitened by their own covariance over all windows, which is estimated in turn
-    with the mode (`simbias.learning.prediction_errors`). So it need not be known where errors come from:
-    noise of the sensors, noise that acts on the robot, or what the model lacks. The share makes windows count
-    less where successive ones err alike, as they do where the model lacks something.
+    The d errors of a window are whitened by their covariance over all windows, estimated in turn with the
+    mode (`simbias.learning.prediction_errors`), so sensor noise, process noise and model errors need not be
+    told apart. `independent_share` discounts windows whose errors correlate with those of the window before.
 
-    Around the mode the posterior is normal, and as wide as errors of that size scatter the mode. Of few
-    windows, what noise in the measured states does to errors, also in the one that a window begins with, is
-    better known by the model than from the windows (`simbias.learning.measurement`).
+    The posterior is normal around the mode, with the covariance by which such errors scatter the mode. With
+    few windows, the covariance that measurement noise gives to errors is computed from the linearised model
+    (`simbias.learning.measurement_noise`).
 
     Parameters
     ----------
     window
         Duration of a prediction in s.
     chunks
-        Means over so many parts of it are compared.
+        Number of parts of a window whose means are compared.
     starts
-        So many draws from the prior, its median the first, are tried; the search begins at the likeliest.
+        Number of draws from the prior, its median the first; the search begins at the likeliest.
     rounds
-        At most so many times, covariance and mode are estimated in turn; first with outliers that count next
-        to nothing, then with the distribution that errors have.
+        Largest number of rounds in which covariance and mode are estimated in turn, once with nearly no
+        weight for outliers, and once more with the t distribution of the errors.
     evaluations
-        Steps of the search for the mode in each of them, at most.
+        Largest number of steps of the search for the mode in a round.
     """
 
     def __init__(
@@ -78,14 +77,14 @@ class Posterior(Identification):
         if not nominal.parameters or not windows:
             return nominal
         z = self._start(nominal, windows)
-        for freedom in (ROBUST, FREEDOM):
+        for freedom in (ROBUST_FREEDOM, FREEDOM):
             for _ in range(self._rounds):
                 problem = Problem.at(nominal, windows, z, freedom)
                 before, z = z, problem.mode(z, self._evaluations)
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        diagnostics = {"windows": len(windows), "share": problem.errors.share}
+        diagnostics = {"windows": len(windows), "share": problem.errors.independent_share}
         return Identified(nominal, z, problem.spread(z), diagnostics)
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
@@ -93,19 +92,21 @@ class Posterior(Identification):
         z = np.random.default_rng(0).standard_normal((self._starts, len(nominal.parameters)))
         z[0] = 0.0
         errors = predict([_world(nominal, each) for each in z], windows) - windows.means
-        fits = [Errors.of(each, windows, ROBUST).log_likelihoods(each).sum() for each in errors]
+        fits = [
+            ErrorDistribution.of(each, windows, ROBUST_FREEDOM).log_likelihoods(each).sum() for each in errors
+        ]
         return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
 
 
 def _world(nominal: Nominal, z: Array, offset: Array | None = None) -> World:
-    """With the parameters at coordinates z (p,)."""
+    """The model with its parameters at coordinates z (p,)."""
     return World(nominal.with_parameters(values_at(nominal.parameters, z)), offset=offset)
 
 
 class Problem:
     """Nonlinear least squares for the mode, with the errors' covariance given."""
 
-    def __init__(self, nominal: Nominal, windows: Windows, errors: Errors) -> None:
+    def __init__(self, nominal: Nominal, windows: Windows, errors: ErrorDistribution) -> None:
         self._nominal = nominal
         self._windows = windows
         self._observed = windows.means
@@ -114,9 +115,9 @@ class Problem:
 
     @staticmethod
     def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Problem:
-        """The errors' covariance estimated at coordinates z (p,)."""
-        problem = Problem(nominal, windows, Errors(np.empty((0, 0))))
-        problem.errors = Errors.of(problem._errors(z[None])[0], windows, freedom)
+        """The problem with the errors' covariance estimated at coordinates z (p,)."""
+        problem = Problem(nominal, windows, ErrorDistribution(np.empty((0, 0))))
+        problem.errors = ErrorDistribution.of(problem._errors(z[None])[0], windows, freedom)
         return problem
 
     def mode(self, z: Array, evaluations: int) -> Array:
@@ -138,11 +139,11 @@ class Problem:
     def spread(self, z: Array) -> Array:
         """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
 
-        G is the covariance of the density's slope, if the errors' is as noise and windows say, where H only
-        has the one by which errors are weighted (V. P. Godambe, Annals of Mathematical Statistics 31, 1960).
+        G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
+        one that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960).
         """
         p, windows = len(z), self._windows
-        steps = STEP * (np.std(windows.states, axis=0) + TINY)
+        steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
         worlds = [_world(self._nominal, each) for each in z + STEP * np.eye(p + 1, p, -1)]
         worlds += [_world(self._nominal, z, offset) for offset in np.diag(steps)]
         each = predict(worlds, windows)
@@ -152,11 +153,11 @@ class Problem:
         J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
         by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
         spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
-        H, weights = spread @ spread.T, self.errors.share * self.errors.weights(white)
-        for _ in range(COVARIANCES):
-            linearised = Linearised.of(by_start, by_parameters @ spread)
+        H, weights = spread @ spread.T, self.errors.independent_share * self.errors.weights(white)
+        for _ in range(SPREAD_ROUNDS):
+            linearisation = Linearisation.of(by_start, by_parameters @ spread)
             ratio = np.linalg.solve(
-                self.errors.factor, Errors.of(errors, windows, FREEDOM, linearised).factor
+                self.errors.factor, ErrorDistribution.of(errors, windows, FREEDOM, linearisation).factor
             )
             across = (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
             scattered = H @ np.hstack([np.eye(p), across])
@@ -164,26 +165,29 @@ class Problem:
         return spread
 
     def log_densities(self, z: Array) -> Array:
-        """Logarithms (k,) of the posterior's density at coordinates z (k, p), but for a constant."""
+        """Posterior log-density (k,) at coordinates z (k, p), up to a constant."""
         white = self.errors.whiten(self._errors(z))
-        return -0.5 * (np.sum(z**2, axis=1) + self.errors.share * self.errors.losses(white).sum(axis=1))
+        return -0.5 * (
+            np.sum(z**2, axis=1) + self.errors.independent_share * self.errors.losses(white).sum(axis=1)
+        )
 
     def _errors(self, z: Array) -> Array:
         """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
         return predict([_world(self._nominal, each) for each in z], self._windows) - self._observed
 
     def _at(self, z: Array) -> tuple[Array, Array]:
-        """Residuals, the prior's last, and their derivatives by z."""
+        """Residuals (w d + p,), the prior's last, and their derivatives by z (p,)."""
         if self._last is None or self._last[0] != z.tobytes():
             p = len(z)
             white = self.errors.whiten(self._errors(z + STEP * np.eye(p + 1, p, -1)))
             J = (white[1:] - white[0]) / STEP
-            size = np.sum(white[0] ** 2, axis=1) + 1e-300
-            flatter = np.sqrt(
-                self.errors.share * self.errors.losses(white[0]) / size
-            )  # squares sum to the loss
-            slope = self.errors.share * self.errors.weights(white[0]) / flatter
-            r, J = flatter[:, None] * white[0], slope[:, None] * J
+            weights = self.errors.independent_share * self.errors.weights(white[0])
+            losses = self.errors.independent_share * self.errors.losses(white[0])
+            size = np.sum(white[0] ** 2, axis=1)
+            ratio = np.divide(losses, size, out=weights.copy(), where=size > 0)  # tends to the weights at 0
+            scale = np.sqrt(ratio)  # so that squares sum to the loss
+            slope = weights / scale
+            r, J = scale[:, None] * white[0], slope[:, None] * J
             residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
             self._last = z.tobytes(), residuals, derivatives
         return self._last[1], self._last[2]
@@ -191,7 +195,7 @@ class Problem:
 
 @final
 class Identified(Nominal):
-    """A nominal model at the most probable parameters; it draws from their posterior."""
+    """The nominal model at the mode of its parameters; `draw` samples their posterior."""
 
     def __init__(self, prior: Nominal, mode: Array, spread: Array, diagnostics: dict[str, float]) -> None:
         self._prior = prior
@@ -202,7 +206,7 @@ class Identified(Nominal):
         self.memory_size = self.model.memory_size
         self.diagnostics = diagnostics
         self._spread = spread  # (p, p)
-        self.covariance = spread @ spread.T  # (p, p) of them
+        self.covariance = spread @ spread.T  # (p, p) of the coordinates
         deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
         self.estimates = tuple(
             Estimate(p.name, p.unit, p.value, float(p.at(z)), float(p.at(z - d)), float(p.at(z + d)))
@@ -226,10 +230,10 @@ class Identified(Nominal):
         return self._prior.with_parameters(values)
 
     def narrowed(self, scale: float) -> Identified:
-        """The model at the same parameters, with `scale` times the deviations of the posterior."""
+        """The model at the same mode, with `scale` times the standard deviations of the posterior."""
         return Identified(self._prior, self.mode, scale * self._spread, dict(self.diagnostics))
 
     def draw(self, rng: np.random.Generator) -> Nominal:
-        """A model from the posterior."""
+        """A model with parameters drawn from the posterior."""
         e = self._spread @ rng.standard_normal(len(self.mode))
         return self._prior.with_parameters(values_at(self._prior.parameters, self.mode + e))

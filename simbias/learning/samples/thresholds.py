@@ -16,7 +16,7 @@ from simbias.core.records import Array, Rollout, Selection, Transitions
 
 @dataclass(frozen=True)
 class Windows:
-    """Of how many frames, or how long a time (`70 ms`), a sample is the weighted mean."""
+    """Length of a sample, a weighted mean, in frames or as a duration (`70 ms`)."""
 
     true_state: Span = 1
     measured: Span = 71
@@ -27,18 +27,18 @@ _WINDOWS = Windows()
 
 @dataclass(frozen=True, eq=False)
 class _Candidates:
-    """Transitions of a rollout, or weighted means of successive ones, and what rejects each."""
+    """Transitions of a rollout, or weighted means of successive ones, and the criterion that rejects each."""
 
     inputs: Array  # (k, n+m)
     residuals: Array  # (k, n)
-    verdicts: list[str | None]  # k names of criteria
+    verdicts: list[str | None]  # (k,) names of criteria, None of what is accepted
 
     def every(self, stride: int) -> _Candidates:
         """The first of each `stride`."""
         return _Candidates(self.inputs[::stride], self.residuals[::stride], self.verdicts[::stride])
 
     def accepted(self) -> Transitions:
-        """Those that nothing rejects."""
+        """The transitions that no criterion rejects."""
         rows = np.array([verdict is None for verdict in self.verdicts], dtype=bool)
         return Transitions(self.inputs[rows], self.residuals[rows])
 
@@ -46,7 +46,7 @@ class _Candidates:
 class Thresholds(Samples):
     """Every `stride`-th transition whose two states keep the limits and whose residual is no outlier.
 
-    Residuals of a millisecond drown in the sensors' noise. Over a few frames the bias is nearly affine, so
+    Residuals of a single frame drown in the sensors' noise. Over a few frames the bias is nearly affine, so
     the mean of residuals is the residual at the mean state and input. The model's part of each is computed
     with the input that acted, which jumps from frame to frame when a policy feeds noise back: a smoother of
     the states alone would take these jumps for noise. See `line_weights` for the weights.
@@ -100,11 +100,11 @@ class Thresholds(Samples):
         return Selection(transitions, frames, len(verdicts), rejected, self._why_none(rollouts))
 
     def _window_of(self, rollout: Rollout) -> int:
-        """Frames of its samples."""
+        """Frames of a sample of this rollout."""
         return self._measured if rollout.sensed else self._true_state
 
     def _why_none(self, rollouts: Sequence[Rollout]) -> str:
-        """That no rollout is as long as one sample, if so."""
+        """A line that no rollout is as long as one sample; empty if one is."""
         if not rollouts or any(rollout.frames >= self._window_of(rollout) for rollout in rollouts):
             return ""
         longest = max(rollouts, key=lambda rollout: rollout.frames)
@@ -147,7 +147,7 @@ class Thresholds(Samples):
         return [None if index < 0 else names[index] for index in first]
 
     def _spread(self, transitions: Transitions, count: int) -> Transitions:
-        """So many of them, each the farthest from those before it; inputs count in units of their limits."""
+        """Pick `count` transitions, each the farthest from those before it, with inputs over their limits."""
         if not count:
             return transitions
         places = transitions.inputs.copy()
@@ -160,7 +160,7 @@ class Thresholds(Samples):
         return Transitions(transitions.inputs[rows], transitions.residuals[rows])
 
     def _union(self, candidates: Sequence[_Candidates]) -> Transitions:
-        """The accepted ones of all rollouts."""
+        """The accepted transitions of all rollouts."""
         union = Transitions.empty(len(self._task.states), len(self._task.inputs))
         for candidate in candidates:
             union |= candidate.accepted()

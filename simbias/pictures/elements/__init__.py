@@ -1,1 +1,1 @@
-"""What pictures have in common: style, panels, and how a task draws itself."""
+"""Style, layout and drawings of tasks, which all pictures share."""

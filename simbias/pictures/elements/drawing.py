@@ -1,4 +1,4 @@
-"""How a task looks at a state, as told by the module that stands beside it.
+"""Drawings of a task's states, by the module that stands beside the task.
 
 For a task in `my_robot.py`, that module is `my_robot_drawing.py`:
 
@@ -50,7 +50,7 @@ class Movement(Protocol):
     """Moves the artists that a drawing returned to another state (n,); muted where it has failed."""
 
     def __call__(self, artists: Mapping[str, Artist], task: Any, state: Array, *, muted: bool = ...) -> None:
-        """Move; nothing is drawn anew."""
+        """Move; no artist is added."""
 
 
 def drawing_of(task: Task) -> Drawing | None:

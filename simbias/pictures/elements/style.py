@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from simbias.core import Criterion, Quantity, Task
 
@@ -21,12 +23,28 @@ if TYPE_CHECKING:
 # Okabe and Ito's colours, which the colour-blind tell apart.
 SIMULATION, HARDWARE, NOMINAL = "#0072B2", "#D55E00", "#009E73"
 OTHERS = ("#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#000000")
+# Of many series: grey in place of their yellow, which is pale on white; the two lengths share no factor.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
+MARKERS = ("o", "s", "D", "^", "v", "P", "X", "<", ">", "p", "h")
 GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega")
 LIMIT, BEYOND = "0.35", "0.92"  # greys
 SMALL = 8.5  # points
+LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120
 PUBLISHED_DOTS_PER_INCH = 200  # twice what a screen shows
+
+
+class SeriesStyle(NamedTuple):
+    """The color and the marker of a series."""
+
+    color: str
+    marker: str
+
+
+def series_style(index: int) -> SeriesStyle:
+    """A style for each series: neither color nor marker is repeated among eight, their pair not among 88."""
+    return SeriesStyle(COLORS[index % len(COLORS)], MARKERS[index % len(MARKERS)])
 
 
 def label(quantity: Quantity | Criterion) -> str:
@@ -51,9 +69,10 @@ def seconds(task: Task, frame: int) -> float:
 def shade_beyond(axes: Axes, limit: float, words: str) -> None:
     """Mark a limit on the vertical axis and shade what lies beyond it; call it after all else is drawn."""
     axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
-    bottom, top = axes.get_ylim()
-    if axes.get_yscale() == "linear":  # room for a line of text
-        top = max(top, limit + 0.13 * (limit - bottom))
+    scale = axes.yaxis.get_transform()
+    bottom, top, at = scale.transform(np.array([*axes.get_ylim(), limit]))
+    room = LINE_OF_TEXT * (top - bottom)
+    bottom, top = scale.inverted().transform(np.array([min(bottom, at - room), max(top, at + room)]))
     axes.axhspan(limit, top, color=BEYOND, linewidth=0.0, zorder=0)
     axes.set_ylim(bottom, top)
     axes.annotate(
@@ -69,16 +88,29 @@ def shade_beyond(axes: Axes, limit: float, words: str) -> None:
     )
 
 
-def logarithmic(axes: Axes, *names: str) -> None:
-    """Scale the axes of these names, x or y; a tick a decade, as minor ones take most of a figure's time."""
+def logarithmic(*all_axis: Axis) -> None:
+    """Scale axes logarithmically; a tick for each decade, as minor ones take most of a figure's time."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    for name in names:
-        axis: Axis = getattr(axes, f"{name}axis")
-        axes.set(**{f"{name}scale": "log"})
+    for axis in all_axis:
+        axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
         axis.set_major_locator(LogLocator(numticks=8))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"10{superscript(round(math.log10(value)))}"))
         axis.set_minor_locator(NullLocator())
+
+
+def whole_numbers(*all_axis: Axis) -> None:
+    """Put ticks at whole numbers only, also where there is but one."""
+    from matplotlib.ticker import MaxNLocator
+
+    for axis in all_axis:
+        axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, nbins=6))
+
+
+def logarithmic_if_wide(values: Sequence[float], *all_axis: Axis) -> None:
+    """Scale axes logarithmically if the values are positive and range over more than a decade."""
+    if 0 < 10 * min(values) < max(values):
+        logarithmic(*all_axis)
 
 
 def superscript(exponent: int) -> str:
@@ -87,7 +119,7 @@ def superscript(exponent: int) -> str:
 
 
 def plain(axes: Axes) -> None:
-    """Take off the frame's upper and right side."""
+    """Remove the frame's upper and right side."""
     axes.spines[["top", "right"]].set_visible(False)
 
 

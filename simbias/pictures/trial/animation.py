@@ -19,15 +19,15 @@ from PIL import Image
 from simbias.core import Task
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures.elements.drawing import Movement, NoPictureError, drawing_of, movement_of, share_view
-from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, SMALL, seconds
+from simbias.pictures.elements.style import SMALL, seconds
 from simbias.pictures.trial.comparison import (
+    NamedRollout,
+    compared_words,
     hardware_words,
+    in_simulation,
+    learned_before,
     on_hardware,
-    outcome_words,
-    policy_words,
-    search_bias,
-    search_nominal,
-    search_samples,
+    on_nominal,
     worst_experiment,
 )
 from simbias.trial.study import Study
@@ -36,9 +36,9 @@ WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture and of each dra
 HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings
 PICTURE_SECONDS = 0.1  # GIF knows hundredths of a second
 LAST = 1500  # ms for which the last picture stays
-COLOURS, NEARLY_WHITE = 24, 245
+COLORS, NEARLY_WHITE = 24, 245
 LINE = 34  # characters
-LOOKS = 20  # at each rollout, to find a view that holds it
+VIEW_FRAMES = 20  # of each rollout, to find a view that holds it
 
 
 class Scene(NamedTuple):
@@ -63,25 +63,17 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
     """
     iteration = on_hardware(iterations)[-1]
     experiment = worst_experiment(iteration)
-    theta, start, bias = experiment.parameters, experiment.states[0], search_bias(iteration)
-    rollouts = [("nominal model", NOMINAL, study.simulate(theta, None, start))]
-    if bias is not None and search_samples(iterations, iteration):
-        rollouts.append(
-            (
-                "nominal model + learned bias",
-                SIMULATION,
-                study.simulate(theta, bias, start, search_nominal(iteration)),
-            )
-        )
-    rollouts.append((hardware_words(study), HARDWARE, experiment))
-    headline = f"{policy_words(iteration)}: {outcome_words(study, experiment)}"
-    animate(study.task, rollouts, headline, file)
+    rollouts: list[NamedRollout | None] = [on_nominal(study, experiment)]
+    if learned_before(iterations, iteration):
+        rollouts.append(in_simulation(study, iterations, iteration, experiment))
+    rollouts.append(NamedRollout(hardware_words(study), experiment))
+    animate(study.task, [each for each in rollouts if each], compared_words(study, iteration), file)
 
 
 def animate(
-    task: Task, rollouts: Sequence[tuple[str, str, Rollout]], headline: str, file: Path | str | IO[bytes]
+    task: Task, rollouts: Sequence[NamedRollout], headline: str, file: Path | str | IO[bytes]
 ) -> None:
-    """Write a GIF, in real time, of rollouts side by side, each under its name, in its colour.
+    """Write a GIF, in real time, of rollouts side by side, each under its name, in its color.
 
     Raises
     ------
@@ -93,9 +85,9 @@ def animate(
         raise NoPictureError(f"nothing draws and moves {type(task).__name__}")
     figure = Figure(dpi=DOTS_PER_INCH)
     scenes = []
-    for index, (name, color, rollout) in enumerate(rollouts):
+    for index, (name, rollout, color, _) in enumerate(rollouts):
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), label=str(index))
-        axes.set_title(name, fontsize="medium", color=color)
+        axes.set_title(fill(name, LINE), fontsize=SMALL, color=color)
         artists = draw(axes, task, rollout.states[0], color=color)
         clock = axes.text(0.5, -0.02, "", transform=axes.transAxes, ha="center", va="top", fontsize=SMALL)
         scenes.append(Scene(axes, rollout, artists, clock))
@@ -111,9 +103,9 @@ def animate(
 
 
 def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement) -> None:
-    """Put the scenes side by side, in one view that holds all that they will show."""
+    """Put the scenes side by side, in one view that holds all their frames."""
     for axes, rollout, artists, _ in scenes:
-        for frame in np.linspace(0, rollout.frames, LOOKS).round().astype(int):
+        for frame in np.linspace(0, rollout.frames, VIEW_FRAMES).round().astype(int):
             move(artists, task, rollout.states[frame])
             for patch in artists.values():
                 if isinstance(patch, Patch):
@@ -156,9 +148,9 @@ def _pictures(
 
 
 def _palette(picture: Image.Image) -> Image.Image:
-    """The colours of a picture; what is nearly white becomes white, as it was before they were averaged."""
-    palette = picture.quantize(COLOURS, dither=Image.Dither.NONE)
-    colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.min(axis=1) >= NEARLY_WHITE] = 255
-    palette.putpalette(colours.ravel().tolist())
+    """The palette of a picture; nearly white becomes white, as it was before colors were averaged."""
+    palette = picture.quantize(COLORS, dither=Image.Dither.NONE)
+    colors = np.array(palette.getpalette()).reshape(-1, 3)
+    colors[colors.min(axis=1) >= NEARLY_WHITE] = 255
+    palette.putpalette(colors.ravel().tolist())
     return palette

@@ -1,9 +1,10 @@
-"""Hardware experiments and the same in simulation, and what to call them."""
+"""Hardware experiments and the same in simulation, and how both are named."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -11,18 +12,46 @@ from simbias.core import FittedBias, Nominal
 from simbias.core.messages import counted
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.style import seconds
+from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, seconds
 from simbias.trial.study import Study
 
 
-def simulate(
-    study: Study, fitted_bias: FittedBias, experiments: Sequence[Rollout], nominal: Nominal | None = None
-) -> list[Rollout]:
-    """Each experiment in simulation: its policy, from its start."""
+class NamedRollout(NamedTuple):
+    """A rollout and how it is shown."""
+
+    name: str
+    rollout: Rollout
+    color: str = HARDWARE
+    line: Literal["-", "--", ":"] = "-"
+
+
+def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]) -> list[Rollout]:
+    """Experiments of an iteration in the simulation of its search, from the same starts; [] without one."""
+    bias = search_bias(iteration)
+    if bias is None or not experiments:
+        return []
     thetas = np.array([rollout.parameters for rollout in experiments])
     starts = np.array([rollout.states[0] for rollout in experiments])
-    rollouts = study.simulator(fitted_bias, nominal).rollouts(thetas, starts)
+    rollouts = study.simulator(bias, search_nominal(iteration)).rollouts(thetas, starts)
     return [replace(rollout, cost=study.cost.of(rollout)) for rollout in rollouts]
+
+
+def on_nominal(study: Study, experiment: Rollout) -> NamedRollout:
+    """An experiment on the nominal model alone, from the same start."""
+    rollout = study.simulate(experiment.parameters, None, experiment.states[0])
+    return NamedRollout("nominal model alone", rollout, NOMINAL, ":")
+
+
+def in_simulation(
+    study: Study, iterations: Sequence[Iteration], iteration: Iteration, experiment: Rollout
+) -> NamedRollout | None:
+    """An experiment in the simulation of its iteration's search, from the same start; None without one."""
+    bias = search_bias(iteration)
+    if bias is None:
+        return None
+    rollout = study.simulate(experiment.parameters, bias, experiment.states[0], search_nominal(iteration))
+    name = simulation_words(study, search_samples(iterations, iteration))
+    return NamedRollout(name, rollout, SIMULATION, "--")
 
 
 def search_bias(iteration: Iteration) -> FittedBias | None:
@@ -36,13 +65,18 @@ def search_nominal(iteration: Iteration) -> Nominal | None:
 
 
 def search_samples(iterations: Sequence[Iteration], iteration: Iteration) -> int:
-    """From how many samples that bias was learned: those of D after the iterations before."""
+    """The number of samples that the search's bias was learned from: D after the iterations before."""
     sizes = [
         len(earlier.learning.data)
         for earlier in iterations
         if earlier.index < iteration.index and earlier.learning is not None
     ]
     return sizes[-1] if sizes else 0
+
+
+def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
+    """Whether an iteration's policy was searched in a simulation that had learned from experiments."""
+    return search_bias(iteration) is not None and search_samples(iterations, iteration) > 0
 
 
 def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
@@ -53,10 +87,10 @@ def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
     NoPictureError
         If there is none.
     """
-    tests = [iteration for iteration in iterations if policy_experiments(iteration)]
-    if not tests:
+    tried = [iteration for iteration in iterations if policy_experiments(iteration)]
+    if not tried:
         raise NoPictureError("no policy was tried on the hardware")
-    return tests
+    return tried
 
 
 def first_and_last(iterations: Sequence[Iteration]) -> list[Iteration]:
@@ -71,18 +105,13 @@ def policy_experiments(iteration: Iteration) -> list[Rollout]:
 
 
 def worst_experiment(iteration: Iteration) -> Rollout:
-    """The most expensive of them."""
+    """The most expensive experiment of the policy that an iteration arrived at."""
     return max(policy_experiments(iteration), key=lambda rollout: rollout.cost)
 
 
-def experiments_before(iteration: Iteration) -> int:
-    """How many hardware experiments the iterations before have made."""
-    return iteration.total_experiments - len(iteration.experiments)
-
-
 def policy_words(iteration: Iteration) -> str:
-    """What a policy rests on."""
-    before = experiments_before(iteration)
+    """A policy, named by the experiments that it rests on."""
+    before = iteration.total_experiments - len(iteration.experiments)
     if iteration.search is None:
         return f"Policy of iteration {iteration.index}"
     if before == 0:
@@ -91,7 +120,7 @@ def policy_words(iteration: Iteration) -> str:
 
 
 def simulation_words(study: Study, samples: int) -> str:
-    """The simulation whose bias was learned from so many samples."""
+    """The simulation whose bias was learned from `samples` samples."""
     learns = samples and study.choices["bias"] != "none"
     bias = f" + learned bias ({study.choices['bias']})" if learns else ""
     identified = "identified" if samples and study.nominal.parameters and identifies(study) else "nominal"
@@ -109,14 +138,19 @@ def hardware_words(study: Study) -> str:
 
 
 def failure_words(study: Study, rollout: Rollout) -> str:
-    """Why a rollout failed; empty if it did not."""
+    """The reason why a rollout failed; empty if it did not."""
     return "" if rollout.failure is None else study.task.words(rollout.failure)
 
 
 def outcome_words(study: Study, rollout: Rollout) -> str:
-    """What came out on hardware."""
+    """How a hardware experiment ended."""
     if rollout.failed_at is not None:
         return f"fails on hardware after {seconds(study.task, rollout.failed_at):.2f} s"
     if study.cost.passes(rollout):
         return f"lasts all {seconds(study.task, rollout.frames):g} s on hardware"
     return f"too costly on hardware (Z = {rollout.cost:.3g})"
+
+
+def compared_words(study: Study, iteration: Iteration) -> str:
+    """A policy and how its worst experiment ended."""
+    return f"{policy_words(iteration)}: {outcome_words(study, worst_experiment(iteration))}"

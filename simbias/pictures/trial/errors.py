@@ -1,4 +1,4 @@
-"""How well experiments are predicted that nothing was learned from yet."""
+"""Errors of predictions of experiments from which nothing was learned yet."""
 
 from __future__ import annotations
 
@@ -9,21 +9,34 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 from threadpoolctl import threadpool_limits
 
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.messages import counted
 from simbias.core.records import Array, Iteration
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.panels import headline, legend, panels
-from simbias.pictures.elements.style import NOMINAL, SIMULATION, logarithmic, plain, seconds, symbol
-from simbias.pictures.trial.comparison import search_bias, search_nominal, search_samples
+from simbias.pictures.elements.layout import legend, panels
+from simbias.pictures.elements.style import (
+    NOMINAL,
+    SIMULATION,
+    SMALL,
+    SeriesStyle,
+    logarithmic,
+    plain,
+    seconds,
+    symbol,
+    whole_numbers,
+)
+from simbias.pictures.trial.comparison import learned_before, search_bias, search_nominal
 from simbias.trial.study import Study
 
 HORIZONS = (1, 5, 20, 100)  # frames
 WINDOWS = 40  # at most, in the experiments of an iteration
-HEIGHT, APART = 1.7, 0.12  # in, of a panel; iterations, between the two models
+HEIGHT = 1.8  # in, of a panel
+NAMES = 2  # of states in a line of a label
+NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what was learned from earlier iterations"
+STYLES = {NOMINAL_ALONE: SeriesStyle(NOMINAL, "s"), CORRECTED: SeriesStyle(SIMULATION, "o")}
+ASIDE = {NOMINAL_ALONE: -0.12, CORRECTED: 0.12}  # iterations
 
 
 def prediction_errors(
@@ -49,62 +62,57 @@ def prediction_errors(
         raise NoPictureError("no experiment lasted as long as the shortest horizon")
     groups = _groups(study.task)
     figure, grid = panels(len(groups), len(horizons), HEIGHT)
-    names: dict[str, None] = {}
+    shown: dict[str, Line2D] = {}
     for iteration in iterations:
         for name, (bias, nominal) in _models(study, iterations, iteration).items():
-            names[name] = None
+            color, marker = STYLES[name]
+            shown[name] = Line2D([], [], color=color, marker=marker, linewidth=2.5, markeredgecolor="white")
             pieces = windows(study, iteration, max(horizons), nominal)
             if not len(pieces.states):
                 continue  # its experiments ended too early
             errors = prediction_error(study, bias, pieces, horizons, nominal)
             for row, states in zip(grid, groups.values(), strict=True):
                 for axes, values in zip(row, errors, strict=True):
-                    _draw(axes, iteration.index, np.linalg.norm(values[:, states], axis=1), LOOKS[name])
+                    norms = np.linalg.norm(values[:, states], axis=1)
+                    _draw(axes, iteration.index + ASIDE[name], norms, STYLES[name])
     for row, (unit, states) in zip(grid, groups.items(), strict=True):
-        symbols = ", ".join(symbol(study.task.states[i].name) for i in states)
-        row[0].set_ylabel(f"error of {symbols} ({unit})", labelpad=1)
+        symbols = [symbol(study.task.states[i].name) for i in states]
+        lines = [", ".join(symbols[i : i + NAMES]) for i in range(0, len(symbols), NAMES)]
+        row[0].set_ylabel("error of " + ",\n".join(lines) + f" ({unit})", fontsize=SMALL)
         _share_scale(row)
     for axes, k in zip(grid[0], horizons, strict=True):
-        headline(axes, f"{counted(k, 'frame')} ahead ({1000 * seconds(study.task, k):g} ms)")
-    legend(figure, _entries(list(names)))
+        axes.set_title(f"{counted(k, 'frame')} ahead ({1000 * seconds(study.task, k):g} ms)", fontsize=SMALL)
+    for axes in grid[-1]:
+        axes.set_xlabel("iteration")
+    for axes in grid.flat:
+        axes.set_xlim(iterations[0].index - 0.5, iterations[-1].index + 0.5)
+    legend(figure, shown)
     return figure
 
 
-class Look(NamedTuple):
-    """How the errors of a model are drawn."""
-
-    aside: float  # iterations
-    color: str
-    marker: str
-
-
-NOMINAL_ALONE, CORRECTED = "nominal model alone", "with what was learned from earlier iterations"
-LOOKS = {NOMINAL_ALONE: Look(-APART, NOMINAL, "s"), CORRECTED: Look(APART, SIMULATION, "o")}
-
-
 class Windows(NamedTuple):
-    """Pieces of experiments, k frames long: recorded states and commanded inputs."""
+    """Pieces of experiments, k frames long."""
 
-    states: Array  # (w, k+1, n)
-    inputs: Array  # (w, k, m)
+    states: Array  # (w, k+1, n) recorded
+    inputs: Array  # (w, k, m) commanded
     memories: Array  # (w, s) of the nominal model where they begin
 
 
 def _models(
     study: Study, iterations: Sequence[Iteration], iteration: Iteration
 ) -> dict[str, tuple[FittedBias, Nominal | None]]:
-    """The biases and nominal models that an iteration's experiments are predicted with, by their names."""
+    """The biases and nominal models that predict an iteration's experiments, by name."""
     models: dict[str, tuple[FittedBias, Nominal | None]] = {
         NOMINAL_ALONE: (study.bias.fit(study.no_data), None)
     }
     bias = search_bias(iteration)
-    if bias is not None and search_samples(iterations, iteration):
+    if bias is not None and learned_before(iterations, iteration):
         models[CORRECTED] = bias, search_nominal(iteration)
     return models
 
 
 def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | None = None) -> Windows:
-    """Pieces, so long, spread evenly over the experiments of an iteration; none of a shorter experiment."""
+    """Pieces of `frames` frames, spread evenly over the experiments that last as long."""
     starts = [
         (rollout, t)
         for rollout in iteration.experiments
@@ -123,7 +131,7 @@ def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | 
 
 
 def _spread(last: int, most: int) -> list[int]:
-    """At most so many of the frames from 0 to the last."""
+    """At most `most` of the frames from 0 to the last, evenly spread."""
     return sorted({round(t) for t in np.linspace(0, last, most)}) if last >= 0 else []
 
 
@@ -152,31 +160,19 @@ def _groups(task: Task) -> dict[str, list[int]]:
     return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 
-def _draw(axes: Axes, index: int, values: Array, look: Look) -> None:
-    """Median and quartiles of an iteration."""
-    if len(values):
-        x, (low, median, high) = index + look.aside, np.quantile(values, [0.25, 0.5, 0.75])
-        axes.plot([x, x], [low, high], color=look.color, linewidth=2.5, solid_capstyle="butt")
-        axes.plot(x, median, look.marker, color=look.color, markersize=6, markeredgecolor="white")
+def _draw(axes: Axes, x: float, values: Array, style: SeriesStyle) -> None:
+    """Median and quartiles of the errors (w,) of an iteration."""
+    low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
+    axes.plot([x, x], [low, high], color=style.color, linewidth=2.5, solid_capstyle="butt")
+    axes.plot(x, median, style.marker, color=style.color, markersize=6, markeredgecolor="white")
 
 
 def _share_scale(row: Sequence[Axes]) -> None:
-    """One scale for a row, logarithmic if there is any error, and its axes."""
+    """One scale for a row, logarithmic if there is any error."""
     low, high = min(axes.dataLim.minposy for axes in row), max(axes.dataLim.y1 for axes in row)
     for axes in row:
         if low <= high:
-            logarithmic(axes, "y")
+            logarithmic(axes.yaxis)
             axes.set_ylim(low / 1.5, high * 1.5)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_xlabel("iteration", labelpad=1)
+        whole_numbers(axes.xaxis)
         plain(axes)
-
-
-def _entries(names: Sequence[str]) -> dict[str, Line2D]:
-    """What is seen."""
-    looks = [LOOKS[name] for name in names]
-    lines = [
-        Line2D([], [], color=look.color, marker=look.marker, linewidth=2.5, markeredgecolor="white")
-        for look in looks
-    ]
-    return dict(zip(names, lines, strict=True))

@@ -1,11 +1,11 @@
-"""An experiment as simulation foretells it, with what the learner leaves open."""
+"""An experiment as simulation forecasts it, with the band that the learner leaves open."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -14,15 +14,17 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.pictures.elements.panels import headline, legend, panels
-from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, label, plain
+from simbias.pictures.elements.layout import headline, legend, panels
+from simbias.pictures.elements.style import SIMULATION, label, plain
 from simbias.pictures.trial.comparison import (
+    NamedRollout,
+    compared_words,
+    in_simulation,
+    learned_before,
     on_hardware,
-    outcome_words,
-    policy_words,
+    on_nominal,
     search_bias,
     search_nominal,
-    search_samples,
     worst_experiment,
 )
 from simbias.trial.study import Study
@@ -31,6 +33,7 @@ HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
 DRAWS, SEED = 20, 0
 BAND = (0.05, 0.95)  # quantiles
 POINTS = 250  # of the band along the time
+EDGE = 0.03  # of the axes' height: a bar where the band leaves them
 
 
 def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
@@ -41,6 +44,7 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
     tenths of the rollouts with biases drawn from the learner's posterior (`FittedBias.draw`): each draw is
     one function for a whole rollout, so that its errors add up, or cancel, as those of the mean would.
     Without noise, and without what a draw leaves out; a draw that has failed is not in the band any more.
+    The axes hold the experiment and its best prediction; a bar at their edge is where the band leaves them.
 
     Raises
     ------
@@ -49,42 +53,32 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """
     task, iteration = study.task, on_hardware(iterations)[-1]
     experiment = worst_experiment(iteration)
-    curves = [Curve("hardware", experiment, HARDWARE, "-")]
-    model = search_nominal(iteration)
-    bias = search_bias(iteration) if search_samples(iterations, iteration) else None
-    if bias is not None:
-        rollout = study.simulate(experiment.parameters, bias, experiment.states[0], model)
-        curves.append(Curve("nominal model + learned bias", rollout, SIMULATION, "--"))
-    nominal = study.simulate(experiment.parameters, None, experiment.states[0])
-    curves.append(Curve("nominal model alone", nominal, NOMINAL, ":"))
-    draws = None if bias is None else _draws(study, bias, experiment, model)
+    curves, draws = [NamedRollout("hardware", experiment)], None
+    bias, model = search_bias(iteration), search_nominal(iteration)
+    if bias is not None and learned_before(iterations, iteration):
+        learned = in_simulation(study, iterations, iteration, experiment)
+        assert learned is not None
+        curves.append(learned)
+        draws = _draws(study, bias, experiment, model)
+    curves.append(on_nominal(study, experiment))
     columns = min(COLUMNS, len(task.states))
     figure, grid = panels(-(-len(task.states) // columns), columns, HEIGHT)
-    for axes in grid.flat[len(task.states) :]:
-        axes.axis("off")
+    beyond = False
     for i, (axes, quantity) in enumerate(zip(grid.flat, task.states, strict=False)):
         for _, rollout, color, line in curves:
             times = task.time_step * np.arange(len(rollout.states))
             axes.plot(times, rollout.states[:, i], line, color=color, linewidth=1.0)
-        if draws is not None:
-            _draw_band(axes, task.time_step, draws[:, :, i])
         axes.set_ylim(*_view([curve.rollout.states[:, i] for curve in curves[:2]]))
         axes.set_xlim(0.0, task.horizon * task.time_step)
-        axes.set_xlabel("time (s)", labelpad=1)
-        axes.set_ylabel(label(quantity), labelpad=1)
+        if draws is not None:
+            beyond |= _draw_band(axes, task.time_step, draws[:, :, i])
+        axes.set(xlabel="time (s)", ylabel=label(quantity))
         plain(axes)
-    headline(grid[0, 0], f"{policy_words(iteration)}: {outcome_words(study, experiment)}")
-    legend(figure, _entries(curves, draws))
+    for axes in grid.flat[len(task.states) :]:
+        axes.axis("off")
+    headline(grid[0, 0], compared_words(study, iteration))
+    legend(figure, _entries(curves, draws, beyond))
     return figure
-
-
-class Curve(NamedTuple):
-    """A rollout, and how it is drawn."""
-
-    name: str
-    rollout: Rollout
-    color: str
-    line: Literal["-", "--", ":"]
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -105,27 +99,40 @@ def _draws(study: Study, bias: FittedBias, experiment: Rollout, nominal: Nominal
     return draws
 
 
-def _draw_band(axes: Axes, time_step: float, draws: Array) -> None:
-    """The quantiles of the draws (`DRAWS`, T+1) that still run."""
+def _draw_band(axes: Axes, time_step: float, draws: Array) -> bool:
+    """The quantiles of the draws (`DRAWS`, T+1) that still run; whether they leave the axes."""
     running = int(np.isfinite(draws).any(axis=0).sum())
     frames = np.unique(np.linspace(0, running - 1, POINTS).round().astype(int))
     low, high = np.nanquantile(draws[:, frames], BAND, axis=0)
-    axes.fill_between(time_step * frames, low, high, color=SIMULATION, alpha=0.2, linewidth=0.0, zorder=1)
+    times, (bottom, top) = time_step * frames, axes.get_ylim()
+    axes.fill_between(times, low, high, color=SIMULATION, alpha=0.2, linewidth=0.0, zorder=1)
+    edges = ((1.0 - EDGE, 1.0, high > top), (0.0, EDGE, low < bottom))
+    for lower, upper, outside in edges:
+        if outside.any():
+            on_edge = axes.get_xaxis_transform()
+            axes.fill_between(
+                times, lower, upper, where=outside, step="mid", color=SIMULATION, transform=on_edge
+            )
+    axes.set_ylim(bottom, top)
+    return any(outside.any() for *_, outside in edges)
 
 
 def _view(curves: Sequence[Array]) -> tuple[float, float]:
-    """Limits of an axis that hold curves, and some of what is about them."""
+    """Limits of an axis that hold curves, with a margin."""
     low, high = min(values.min() for values in curves), max(values.max() for values in curves)
-    return low - 0.25 * (high - low), high + 0.25 * (high - low)
+    margin = 0.25 * (high - low) or 1.0
+    return low - margin, high + margin
 
 
-def _entries(curves: Sequence[Curve], draws: Array | None) -> dict[str, Line2D | Patch]:
-    """What is seen."""
-    entries: dict[str, Line2D | Patch] = {
+def _entries(curves: Sequence[NamedRollout], draws: Array | None, beyond: bool) -> dict[str, Artist]:
+    """The legend."""
+    entries: dict[str, Artist] = {
         curve.name: Line2D([], [], color=curve.color, linestyle=curve.line) for curve in curves
     }
     if draws is not None:
         failures = int(np.isnan(draws[:, -1]).any(axis=1).sum())
         words = f"90 % of {DRAWS} draws of the bias" + (f", {failures} fail" if failures else "")
         entries[words] = Patch(color=SIMULATION, alpha=0.2)
+    if beyond:
+        entries["the band leaves the axes"] = Patch(color=SIMULATION)
     return entries

@@ -23,7 +23,7 @@ from simbias.pictures.trial.forecast import forecast
 from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
 from simbias.pictures.trial.rejections import rejections
-from simbias.trial.folder import PICTURES
+from simbias.trial.folder import PICTURES, write_whole
 from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
 
@@ -72,7 +72,7 @@ def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) ->
         files = pictures(record.study, record.iterations, missing)
     target.mkdir(exist_ok=True)
     for name, content in files.items():
-        (target / name).write_bytes(content)
+        write_whole(target / name, lambda file, content=content: file.write(content))  # type: ignore[misc]
 
 
 def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> list[str]:

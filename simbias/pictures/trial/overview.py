@@ -1,163 +1,172 @@
-"""A whole trial in one picture: what its first policy did on hardware, and what its last."""
+"""A whole trial in one picture: its first policy on hardware, and its last."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpecBase
-from matplotlib.ticker import MaxNLocator
 
 from simbias.core import Task
-from simbias.core.records import Array, Iteration, Rollout
+from simbias.core.records import Array, Indices, Iteration, Rollout
 from simbias.pictures.elements.drawing import Drawing, drawing_of, share_view
+from simbias.pictures.elements.layout import WIDTH, headline
 from simbias.pictures.elements.style import (
     HARDWARE,
     SIMULATION,
     SMALL,
     label,
-    logarithmic,
+    logarithmic_if_wide,
     plain,
     seconds,
     shade_beyond,
+    whole_numbers,
 )
 from simbias.pictures.trial.comparison import (
+    NamedRollout,
+    compared_words,
     failure_words,
     first_and_last,
     hardware_words,
+    in_simulation,
     on_hardware,
-    outcome_words,
     policy_experiments,
-    policy_words,
-    search_bias,
-    search_nominal,
-    search_samples,
-    simulation_words,
+    simulated,
     worst_experiment,
 )
 from simbias.pictures.trial.snapshots import draw_strip
 from simbias.trial.study import Study
 
 COLUMNS = 6  # of snapshots
-WIDTH, TITLE, SNAPSHOTS, MEASURE, TIME_AXIS = 9.0, 0.4, 1.2, 1.3, 0.42  # in
-BLOCK_SIDES, COST_SIDES = {"left": 0.07, "right": 0.755}, {"left": 0.84, "right": 0.97}  # of the width
+PANEL, LABELS = 1.25, 1.05  # in, heights of a panel, and of what is written above and below it
+SNAPSHOT = 1.02  # in, width
+WIDTHS = (4.0, 1.0)  # of the policies, and of the costs
+POINTS = 200  # of a cost over time
+Z_MAX = r"limit $Z_{\max}$"
 
 
-class Comparison(NamedTuple):
-    """A policy on the hardware and, from the same start, in the simulation that it was searched in."""
+class Measure(NamedTuple):
+    """A quantity of a rollout over time, and its limit."""
 
-    headline: str
-    hardware_label: str
-    hardware: Rollout
-    simulation_label: str
-    simulation: Rollout | None  # None without such a search
+    label: str
+    limit: float
+    limit_label: str
+    of: Callable[[Rollout], tuple[Indices, Array]]  # frames (k,) and values (k,)
 
 
 def overview(study: Study, iterations: Sequence[Iteration], draw: Drawing | None = None) -> Figure:
-    """What a trial's first policy did on hardware, and its last.
+    """A trial's first policy on hardware, and its last.
 
     For each of the two: snapshots of the worst of its hardware experiments, where the task has a drawing.
-    Below them, over the same time in s: the measure of the criterion that failed, in its unit, against its
-    limit, in that experiment and in the simulation that the policy was searched in, if it was, from the
-    experiment's start. At the right: the cost of every hardware experiment of the trial, and the cost that
-    a search had predicted for its policy.
+    Below them, over the same time in s, that experiment and the same in the simulation that the policy was
+    searched in, if it was: the measure of the criterion that failed, in its unit, against its limit; where no
+    experiment failed, or this policy was too costly, the cost so far. At the right: the cost of every
+    hardware experiment of the trial and, from the same start, in the simulation of its policy's search.
 
     Raises
     ------
     NoPictureError
         If no policy was tried on the hardware.
     """
-    task, draw = study.task, draw or drawing_of(study.task)
+    draw = draw or drawing_of(study.task)
     both = first_and_last(on_hardware(iterations))
-    comparisons = [_compare(study, iterations, iteration) for iteration in both]
-    heights = [TITLE, SNAPSHOTS if draw else 0.0, MEASURE, TIME_AXIS]
-    height = len(comparisons) * sum(heights)
-    figure = Figure(figsize=(WIDTH, height))
-    blocks = figure.add_gridspec(len(comparisons), 1, **BLOCK_SIDES, bottom=0.0, top=1.0, hspace=0.0)
-    criterion = _criterion(task, [comparison.hardware for comparison in comparisons])
-    drawings: list[Axes] = []
-    for index, comparison in enumerate(comparisons):
-        grid = blocks[index].subgridspec(4, COLUMNS, wspace=0.0, hspace=0.0, height_ratios=heights)
-        drawings += _draw_block(figure, grid, study, comparison, criterion, draw)
-    share_view(drawings)
-    sides = COST_SIDES | {"bottom": TIME_AXIS / height, "top": 1 - TITLE / height}
-    _draw_costs(figure.add_subplot(figure.add_gridspec(1, 1, **sides)[0]), study, iterations)
+    figure = Figure(layout="constrained")
+    left, right = figure.subfigures(1, 2, width_ratios=WIDTHS, squeeze=False)[0]
+    blocks = left.subfigures(len(both), squeeze=False)[:, 0]
+    shown = [worst_experiment(iteration) for iteration in both]
+    times = np.linspace(0.0, seconds(study.task, study.task.horizon), COLUMNS)
+    grids, snapshots = [], []
+    for block, iteration, experiment in zip(blocks, both, shown, strict=True):
+        grids.append(grid := block.add_gridspec(2 if draw else 1, COLUMNS))
+        above = block.add_subplot(grid[-1, :])
+        measure = _measure(study, experiment, shown)
+        _draw_measure(above, study, _rollouts(study, iterations, iteration), measure, times)
+        if draw:
+            strip = [block.add_subplot(grid[0, column]) for column in range(COLUMNS)]
+            draw_strip(strip, study.task, experiment, times, draw)
+            snapshots += strip
+            above = strip[0]
+        headline(above, compared_words(study, iteration), "large")
+    share_view(snapshots)
+    heights = [SNAPSHOT * snapshots[0].get_data_ratio(), PANEL] if draw else [PANEL]
+    for grid in grids:
+        grid.set_height_ratios(heights)
+    figure.set_size_inches(WIDTH, len(both) * (sum(heights) + LABELS))
+    _draw_costs(right.add_subplot(), study, iterations)
     return figure
 
 
-def _draw_block(
-    figure: Figure,
-    grid: GridSpecBase,
-    study: Study,
-    comparison: Comparison,
-    criterion: int,
-    draw: Drawing | None,
-) -> list[Axes]:
-    """Headline, snapshots and measure of a policy; return the axes of the snapshots."""
-    headline = figure.add_subplot(grid[0, :])
-    headline.axis("off")
-    headline.text(0.0, 0.3, comparison.headline, fontsize="large", fontweight="bold")
-    task = study.task
-    times = np.linspace(0.0, seconds(task, task.horizon), COLUMNS)
-    row = [figure.add_subplot(grid[1, column]) for column in range(COLUMNS)] if draw else []
-    if draw:
-        draw_strip(row, task, comparison.hardware, times, draw)
-    _draw_measure(figure.add_subplot(grid[2, :]), study, comparison, criterion, times)
-    return row
-
-
-def _compare(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> Comparison:
-    """The worst hardware experiment of an iteration's policy, and the same in simulation."""
+def _rollouts(study: Study, iterations: Sequence[Iteration], iteration: Iteration) -> list[NamedRollout]:
+    """The worst experiment of an iteration's policy, after the same in simulation if there was a search."""
     experiment, count = worst_experiment(iteration), len(policy_experiments(iteration))
-    bias, simulation = search_bias(iteration), None
-    if bias is not None:
-        simulation = study.simulate(
-            experiment.parameters, bias, experiment.states[0], search_nominal(iteration)
-        )
-    return Comparison(
-        headline=f"{policy_words(iteration)}: {outcome_words(study, experiment)}",
-        hardware_label=hardware_words(study) + (f", worst of {count}" if count > 1 else ""),
-        hardware=experiment,
-        simulation_label=simulation_words(study, search_samples(iterations, iteration)),
-        simulation=simulation,
+    name = hardware_words(study) + (f", worst of {count}" if count > 1 else "")
+    simulation = in_simulation(study, iterations, iteration, experiment)
+    return [*([simulation] if simulation else []), NamedRollout(name, experiment)]
+
+
+def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Measure:
+    """The criterion that an experiment failed, or else the first that failed; the cost if that tells more."""
+    names = [criterion.name for criterion in study.task.criteria]
+    failures = [rollout.failure for rollout in (experiment, *shown) if rollout.failure in names]
+    too_costly = experiment.failed_at is None and not study.cost.passes(experiment)
+    if too_costly or not failures:
+        return _cost_so_far(study)
+    return _criterion(study.task, names.index(str(failures[0])))
+
+
+def _criterion(task: Task, index: int) -> Measure:
+    """The measure of a failure criterion."""
+    criterion = task.criteria[index]
+    return Measure(
+        label(criterion),
+        criterion.limit,
+        "limit",
+        lambda rollout: (np.arange(len(rollout.states)), task.measure(rollout.states)[:, index]),
     )
 
 
-def _criterion(task: Task, rollouts: Sequence[Rollout]) -> int:
-    """Index of the criterion that the first failed rollout failed; of the first one if none failed any."""
-    names = [criterion.name for criterion in task.criteria]
-    return next((names.index(rollout.failure) for rollout in rollouts if rollout.failure in names), 0)
+def _cost_so_far(study: Study) -> Measure:
+    """The cost of a rollout cut off at some frames; that of the whole at its end."""
+
+    def so_far(rollout: Rollout) -> tuple[Indices, Array]:
+        frames = np.unique(np.linspace(1, rollout.frames, POINTS).round().astype(int))
+        cut = [
+            replace(rollout, states=rollout.states[: k + 1], inputs=rollout.inputs[:k], failed_at=None)
+            for k in frames[:-1]
+        ]
+        return frames, np.array([study.cost.of(each) for each in (*cut, rollout)])
+
+    return Measure("cost Z so far", study.cost.max_cost, Z_MAX, so_far)
 
 
-def _draw_measure(axes: Axes, study: Study, comparison: Comparison, index: int, ticks: Array) -> None:
-    """The measure of a criterion over time, in simulation and on hardware; a tick below each snapshot."""
-    task, criterion = study.task, study.task.criteria[index]
-    for rollout, name, color, line in (
-        (comparison.simulation, comparison.simulation_label, SIMULATION, "--"),
-        (comparison.hardware, comparison.hardware_label, HARDWARE, "-"),
-    ):
-        if rollout is None:
-            continue
-        measures = task.measure(rollout.states)[:, index]
-        times = task.time_step * np.arange(len(measures))
+def _draw_measure(
+    axes: Axes, study: Study, rollouts: Sequence[NamedRollout], measure: Measure, ticks: Array
+) -> None:
+    """A measure over time, in simulation and on hardware; a tick below each snapshot."""
+    values = [measure.limit]
+    for name, rollout, color, line in rollouts:
+        frames, measures = measure.of(rollout)
+        times = study.task.time_step * frames
         axes.plot(times, measures, line, color=color, label=name)
         if rollout.failed_at is not None:
             axes.plot(times[-1], measures[-1], "X", color=color, markersize=9, zorder=3, clip_on=False)
+        values += measures.tolist()
+    if measure.limit_label == Z_MAX:
+        logarithmic_if_wide(values, axes.yaxis)
     axes.set_xlim(ticks[0] - ticks[1] / 2, ticks[-1] + ticks[1] / 2)
     axes.set_xticks(ticks)
-    axes.set_xlabel("time (s)", labelpad=1)
-    axes.set_ylabel(label(criterion), labelpad=1)
-    shade_beyond(axes, criterion.limit, "limit")
-    _tell_failure(axes, study, comparison.hardware, criterion.limit)
+    axes.set(xlabel="time (s)", ylabel=measure.label)
+    shade_beyond(axes, measure.limit, measure.limit_label)
+    _name_failure(axes, study, rollouts[-1].rollout, measure.limit)
     axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.87), frameon=False, fontsize=SMALL)
     plain(axes)
 
 
-def _tell_failure(axes: Axes, study: Study, rollout: Rollout, limit: float) -> None:
-    """Why a rollout failed, next to its end, beyond the limit: there is nothing else."""
+def _name_failure(axes: Axes, study: Study, rollout: Rollout, limit: float) -> None:
+    """The reason of a failure, next to its end, beyond the limit, where nothing else is drawn."""
     if rollout.failed_at is not None:
         late = 2 * rollout.failed_at > study.task.horizon
         axes.annotate(
@@ -172,23 +181,23 @@ def _tell_failure(axes: Axes, study: Study, rollout: Rollout, limit: float) -> N
 
 
 def _draw_costs(axes: Axes, study: Study, iterations: Sequence[Iteration]) -> None:
-    """The cost of every hardware experiment and, of each policy that was searched, the predicted one."""
+    """The cost of every hardware experiment, and of the same in the simulation of its policy's search."""
     values, entries = [study.cost.max_cost], {}
     for iteration in iterations:
-        last, costs = iteration.total_experiments, [rollout.cost for rollout in iteration.experiments]
-        numbers = np.arange(last - len(costs), last) + 1
-        (entries["hardware"],) = axes.plot(numbers, costs, "o", color=HARDWARE, zorder=3)
-        values += costs
-        if iteration.search is not None and costs:
-            predicted_cost, sides = iteration.search.predicted_cost, [numbers[0] - 0.4, numbers[-1] + 0.4]
-            (entries["predicted"],) = axes.plot(sides, [predicted_cost] * 2, color=SIMULATION, linewidth=2.5)
-            values.append(predicted_cost)
-    if 0 < 10 * min(values) < max(values):
-        logarithmic(axes, "y")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
-    axes.set_xlabel("hardware experiment", labelpad=1)
-    axes.set_ylabel("cost Z (dimensionless)", labelpad=1)
-    shade_beyond(axes, study.cost.max_cost, r"limit $Z_{\max}$")
+        measured, last = [rollout.cost for rollout in iteration.experiments], iteration.total_experiments
+        numbers = np.arange(last - len(measured), last) + 1
+        (entries["hardware"],) = axes.plot(numbers, measured, "o", color=HARDWARE, zorder=3)
+        models = [rollout.cost for rollout in simulated(study, iteration, iteration.experiments)]
+        if models:
+            (entries["simulation,\nsame start"],) = axes.plot(
+                numbers, models, "o", color=SIMULATION, markerfacecolor="none", zorder=4
+            )
+        values += measured + models
+    logarithmic_if_wide(values, axes.yaxis)
+    whole_numbers(axes.xaxis)
+    axes.set_xlim(0.5, iterations[-1].total_experiments + 0.5)
+    axes.set(xlabel="hardware\nexperiment", ylabel="cost Z (dimensionless)")
+    shade_beyond(axes, study.cost.max_cost, Z_MAX)
     axes.legend(
         list(entries.values()),
         list(entries),

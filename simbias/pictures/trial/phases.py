@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,22 +14,19 @@ from matplotlib.patches import Patch
 from simbias.core import Task
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.panels import headline, legend, panels
+from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import BEYOND, HARDWARE, LIMIT, SIMULATION, label, plain
 from simbias.pictures.trial.comparison import (
+    compared_words,
     first_and_last,
     on_hardware,
-    outcome_words,
     policy_experiments,
-    policy_words,
     search_bias,
-    search_nominal,
-    simulate,
-    worst_experiment,
+    simulated,
 )
 from simbias.trial.study import Study
 
-HEIGHT = 2.3  # in, of a panel
+HEIGHT, COLUMNS = 2.3, 3  # in, of a panel; panels in a row
 NEAR = 0.5  # of a limit: what comes so close to it is shown together with it
 
 
@@ -49,17 +47,22 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     if not pairs:
         raise NoPictureError(f"no state of {type(task).__name__} has another's unit per second")
     both = first_and_last(on_hardware(iterations))
-    figure, grid = panels(len(both), len(pairs), HEIGHT)
-    for row, iteration in zip(grid, both, strict=True):
-        headline(row[0], f"{policy_words(iteration)}: {outcome_words(study, worst_experiment(iteration))}")
-        experiments, bias = policy_experiments(iteration), search_bias(iteration)
-        models = [] if bias is None else simulate(study, bias, experiments, search_nominal(iteration))
-        for axes, pair in zip(row, pairs, strict=True):
+    columns = min(COLUMNS, len(pairs))
+    rows = -(-len(pairs) // columns)  # of each policy
+    figure, grid = panels(len(both) * rows, columns, HEIGHT)
+    blocks = grid.reshape(len(both), rows * columns)
+    for block, iteration in zip(blocks, both, strict=True):
+        headline(block[0], compared_words(study, iteration))
+        experiments = policy_experiments(iteration)
+        models = simulated(study, iteration, experiments)
+        for axes, pair in zip(block, pairs, strict=False):
             _draw(axes, task, pair, models, SIMULATION, "--")
             _draw(axes, task, pair, experiments, HARDWARE, "-")
+        for axes in block[len(pairs) :]:
+            axes.axis("off")
     bounds = state_bounds(task)
-    for column, pair in zip(grid.T, pairs, strict=True):
-        _share_view(column, bounds[list(pair)])
+    for index, pair in enumerate(pairs):
+        _share_view(list(blocks[:, index]), bounds[list(pair)])
     legend(figure, _entries(any(search_bias(iteration) is not None for iteration in both)))
     return figure
 
@@ -92,19 +95,18 @@ def _draw(
         axes.plot(x[0], y[0], "o", color="black", markersize=3.5, zorder=4)
         if rollout.failed_at is not None:
             axes.plot(x[-1], y[-1], "X", color=color, markersize=8, markeredgecolor="white", zorder=3)
-    axes.set_xlabel(label(task.states[pair[0]]), labelpad=1)
-    axes.set_ylabel(label(task.states[pair[1]]), labelpad=1)
+    axes.set(xlabel=label(task.states[pair[0]]), ylabel=label(task.states[pair[1]]))
     plain(axes)
 
 
-def _share_view(column: Sequence[Axes], bounds: Array) -> None:
+def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
     """One view of all panels of a plane; the bounds (2,) of its states where a rollout comes near them."""
-    corners = np.concatenate([axes.dataLim.get_points() for axes in column])
+    corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes])
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = 0.06 * (high - low)
     low = np.where(low < -NEAR * bounds, np.minimum(low, -bounds), low) - margin
     high = np.where(high > NEAR * bounds, np.maximum(high, bounds), high) + margin
-    for axes in column:
+    for axes in all_axes:
         for edges in ((low[0], -bounds[0]), (bounds[0], high[0])):
             if edges[0] < edges[1]:
                 axes.axvspan(*edges, color=BEYOND, linewidth=0.0, zorder=0)
@@ -114,8 +116,8 @@ def _share_view(column: Sequence[Axes], bounds: Array) -> None:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
-def _entries(with_simulation: bool) -> dict[str, Line2D | Patch]:
-    """What is seen."""
+def _entries(with_simulation: bool) -> dict[str, Artist]:
+    """The legend."""
     simulation = {"simulation": Line2D([], [], color=SIMULATION, linestyle="--")} if with_simulation else {}
     return {
         "hardware": Line2D([], [], color=HARDWARE),

@@ -7,12 +7,19 @@ from itertools import cycle
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from simbias.core.records import Iteration, Selection
+from simbias.core.records import Iteration
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.panels import headline, panels
-from simbias.pictures.elements.style import HARDWARE, NOMINAL, OTHERS, SIMULATION, SMALL, plain
+from simbias.pictures.elements.layout import headline, panels
+from simbias.pictures.elements.style import (
+    HARDWARE,
+    NOMINAL,
+    OTHERS,
+    SIMULATION,
+    SMALL,
+    plain,
+    whole_numbers,
+)
 from simbias.trial.study import Study
 
 BAR, MARGIN = 0.3, 0.2  # in, for each iteration and beside them
@@ -23,8 +30,8 @@ READABLE = 0.04  # of the longest bar: where a number has room
 def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """For each iteration that learned, how many of the downsampled transitions became training data.
 
-    The others are counted under the first criterion that rejected them. The last column is the size of D
-    afterwards, which a cleared model begins anew (line 7 of Algorithm 1).
+    The others are counted under the first criterion that rejected them. Beside each bar is the size of D
+    afterwards, which a cleared model begins again (line 7 of Algorithm 1).
 
     Raises
     ------
@@ -34,39 +41,31 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
     lessons = [(iteration.index, iteration.learning) for iteration in iterations if iteration.learning]
     if not lessons:
         raise NoPictureError("nothing was learned from the trial's experiments")
-    figure, grid = panels(1, 2, MARGIN + BAR * len(lessons))
-    axes, aside = grid[0]
     rows, selections = [index for index, _ in lessons], [learning.selection for _, learning in lessons]
     names = dict.fromkeys(name for selection in selections for name in selection.rejected)
-    ends, longest = np.zeros(len(rows)), max(1, *map(_count, selections))
-    parts = {"accepted": ([len(selection.transitions) for selection in selections], SIMULATION)}
+    bars = {"accepted": ([len(selection.transitions) for selection in selections], SIMULATION)}
     for name, color in zip(names, cycle(COLORS), strict=False):
         counts = [selection.rejected.get(name, 0) for selection in selections]
-        parts[f"rejected: {study.task.words(name)}"] = counts, color
-    for words, (counts, color) in parts.items():
+        bars[f"rejected: {study.task.words(name)}"] = counts, color
+    longest = max(1, *np.sum([counts for counts, _ in bars.values()], axis=0))
+    figure, grid = panels(1, 1, MARGIN + BAR * len(lessons))
+    axes, ends = grid[0, 0], np.zeros(len(rows))
+    for words, (counts, color) in bars.items():
         if any(counts):
-            bars = axes.barh(rows, counts, left=ends, color=color, label=words, height=0.75)
+            container = axes.barh(rows, counts, left=ends, color=color, label=words, height=0.75)
             texts = [str(count) if count > READABLE * longest else "" for count in counts]
-            axes.bar_label(bars, texts, label_type="center", fontsize=SMALL, color=_readable_on(color))
+            axes.bar_label(container, texts, label_type="center", fontsize=SMALL, color=_readable_on(color))
             ends += counts
     for (index, learning), end in zip(lessons, ends, strict=True):
-        reset = ", cleared before" if learning.reset else ""
-        words = f"{len(learning.data)} in D{reset}"
+        words = f"{len(learning.data)} in D{', cleared before' if learning.reset else ''}"
         axes.annotate(words, (end, index), (4, 0), textcoords="offset points", va="center", fontsize=SMALL)
-    axes.set(xlabel="transitions, after downsampling", ylabel="iteration", xlim=(0, 1.3 * longest))
+    axes.set(xlabel="transitions, after downsampling", ylabel="iteration", xlim=(0, 1.1 * longest))
     axes.invert_yaxis()
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(integer=True))
+    whole_numbers(axes.xaxis, axes.yaxis)
     plain(axes)
     headline(axes, "Samples of each iteration's experiments")
-    aside.axis("off")
-    aside.legend(*axes.get_legend_handles_labels(), loc="upper left", frameon=False, fontsize=SMALL)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=SMALL)
     return figure
-
-
-def _count(selection: Selection) -> int:
-    """How many transitions were judged."""
-    return len(selection.transitions) + sum(selection.rejected.values())
 
 
 def _readable_on(color: str) -> str:

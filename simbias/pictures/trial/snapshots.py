@@ -6,19 +6,22 @@ from collections.abc import Mapping, Sequence
 from textwrap import fill
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.figure import Figure, FigureBase
 
 from simbias.core import Task
 from simbias.core.records import Array, Rollout
 from simbias.pictures.elements.drawing import Drawing, NoPictureError, drawing_of, share_view
 from simbias.pictures.elements.style import HARDWARE, SMALL, seconds
+from simbias.pictures.trial.comparison import NamedRollout
+
+LINE = 22  # characters below a snapshot
+SIZE = 1.6  # in, of a snapshot
 
 
 def snapshots(
     task: Task, rollouts: Mapping[str, Rollout], times: Sequence[float] | Array, draw: Drawing | None = None
 ) -> Figure:
-    """A row of pictures for every named rollout, a column for every time in s; one scale for all.
+    """A row of snapshots for every named rollout, a column for every time in s; one scale for all.
 
     A rollout that has failed by a column's time is shown there, pale, at the frame at which it failed, with
     the time and the failure in words; after that its row is empty.
@@ -31,21 +34,34 @@ def snapshots(
     draw = draw or drawing_of(task)
     if draw is None:
         raise NoPictureError(f"nothing draws {type(task).__name__}: pass `draw`")
-    figure = Figure(
-        figsize=(1.6 * len(times), 1.6 * len(rollouts) + 0.3), layout=ConstrainedLayoutEngine(h_pad=0.08)
-    )
-    grid = figure.subplots(len(rollouts), len(times), squeeze=False)
-    for row, (name, rollout) in zip(grid, rollouts.items(), strict=True):
-        failing = draw_strip(row, task, rollout, times, draw)
-        row[0].text(-0.02, 0.5, name, transform=row[0].transAxes, rotation=90, ha="right", va="center")
-        if failing is not None:
-            words = fill(ending_words(task, rollout), 22)
-            below = failing.transAxes
-            failing.text(0.5, -0.03, words, transform=below, ha="center", va="top", fontsize=SMALL)
-    for axes, time in zip(grid[0], times, strict=True):
-        axes.set_title(f"t = {time:g} s", fontsize="medium")
-    share_view(list(grid.flat))
+    figure = Figure(figsize=(SIZE * len(times), SIZE * len(rollouts) + 0.3), layout="constrained")
+    draw_rows(figure, task, [NamedRollout(*item) for item in rollouts.items()], times, draw)
+    share_view(figure.axes)
     return figure
+
+
+def draw_rows(
+    figure: FigureBase,
+    task: Task,
+    rollouts: Sequence[NamedRollout],
+    times: Sequence[float] | Array,
+    draw: Drawing,
+) -> None:
+    """Draw rollouts into rows under their times (s); set their view afterwards, with `share_view`."""
+    grid = figure.subplots(len(rollouts), len(times), squeeze=False)
+    for row, (name, rollout, color, _) in zip(grid, rollouts, strict=True):
+        failing = draw_strip(row, task, rollout, times, draw, color)
+        _write(row[0], name, (-0.02, 0.5), rotation=90, ha="right", va="center", color=color)
+        if failing is not None:
+            words = fill(ending_words(task, rollout), LINE)
+            _write(failing, words, (0.5, -0.03), ha="center", va="top", color=color)
+    for axes, time in zip(grid[0], times, strict=True):
+        axes.set_title(f"{time:g} s", fontsize=SMALL)
+
+
+def _write(axes: Axes, words: str, place: tuple[float, float], **style: str | float) -> None:
+    """Write words at a place in units of the axes."""
+    axes.text(*place, words, transform=axes.transAxes, fontsize=SMALL, **style)  # type: ignore[arg-type]
 
 
 def ending_words(task: Task, rollout: Rollout) -> str:

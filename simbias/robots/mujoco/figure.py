@@ -1,10 +1,10 @@
-"""A drawing of a robot's MuJoCo model: a stick figure of its geoms from the side, or as MuJoCo renders it."""
+"""A drawing of a robot's MuJoCo model: a stick figure of its geoms, or as MuJoCo renders it."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
 from simbias.robots.mujoco.rendering import Image, NoRendererError, Rendering
-
-VIEWS = {"xz": [0, 2], "yz": [1, 2], "xy": [0, 1]}
+from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class FigureFile:
     file: str
     joints: list[str] | None = None
     actuators: list[str] | None = None
-    view: Literal["xz", "yz", "xy"] = "xz"
+    view: View | None = None  # the plane that is seen; None: the one in which the robot moves
     rendered: bool | None = None  # by MuJoCo, where OpenGL can run; None: if the stick figure lacks a geom
 
 
@@ -41,7 +40,8 @@ class Figure:
 
     def __init__(self, task: Task, source: FigureFile) -> None:
         self._robot = Mechanism(task, source.file, source.joints, source.actuators)
-        self._view = VIEWS[source.view]
+        view = source.view or view_of(self._robot.model)
+        self._view = axes_of(view)
         self._data: Any = mujoco().MjData(self._robot.model)
         self.thickness: dict[str, float] = {}  # of each part, in m
         self._ends: dict[str, tuple[int, Array]] = {}  # a geom, and points (k, 3) in its frame
@@ -51,10 +51,9 @@ class Figure:
                 name = geom.name or f"geom {index}"
                 self.thickness[name] = 2 * float(geom.size[0])
                 self._ends[name] = (index, points)
-        plane = int(mujoco().mjtGeom.mjGEOM_PLANE)
-        lacks = len(self._ends) < np.sum(self._robot.model.geom_type != plane)
+        lacks = len(self._ends) < len(solid_geoms(self._robot.model))
         rendered = lacks if source.rendered is None else source.rendered
-        self._rendering = Rendering(self._robot, source.view) if rendered else None
+        self._rendering = Rendering(self._robot, view) if rendered else None
 
     def image(self, x: Array) -> Image | None:
         """How it looks at the state x (n,); None where a stick figure is drawn."""

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakSet, finalize
 
 import llvmlite.binding
 import numba
@@ -40,13 +42,24 @@ _SETTINGS: Any = numba.config  # whose attributes no type checker knows
 intrinsic: Any = extending.intrinsic  # its annotations count the context as an argument of the call
 
 
+class EngineModel:
+    """A copy of a model that the engine's own functions take, by its address."""
+
+    def __init__(self, model: Any) -> None:
+        buffer = np.empty(mujoco().mj_sizeModel(model), np.uint8)
+        mujoco().mj_saveModel(model, None, buffer)
+        self.address: int = _library().mj_loadModelBuffer(buffer.ctypes.data, len(buffer))
+        finalize(self, _library().mj_deleteModel, self.address).atexit = False
+
+
 class Places:
     """Where the engine works on models of one file; a step depends on nothing that was left there."""
 
-    def __init__(self, model: Any) -> None:
-        self.data = [mujoco().MjData(model) for _ in range(_SETTINGS.NUMBA_NUM_THREADS)]
-        self.table = np.full((len(self.data), WORDS), FREE, np.int64)
-        self.table[:, 1] = [data._address for data in self.data]
+    def __init__(self, model: EngineModel) -> None:
+        self.table = np.full((_SETTINGS.NUMBA_NUM_THREADS, WORDS), FREE, np.int64)
+        for place in self.table:
+            place[1] = data = _library().mj_makeData(model.address)
+            finalize(self, _library().mj_deleteData, data).atexit = False
         _ALL.add(self)
 
 
@@ -62,22 +75,30 @@ def _free_all() -> None:
 os.register_at_fork(after_in_child=_free_all)
 
 
-def kernel(robot: Mechanism, places: Places) -> Kernel:
+def kernel(robot: Mechanism, model: EngineModel, places: Places) -> Kernel:
     """A frame of the robot. What has blown up is not a number.
 
-    Whoever runs it holds on to robot and places: the parameters are their addresses, exact in 53 bits.
+    Whoever runs it holds on to model and places: the parameters are their addresses, exact in 53 bits.
     """
-    engine = _library()
     for name in _SIGNATURES:
-        llvmlite.binding.add_symbol(name, ctypes.cast(getattr(engine, name), ctypes.c_void_p).value)
-    addresses = robot.model._address, places.table.ctypes.data, len(places.table)
+        llvmlite.binding.add_symbol(name, ctypes.cast(_library()[name], ctypes.c_void_p).value)
+    addresses = model.address, places.table.ctypes.data, len(places.table)
     return Kernel(_frame(robot), np.array(addresses, dtype=np.float64))
 
 
 @cache
 def _library() -> ctypes.CDLL:
-    """The engine's functions, with those that its Python bindings link to."""
-    return ctypes.CDLL(mujoco()._functions.__file__)
+    """The engine's functions, of the library that its Python bindings link to."""
+    version = mujoco().__version__
+    names = {"darwin": f"libmujoco.{version}.dylib", "win32": "mujoco.dll"}
+    file = Path(mujoco().__file__).parent / names.get(sys.platform, f"libmujoco.so.{version}")
+    library = ctypes.CDLL(str(file))
+    library.mj_loadModelBuffer.argtypes = ctypes.c_void_p, ctypes.c_int
+    for create in (library.mj_loadModelBuffer, library.mj_makeData):
+        create.restype = ctypes.c_void_p
+    for take in (library.mj_makeData, library.mj_deleteModel, library.mj_deleteData):
+        take.argtypes = (ctypes.c_void_p,)
+    return library
 
 
 def _frame(robot: Mechanism) -> Callable:
@@ -123,7 +144,6 @@ def _advance_in_place(state, parameters, before, after, steps):
 def _advance(state: Array, parameters: Array, before: int, after: int, steps: int) -> None:
     """The state after so many steps, in a place of its own: as Python does it, to compare."""
     engine, model = _library(), ctypes.c_void_p(int(parameters[0]))
-    engine.mj_makeData.restype = ctypes.c_void_p
     data, numbers = ctypes.c_void_p(engine.mj_makeData(model)), state.ctypes.data_as(ctypes.c_void_p)
     engine.mj_setState(model, data, numbers, before)
     for _ in range(steps):

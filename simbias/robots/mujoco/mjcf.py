@@ -21,8 +21,9 @@ class Mechanism:
     """A MuJoCo model whose state and input are those of a task.
 
     States are the positions of the joints, then their velocities. Inputs are the forces and torques of
-    motors; of other actuators they are their controls. A frame is a whole number of the engine's steps, which
-    are as long as the file says, or a little shorter.
+    motors, of those at a site along (else about) the axis of their gear; of other actuators they are their
+    controls. A frame is a whole number of the engine's steps, which are as long as the file says, or a
+    little shorter.
 
     Parameters
     ----------
@@ -154,7 +155,15 @@ def _unit(engine: Any, model: Any, i: int) -> float:
         model.actuator_gaintype[i] == engine.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[i] == engine.mjtBias.mjBIAS_NONE
     )
-    return float(model.actuator_gear[i, 0] * model.actuator_gainprm[i, 0]) if motor else 1.0
+    return float(_gear(engine, model, i) * model.actuator_gainprm[i, 0]) if motor else 1.0
+
+
+def _gear(engine: Any, model: Any, i: int) -> float:
+    """Force of an actuator at a site along the axis of its six gears, or torque about it; else the gear."""
+    gear = model.actuator_gear[i]
+    if model.actuator_trntype[i] != engine.mjtTrn.mjTRN_SITE:
+        return float(gear[0])
+    return float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
 
 
 def _reach(engine: Any, model: Any, i: int, unit: float) -> float:
@@ -163,7 +172,7 @@ def _reach(engine: Any, model: Any, i: int, unit: float) -> float:
     if model.actuator_ctrllimited[i]:
         ranges.append(abs(unit) * model.actuator_ctrlrange[i])
     if model.actuator_forcelimited[i]:
-        ranges.append(abs(model.actuator_gear[i, 0]) * model.actuator_forcerange[i])
+        ranges.append(abs(_gear(engine, model, i)) * model.actuator_forcerange[i])
     joint = model.actuator_trnid[i, 0]
     if model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[joint]:
         ranges.append(model.jnt_actfrcrange[joint])

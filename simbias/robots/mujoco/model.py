@@ -14,7 +14,7 @@ from simbias.core import Kernel, Nominal, Task
 from simbias.core.parameters import Parameter
 from simbias.core.ranges import NonNegative
 from simbias.core.records import Array, Indices
-from simbias.robots.mujoco.kernel import ABSURD, Places, kernel
+from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import QUANTITIES, Factors, Values, changes, mujoco, values_of
 
@@ -63,8 +63,9 @@ class Mujoco(Nominal):
             raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._data: list[Any] = []  # what the engine works in, one for each thread
-        self._places = Places(robot.model)
-        self.kernel = kernel(self._robot, self._places)
+        self._model = EngineModel(self._robot.model)
+        self._places = Places(self._model)
+        self.kernel = kernel(self._robot, self._model, self._places)
         self.parameters = tuple(
             Parameter(
                 name,
@@ -121,7 +122,8 @@ class Mujoco(Nominal):
         names = [parameter.name for parameter in self.parameters]
         changed = copy(self)
         changed._robot = self._robot.with_values(dict(zip(names, np.asarray(values).tolist(), strict=True)))
-        changed.kernel = kernel(changed._robot, self._places)
+        changed._model = EngineModel(changed._robot.model)
+        changed.kernel = kernel(changed._robot, changed._model, self._places)
         return changed
 
 

@@ -1,4 +1,4 @@
-"""A robot's MuJoCo model as MuJoCo renders it: from the side, without perspective, without a window."""
+"""A robot's MuJoCo model as MuJoCo renders it: without perspective, without a window."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
+from simbias.robots.mujoco.view import View, axes_of, solid_geoms
 
 PIXELS = 480  # along each side of an image
 MARGIN = 0.05  # of the robot's size, around it
-LOOKS = {"xz": (90.0, 0.0), "yz": (180.0, 0.0), "xy": (90.0, -90.0)}  # azimuth and elevation in degrees
+# Azimuth and elevation of the camera in degrees.
+ANGLES: dict[View, tuple[float, float]] = {"xz": (90.0, 0.0), "yz": (180.0, 0.0), "xy": (90.0, -90.0)}
 
 
 class Image(NamedTuple):
@@ -38,15 +40,14 @@ class Rendering:
         The plane that is seen.
     """
 
-    def __init__(self, robot: Mechanism, view: str) -> None:
+    def __init__(self, robot: Mechanism, view: View) -> None:
         self._robot = robot.with_values({})  # a copy, as its way to be seen is changed
-        self._axes = ["xyz".index(axis) for axis in view]
+        self._axes = axes_of(view)
         model, camera = self._robot.model, mujoco().MjvCamera()
-        plane = int(mujoco().mjtGeom.mjGEOM_PLANE)
-        self._solid = np.flatnonzero(model.geom_type != plane)
-        model.geom_rgba[model.geom_type == plane, 3] = 0.0
+        self._solid = solid_geoms(model)
+        model.geom_rgba[np.setdiff1d(np.arange(model.ngeom), self._solid), 3] = 0.0
         model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.6
-        camera.orthographic, (camera.azimuth, camera.elevation) = 1, LOOKS[view]
+        camera.orthographic, (camera.azimuth, camera.elevation) = 1, ANGLES[view]
         self._camera, self._data = camera, mujoco().MjData(model)
 
     @cached_property

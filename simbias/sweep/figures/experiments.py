@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from simbias.pictures.elements.series import draw_legend, look
-from simbias.pictures.elements.style import plain
+from simbias.pictures.elements.layout import legend
+from simbias.pictures.elements.style import plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
 from simbias.sweep.tables import CONFIDENCE, cells
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -47,7 +48,7 @@ class Experiments(SweepFigure):
 
 
 def _caption(table: pd.DataFrame) -> str:
-    """What is seen."""
+    """The caption, from the numbers."""
     trials, successes = table["trials"].sum(), table["succeeded"].sum()
     papers = "; hollow: the paper's means" if table["paper"].notna().any() else ""
     fewer, paper = (table["mean"] < table["paper"]).sum(), table["paper"].notna().sum()
@@ -62,7 +63,7 @@ def _caption(table: pd.DataFrame) -> str:
 
 def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     """The cells along an axis, a curve for each combination of the others."""
-    from matplotlib.figure import Figure  # lazily: a sweep is told of before anything is drawn
+    from matplotlib.figure import Figure  # lazily: a sweep is announced before anything is drawn
 
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
@@ -82,7 +83,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
     axes.set_ylabel("hardware experiments until success")
     if len(curves) > 1 or bool(table["paper"].notna().any()):
-        draw_legend(figure, *_ours_first(*axes.get_legend_handles_labels()))
+        legend(figure, _ours_first(axes))
     return figure
 
 
@@ -96,23 +97,24 @@ def _words(key: str) -> str:
     return key.split(".")[-1].replace("_", " ")
 
 
-def _ours_first(handles: list, labels: list[str]) -> tuple[list, list[str]]:
-    """The entries of a legend with the paper's last."""
-    order = sorted(range(len(labels)), key=lambda index: labels[index].endswith("paper"))
-    return [handles[index] for index in order], [labels[index] for index in order]
+def _ours_first(axes: Axes) -> dict[str, Artist]:
+    """The entries of a legend, the paper's last."""
+    handles, labels = axes.get_legend_handles_labels()
+    entries = zip(labels, handles, strict=True)
+    return dict(sorted(entries, key=lambda entry: entry[0].endswith("paper")))
 
 
 def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) -> None:
     """The cells of one curve, moved sideways so that no interval hides another."""
     x = np.arange(len(own)) + offset
     mean, low, high = (own[column].to_numpy(dtype=float) for column in ("mean", "low", "high"))
-    colour, marker = look(index)
+    color, marker = series_style(index)
     spread = np.nan_to_num(np.clip([mean - low, high - mean], 0, None))
-    axes.errorbar(x, mean, spread, fmt=marker, color=colour, capsize=3, markersize=5, label=name or "ours")
+    axes.errorbar(x, mean, spread, fmt=marker, color=color, capsize=3, markersize=5, label=name or "ours")
     paper = own["paper"].to_numpy(dtype=float)
     if not np.isnan(paper).all():
         label = f"{name}, paper" if name else "paper"
-        axes.plot(x + PAPER_ASIDE, paper, marker, color=colour, mfc="white", markersize=5, label=label)
+        axes.plot(x + PAPER_ASIDE, paper, marker, color=color, mfc="white", markersize=5, label=label)
     for at, top, row in zip(x, np.fmax(high, mean), own.to_dict("records"), strict=True):
         if row["succeeded"] < row["trials"]:
             text = f"{row['succeeded']}/{row['trials']}"

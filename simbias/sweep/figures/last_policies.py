@@ -1,4 +1,4 @@
-"""What the last policies of a sweep's trials are worth, and how many experiments they took."""
+"""Success rates of the last policies of a sweep's trials, and how many experiments they took."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simbias.sweep.tables import RELIABLE, attainable, success_rate
 ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
 SPREAD = 0.62  # of a row's height, over which dots that would hide each other are spread
 WORDS = {"experiments": "experiments", "success_rate": "success rate of the last policy"}
-COLOURS = {"experiments": SIMULATION, "success_rate": HARDWARE}
+COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
 class LastPolicies(SweepFigure):
@@ -57,7 +57,7 @@ class LastPolicies(SweepFigure):
 
 
 def _caption(numbers: pd.DataFrame, possible: Sequence[bool]) -> str:
-    """What is seen."""
+    """The caption, from the numbers."""
     enough = numbers["success_rate"] >= RELIABLE
     solved = enough.groupby(numbers["cell"]).mean() >= RELIABLE
     return (
@@ -93,12 +93,12 @@ def _draw_row(axes: Axes, row: int, own: pd.DataFrame, column: str) -> None:
     """The trials of a cell."""
     if own.empty:
         return
-    values, colour = own[column].to_numpy(dtype=float), COLOURS[column]
+    values, color = own[column].to_numpy(dtype=float), COLORS[column]
     succeeded = own["succeeded"].to_numpy(dtype=bool)
     heights = row + _aside(values)
     axes.vlines(values.mean(), row - 0.4, row + 0.4, color="0.2", linewidth=1.2, zorder=2)
-    for some, face in ((succeeded, colour), (~succeeded, "white")):
-        axes.scatter(values[some], heights[some], s=11, color=face, edgecolors=colour, alpha=0.75, zorder=3)
+    for some, face in ((succeeded, color), (~succeeded, "white")):
+        axes.scatter(values[some], heights[some], s=11, color=face, edgecolors=color, alpha=0.75, zorder=3)
 
 
 def _aside(values: Array) -> Array:

@@ -35,7 +35,7 @@ FAULTY = ["--config-dir", "conf", "--allow", "faulty_hardware", "hardware=faulty
 
 
 def template(folder: Path) -> Path:
-    """A folder with a store that holds a trial and a sweep, a trial under way, and faulty hardware."""
+    """A folder with trials, a sweep and their store, a trial under way, and faulty hardware."""
     work = folder / "template"
     (work / "conf" / "hardware").mkdir(parents=True)
     (work / "conf" / "hardware" / "faulty.yaml").write_text("_target_: faulty_hardware.Faulty\nfault: none\n")
@@ -46,7 +46,7 @@ def template(folder: Path) -> Path:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             assert main([*TRIAL, *uri]) == 1
             assert main([*SWEEP, *uri]) == 0
-            assert main([*FAULTY, *TRIAL, *uri, "hardware.fault='NaN'"]) == 1  # its journal stays
+            assert main([*FAULTY, *TRIAL, *uri, "hardware.fault='NaN'"]) == 1  # it stays under way
     finally:
         os.chdir(here)
     return work
@@ -183,8 +183,9 @@ def _row(rng: random.Random) -> str:
 
 
 def store(rng: random.Random, work: Path) -> list[Result]:
-    """A store or a journal that somebody changed, then a command that needs it."""
-    number, what = rng.randrange(10**9), rng.choice(["row", "row", "file", "database", "journal"])
+    """A store or a folder that somebody changed, then a command that needs it."""
+    number = rng.randrange(10**9)
+    what = rng.choice(["row", "trials", "trials", "file", "database", "under way"])
     told = work.parent / f"told-{number}"
 
     def damage() -> None:
@@ -193,7 +194,9 @@ def store(rng: random.Random, work: Path) -> list[Result]:
         if what == "row":
             told.write_text(_row(own))
             return
-        folder = {"file": "mlartifacts", "database": ".", "journal": "journals"}[what]
+        under_way = [file.parent for file in Path().glob("trials/*/trial.json")]
+        (under_way,) = (trial for trial in under_way if not (trial / "outcome.json").exists())
+        folder = {"file": "mlartifacts", "trials": "trials", "database": ".", "under way": under_way}[what]
         pattern = "mlflow.db" if what == "database" else "*"
         paths = sorted(path for path in Path(folder).rglob(pattern) if path.is_file())
         kind, path = own.choice(sorted(DAMAGES)), own.choice(paths)
@@ -205,9 +208,10 @@ def store(rng: random.Random, work: Path) -> list[Result]:
         "new": [*TRIAL, "seed=7"],
         "sweep": SWEEP,
         "dry": [*SWEEP, "sweep.dry_run=true"],
-        "journal": [*FAULTY, *TRIAL, "hardware.fault='NaN'"],
+        "under way": [*FAULTY, *TRIAL, "hardware.fault='NaN'"],
+        "export": ["export"],
     }
-    name = "journal" if what == "journal" else rng.choice(sorted(commands))
+    name = "under way" if what == "under way" else rng.choice(sorted(commands))
     result = attempt("stores", name, commands[name], damage, work)
     case = f"{told.read_text() if told.exists() else what}, then {name}"
     told.unlink(missing_ok=True)
@@ -269,19 +273,18 @@ def files(rng: random.Random, work: Path) -> list[Result]:
 def kills(rng: random.Random, work: Path) -> list[Result]:
     """One campaign of the soak: killed again and again, then left alone."""
     kind = rng.choice(sorted(soak.COMMANDS))
-    if kind not in _UNDISTURBED:
-        _UNDISTURBED[kind] = soak.undisturbed(kind)
+    if kind not in _UNINTERRUPTED:
+        _UNINTERRUPTED[kind] = soak.uninterrupted(kind, work.parent / "soak")
     began = time.monotonic()
-    row = soak.campaign(kind, rng.randint(1, 4), rng, _UNDISTURBED[kind])
-    good = not (row["differs"] or row["missing"] or row["strange"] or row["journals_left"])
-    verdict = Verdict.RAN if good else Verdict.WRONG
+    row = soak.campaign(kind, rng.randint(1, 4), rng, _UNINTERRUPTED[kind])
+    verdict = Verdict.RAN if soak.good(row) else Verdict.WRONG
     status = row["status"]
     assert isinstance(status, int)
     seconds = round(time.monotonic() - began, 1)
     return [Result("kills", f"{row['kills']} kills of a {kind}", verdict, status, seconds, str(row))]
 
 
-_UNDISTURBED: dict = {}
+_UNINTERRUPTED: dict = {}
 
 
 # Strangers

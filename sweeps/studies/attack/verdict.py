@@ -68,7 +68,7 @@ def judge(status: int | None, out: str, err: str) -> Verdict:
     lines = [line for line in err.splitlines() if not line.startswith("Compiling the simulation")]
     if status == 2 and lines and lines[0].startswith("usage: "):
         return Verdict.REFUSED
-    own = [line for line in lines if line.startswith(("simbias: ", "Go on with:"))]
+    own = [line for line in lines if line.startswith(("simbias: ", "Resume with:"))]
     if len(own) < len(lines) or any(len(line) > LONGEST_LINE for line in own):
         return Verdict.LINES
     if any(not character.isprintable() for line in own for character in line):

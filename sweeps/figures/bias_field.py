@@ -32,7 +32,7 @@ ThreeStates = tuple[str, str, str]
 
 
 class Validation(NamedTuple):
-    """Residuals of experiments that were not learned from, and what was learned says of them."""
+    """Residuals of experiments that were not learned from, and their predictions."""
 
     data: Transitions  # that was learned from
     selection: Selection  # of the held-out experiments
@@ -47,7 +47,7 @@ class Field(NamedTuple):
     velocities: Array  # (k, 3)
     color: str
     width: float  # pt
-    words: str
+    label: str
 
 
 class BiasField(SweepFigure):
@@ -139,12 +139,12 @@ class BiasField(SweepFigure):
         for axes, pair in zip(grid, itertools.combinations(range(3), 2), strict=False):
             self._draw_projection(axes, fields, list(pair), seconds)
         _draw_errors(grid[3], errors)
-        handles = [Line2D([], [], color=field.color, lw=field.width, label=field.words) for field in fields]
+        handles = [Line2D([], [], color=field.color, lw=field.width, label=field.label) for field in fields]
         figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False)
         return figure
 
     def _fields(self, validation: Validation) -> list[Field]:
-        """What is drawn as arrows, from back to front."""
+        """The arrows, from back to front."""
         truth = validation.selection.transitions
         few = _far_apart(truth.inputs[:, self._axes], self._arrows)
         at, u, v = truth.inputs[few], truth.residuals[few], validation.mean[few]
@@ -193,7 +193,7 @@ class BiasField(SweepFigure):
         plain(axes)
 
     def _caption(self, validation: Validation, errors: pd.DataFrame, experiments: int) -> str:
-        """What is seen."""
+        """The caption, from the numbers."""
         selection, rows = validation.selection, errors.to_dict("records")
         left = ", ".join(
             f"{row['state']} {row['relative_mean']:.0%} ({row['relative_eq7']:.0%})" for row in rows

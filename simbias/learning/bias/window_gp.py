@@ -1,4 +1,4 @@
-"""What the nominal model leaves over windows, as far as that predicts what was not fitted."""
+"""A residual GP learned from windows of experiments, its hyper-parameters chosen by cross-validation."""
 
 from __future__ import annotations
 
@@ -15,38 +15,39 @@ from simbias.core.records import Array, Indices, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.none import NoBias
-from simbias.learning.bias.posterior import Drawn
+from simbias.learning.bias.posterior import GPSample
 from simbias.learning.bias.sensitivity import Sensitivity
-from simbias.learning.prediction_errors import Errors, correlation_time
+from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import Windows, World, predict
 
-LEAST = 1e-12  # signal, in a state's unit: of a state that the model predicts exactly it would be none
-ITSELF = 1e-6  # jitter of the inducing points' covariance, of the signal's variance
+LEAST_SIGNAL = 1e-12  # in a state's unit; a state that the model predicts exactly would have zero
+JITTER = 1e-6  # of the inducing points' covariance, relative to the signal's variance
+CANDIDATES = 2000  # inputs among which inducing points are chosen
 
 
-class HeldOut(Bias):
-    """One Gaussian process for each state; lengths and signal by held-out segments of the experiments.
+class WindowGP(Bias):
+    """One Gaussian process for each state, learned from windows; length scale and signal by cross-validation.
 
-    What the (identified) nominal model leaves over a window is linear in the functions' values along it, to
-    first order. So windows are fitted instead of single steps, in which noise drowns everything, and with
-    the same distribution of errors as the parameters. Segments are left out of the fit in turn, and lengths
-    and signal taken that predict them well. Where none predicts them better than the nominal model alone, by
-    more than the standard error of that, the bias is zero everywhere.
+    The residual of the (identified) nominal model over a window is, to first order, linear in the values of
+    the bias along it. Fitting windows instead of single steps averages out measurement noise; errors are
+    distributed as in the identification of parameters. Segments of the experiments are left out in turn, and
+    the length scale and signal taken that predict them. If none improves on the nominal model by more than
+    one standard error, the bias is zero everywhere.
 
     Parameters
     ----------
     window, chunks
-        Duration of a prediction in s; means over so many parts of it are compared.
+        Duration of a prediction in s, and the number of its parts whose means are compared.
     length_scales
-        Tried from the shortest on, until one gains; of inputs over their standard deviation in the data. What
-        is short is zero again soon beyond the data.
+        Candidates, in standard deviations of the inputs in the data. The shortest that improves the
+        prediction is taken, as its bias vanishes soonest beyond the data.
     signals
-        Tried; the standard deviation of a bias, over that which would make up for the mean square error if
-        it were constant over a window.
-    segment
-        s; the experiments' segments of this duration are left out in turn, but in no more than `folds` fits.
+        Candidates for the standard deviation of the bias, relative to the constant bias that would explain
+        the root mean square residual of a window.
+    segment, folds
+        Duration in s of the segments that are left out in turn, and the most fits that this may take.
     points
-        Inducing points, at most.
+        Largest number of inducing points.
     """
 
     def __init__(
@@ -70,26 +71,27 @@ class HeldOut(Bias):
         self._none = NoBias()
 
     def fit(self, transitions: Transitions) -> FittedBias:
-        """Zero: single transitions are not learned from."""
+        """The zero bias: single transitions are not used."""
         return self._none.fit(transitions)
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
-        """Learn from what the nominal model leaves of the rollouts."""
+        """Learn from the residuals of the nominal model over windows of the rollouts."""
         windows = Windows.of(rollouts, self._window, self._chunk) if rollouts else None
         if not windows:
             return self.fit(transitions)
         fold = self._fold(windows)
         if len(np.unique(fold)) < 2:
             return self.fit(transitions)
-        left = windows.means - predict([World(nominal)], windows)[0]
-        errors = Errors.of(left, windows)
-        signal = np.sqrt(np.mean(np.clip(left[:, -1], *_outliers(left[:, -1])) ** 2, axis=0)) / self._window
-        signal = np.maximum(signal, LEAST)
+        residuals = windows.means - predict([World(nominal)], windows)[0]
+        errors = ErrorDistribution.of(residuals, windows)
+        last = residuals[:, -1]
+        signal = np.sqrt(np.mean(np.clip(last, *_outlier_limits(last)) ** 2, axis=0)) / self._window
+        signal = np.maximum(signal, LEAST_SIGNAL)
         best: _Candidate | None = None
         for length in sorted({length for length, _ in self._candidates}):
             hyper, Z = self._inducing(windows, length)
             sensitivity = Sensitivity.of(nominal, windows, features(hyper, Z))
-            fits = _Fits.of(sensitivity, left, errors, fold, windows.experiments)
+            fits = _Fits.of(sensitivity, residuals, errors, fold, windows.experiments)
             for own, times in self._candidates:
                 if own == length:
                     gain = fits.gain(times * signal)
@@ -105,10 +107,10 @@ class HeldOut(Bias):
             "inducing_points": len(best.Z),
             "length_scale": float(best.hyper.length_scale[0]),
         }
-        return OfWindows(best.hyper, best.Z, mean, covariance, best.signal, diagnostics)
+        return WindowPosterior(best.hyper, best.Z, mean, covariance, best.signal, diagnostics)
 
     def _fold(self, windows: Windows) -> Indices:
-        """Of each window (w,): the fit that it is left out of."""
+        """Index (w,) of the fit that each window is left out of."""
         segments, first = np.empty(len(windows), np.int64), 0
         for experiment in np.unique(windows.experiments):
             own = np.flatnonzero(windows.experiments == experiment)
@@ -117,9 +119,9 @@ class HeldOut(Bias):
         return segments * min(self._folds, first) // first
 
     def _inducing(self, windows: Windows, length: float) -> tuple[Hyperparameters, Array]:
-        """Hyper-parameters, and inducing points (R, n+m), scaled, for the data's inputs."""
+        """Hyper-parameters scaled by the data, and scaled inducing points (R, n+m)."""
         rows = (windows.starts[:, None] + np.arange(windows.window)).ravel()
-        rows = rows[:: max(1, len(rows) // MOST)]
+        rows = rows[:: max(1, len(rows) // CANDIDATES)]
         inputs = np.concatenate([windows.states[rows], windows.inputs[rows]], axis=1)
         scale = np.maximum(np.std(inputs, axis=0), 1e-9)
         hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, 0.0)
@@ -128,17 +130,14 @@ class HeldOut(Bias):
         return hyper, scaled[chosen]
 
 
-MOST = 2000  # inputs among which inducing points are chosen
-
-
-def _outliers(values: Array) -> tuple[Array, Array]:
-    """Beyond which values (k, n) are outliers."""
+def _outlier_limits(values: Array) -> tuple[Array, Array]:
+    """Lower and upper limits (n,), at four robust standard deviations of values (k, n)."""
     most = 4.0 * np.median(np.abs(values), axis=0) / 0.6745
     return -most, most
 
 
 class _Candidate(NamedTuple):
-    """Hyper-parameters that were tried, and what they gain."""
+    """Hyper-parameters, their regression, and their cross-validated gain."""
 
     gain: float
     hyper: Hyperparameters
@@ -149,44 +148,45 @@ class _Candidate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """Linear regressions of whitened errors on weights, in which one fold after the other is left out."""
+    """Linear regression of whitened residuals on feature weights, with leave-one-fold-out posteriors."""
 
-    A: Array  # (w, J n, n R)
-    b: Array  # (w, J n)
+    A: Array  # (w, J n, n R) weighted, whitened sensitivities
+    b: Array  # (w, J n) weighted, whitened residuals
     fold: Indices  # (w,)
     experiments: Indices  # (w,)
-    share: float
+    independent_share: float
     products: Array  # (f, n R, n R), A^T A of each fold
-    moments: Array  # (f, n R)
+    moments: Array  # (f, n R), A^T b of each fold
 
     @staticmethod
     def of(
-        sensitivity: Sensitivity, left: Array, errors: Errors, fold: Indices, experiments: Indices
+        sensitivity: Sensitivity,
+        residuals: Array,
+        errors: ErrorDistribution,
+        fold: Indices,
+        experiments: Indices,
     ) -> _Fits:
-        """Weighted as the errors are that there are without a bias."""
-        b = errors.whiten(left)
+        """Weight windows by their residuals (w, J, n) without a bias."""
+        b = errors.whiten(residuals)
         weights = np.sqrt(errors.weights(b))
         A = sensitivity.whiten(errors) * weights[:, None, None]
         b = b * weights[:, None]
         folds = range(fold.max() + 1)
         products = np.array([_product(A[fold == f]) for f in folds])
         moments = np.array([np.einsum("wij,wi->j", A[fold == f], b[fold == f]) for f in folds])
-        return _Fits(A, b, fold, experiments, errors.share, products, moments)
+        return _Fits(A, b, fold, experiments, errors.independent_share, products, moments)
 
     def posterior(self, signal: Array, without: int | None = None) -> tuple[Array, Array]:
-        """Mean (n R,) and covariance (n R, n R) of the weights, but for a fold that is left out."""
+        """Mean (n R,) and covariance (n R, n R) of the feature weights, optionally without one fold."""
         H, g = self.products.sum(axis=0), self.moments.sum(axis=0)
         if without is not None:
             H, g = H - self.products[without], g - self.moments[without]
         prior = np.repeat(signal**-2.0, len(g) // len(signal))
-        covariance = np.linalg.inv(self.share * H + np.diag(prior))
-        return self.share * covariance @ g, covariance
+        covariance = np.linalg.inv(self.independent_share * H + np.diag(prior))
+        return self.independent_share * covariance @ g, covariance
 
     def gain(self, signal: Array) -> float:
-        """By how much less the squared errors of held-out windows are, on average.
-
-        It is the lower end of an interval of one standard error: positive only beyond chance.
-        """
+        """Mean decrease of the squared errors of left-out windows, less one standard error."""
         gains = np.empty(len(self.b))
         for f in range(len(self.products)):
             own = self.fold == f
@@ -205,8 +205,8 @@ def _product(A: Array) -> Array:
 
 
 @final
-class OfWindows(FittedBias):
-    """Functions k(x, Z) K_ZZ^-1/2 W, W normal."""
+class WindowPosterior(FittedBias):
+    """A bias k(x, Z) K_ZZ^-1/2 W with normal weights W."""
 
     def __init__(
         self,
@@ -224,13 +224,13 @@ class OfWindows(FittedBias):
         self.kernel = self._function.kernel
         self.diagnostics = diagnostics
 
-    def _of(self, weights: Array) -> Drawn:
-        """The function of these weights (n R,)."""
+    def _of(self, weights: Array) -> GPSample:
+        """The bias of feature weights (n R,)."""
         W = self._root.T @ weights.reshape(len(self._signal), -1).T
-        return Drawn(self._hyper, self._Z, W)
+        return GPSample(self._hyper, self._Z, W)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
-        """Mean (k, n) and variance (k, n) of the functions at raw inputs (k, n+m)."""
+        """Mean (k, n) and variance (k, n) of the bias at raw inputs (k, n+m)."""
         n = len(self._signal)
         phi = features(self._hyper, self._Z)(inputs)
         R = phi.shape[1]
@@ -244,18 +244,18 @@ class OfWindows(FittedBias):
         return self._function.correction(x, u)
 
     def draw(self, rng: np.random.Generator) -> FittedBias:
-        """Functions from the posterior of the weights."""
+        """A bias drawn from the posterior of the weights."""
         e = stable_cholesky(self._covariance) @ rng.standard_normal(len(self._mean))
         return self._of(self._mean + e)
 
 
 def root(hyper: Hyperparameters, Z: Array) -> Array:
-    """U (R, R) with U^T U the inverse of the covariance of points Z (R, n+m), scaled."""
+    """U (R, R) with U^T U the inverse covariance of scaled points Z (R, n+m)."""
     K = hyper.covariance(Z, Z)
-    return solve_triangular(stable_cholesky(K + ITSELF * np.eye(len(K))), np.eye(len(K)), lower=True)
+    return solve_triangular(stable_cholesky(K + JITTER * np.eye(len(K))), np.eye(len(K)), lower=True)
 
 
 def features(hyper: Hyperparameters, Z: Array) -> Callable[[Array], Array]:
-    """Features (k, R) of inputs (k, n+m), whose weights are independent a priori."""
+    """Features (k, R) of inputs (k, n+m); independent unit normal weights give the GP's prior at Z."""
     U = root(hyper, Z)
     return lambda inputs: hyper.covariance(hyper.scale(inputs), Z) @ U.T

@@ -11,12 +11,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from simbias.core.messages import counted
 from simbias.core.records import Iteration
-from simbias.pictures.elements.series import draw_legend
-from simbias.pictures.elements.style import HARDWARE, SIMULATION, plain, shade_beyond
+from simbias.pictures.elements.layout import legend
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, plain, shade_beyond, whole_numbers
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
@@ -68,7 +67,7 @@ def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
         for aside, trial in zip(np.linspace(-SPREAD / 2, SPREAD / 2, len(trials)), trials, strict=True):
             _line(axes, trial, float(aside) if len(trials) > 1 else 0.0)
         axes.set_title(fill(title, LINE), fontsize="medium")
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        whole_numbers(axes.xaxis)
         plain(axes)
     grid[0, 0].set_yscale("log")
     for axes in grid.flat[: len(panels)]:
@@ -86,8 +85,7 @@ def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
         "trial that never does": Line2D([], [], color=HARDWARE, marker="X", linestyle="--"),
     }
     both = zip(marks.items(), (True, False), strict=True)
-    entries = {name: mark for (name, mark), end in both if end in ends}
-    draw_legend(figure, list(entries.values()), list(entries))
+    legend(figure, {name: mark for (name, mark), end in both if end in ends})
     return figure
 
 
@@ -101,7 +99,7 @@ def _line(axes: Axes, trial: pd.DataFrame, aside: float) -> None:
 
 
 def _caption(panels: dict[str, pd.DataFrame], max_cost: float) -> str:
-    """What is seen."""
+    """The caption, from the numbers."""
     sentences = []
     for title, own in panels.items():
         trials = [trial for _, trial in own.groupby("repetition")]

@@ -159,7 +159,7 @@ class SuccessRates(SweepFigure):
         return figure
 
     def _caption(self, numbers: pd.DataFrame) -> str:
-        """What is seen."""
+        """The caption, from the numbers."""
         sentences = []
         for cell, own in numbers.groupby("cell", sort=False):
             rates = _of_policies(own)

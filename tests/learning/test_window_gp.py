@@ -8,7 +8,7 @@ from pendulum import NOISE, experiment, pendulum
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
-from simbias.learning.bias.held_out import OfWindows
+from simbias.learning.bias.window_gp import WindowPosterior
 from simbias.simulation.open_loop import Windows, World, plain, predict
 from simbias.trial.study import Study
 
@@ -27,7 +27,7 @@ class Sprung(Nominal):
 @pytest.fixture(scope="module")
 def study() -> Study:
     damping = [f"nominal.drives.damping_{i}=0.05" for i in (1, 2)]
-    return pendulum("bias=held_out", "bias.points=30", *damping)
+    return pendulum("bias=window_gp", "bias.points=30", *damping)
 
 
 def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
@@ -41,7 +41,7 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
     rng, robot = np.random.default_rng(0), Sprung(study.nominal)
     learned = [experiment(robot, rng, 1500) for _ in range(2)]
     fitted = study.bias.learn(study.no_data, learned, study.nominal)
-    assert isinstance(fitted, OfWindows)
+    assert isinstance(fitted, WindowPosterior)
     other = [experiment(robot, rng, 500, np.zeros(4))]
     without = error(study, study.bias.fit(study.no_data), other)
     assert error(study, fitted, other) < 0.95 * without
@@ -57,16 +57,16 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_where_the_model_is_right_there_is_none(study: Study, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    rollouts = [experiment(study.nominal, rng, 1000, NOISE)]
-    fitted = study.bias.learn(study.no_data, rollouts, study.nominal)
-    inputs = np.concatenate([rollouts[0].states[:-1], rollouts[0].inputs], axis=1)
-    size = np.abs(fitted.predict(inputs)[0]).max()
-    assert size == 0.0 or error(study, fitted, rollouts) < 1.02 * error(
-        study, study.bias.fit(study.no_data), rollouts
-    )
+def test_where_the_model_is_right_little_is_learned(study: Study) -> None:
+    """Mostly nothing at all, as a gain has to exceed its standard error; never what harms elsewhere."""
+    zero, ratios = study.bias.fit(study.no_data), []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        seen, other = (experiment(study.nominal, rng, 1000, NOISE) for _ in range(2))
+        fitted = study.bias.learn(study.no_data, [seen], study.nominal)
+        ratios.append(error(study, fitted, [other]) / error(study, zero, [other]))
+    assert ratios.count(1.0) >= 3
+    assert max(ratios) < 1.02
 
 
 def test_too_little_is_nothing(study: Study) -> None:

@@ -1,0 +1,127 @@
+"""An experiment to be made by a person or a program: the policy, the start, the limits."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Controller, Policy, Quantity, Task
+from simbias.core.records import Array
+from simbias.lab.requests.controller import Formulas, c_header, derive, python_module
+from simbias.lab.requests.symbols import UntraceableError
+from simbias.lab.safety import Bounds, SafetyLimitedPolicy
+
+FORMAT = 1  # of a request: raised when what is in it changes its meaning
+DIGITS = 12  # hexadecimal, of a request's name
+START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one
+HEADER, MODULE = "controller.h", "controller.py"
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentRequest:
+    """Run theta (p,) of a policy from a start (n,), for the task's horizon or until it fails."""
+
+    task: Task
+    policy: Policy
+    theta: Array  # (p,)
+    start: Array  # (n,)
+    token: int = 0  # distinguishes requests that are the same in all else
+
+    @cached_property
+    def name(self) -> str:
+        """A hash of everything that the request says, the generated code included."""
+        said = [self.content(), self.code(""), self.token]
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:DIGITS]
+
+    def controller(self) -> Controller:
+        """What computes the input of each frame."""
+        return self.policy.controller(self.theta, self.task.time_step)
+
+    @property
+    def bounds(self) -> Bounds:
+        """The limits at which the experiment is to be aborted."""
+        if isinstance(self.policy, SafetyLimitedPolicy):
+            return self.policy.safety_bounds
+        n, m = len(self.task.states), len(self.task.inputs)
+        return Bounds(self.task.input_limit, np.full(m, np.inf), np.full(n, np.inf), False)
+
+    @property
+    def start_tolerance(self) -> Array:
+        """How far (n,) from the start an experiment may begin; inf where starts do not vary."""
+        deviation = self.task.start_deviation
+        return np.where(deviation > 0, START_DEVIATIONS * deviation, np.inf)
+
+    @cached_property
+    def formulas(self) -> Formulas | UntraceableError:
+        """The controller's formulas, or why it has none."""
+        try:
+            return derive(self.task, self.policy, self.theta)
+        except UntraceableError as error:
+            return error
+
+    def code(self, title: str) -> dict[str, str]:
+        """The controller in C and in Python, by the names of their files; empty without formulas."""
+        law = self.formulas
+        if isinstance(law, UntraceableError):
+            return {}
+        return {
+            HEADER: c_header(self.task, law, title, self.bounds),
+            MODULE: python_module(self.task, law, title, self.bounds),
+        }
+
+    def text(self) -> str:
+        """The request as JSON; null is no limit."""
+        content = {"format": FORMAT, "request": self.name, **self.content()}
+        return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+    def content(self) -> dict[str, Any]:
+        """Everything that it says, in plain containers."""
+        task, law, bounds = self.task, self.policy.law(self.theta), self.bounds
+        states = zip(_named(task.states), self.start, self.start_tolerance, bounds.states, strict=True)
+        inputs = zip(_named(task.inputs), bounds.inputs, bounds.input_rates, strict=True)
+        return {
+            "policy": {
+                "class": type(getattr(self.policy, "policy", self.policy)).__name__,
+                "law": law.words,
+                **{name: np.asarray(values).tolist() for name, values in law.numbers.items()},
+                "parameters": self.theta.tolist(),
+            },
+            "states": [
+                {
+                    **named,
+                    "start": float(start),
+                    "start_tolerance": _limit(tolerance),
+                    "limit": _limit(limit),
+                }
+                for named, start, tolerance, limit in states
+            ],
+            "inputs": [
+                {**named, "limit": _limit(limit), "limit_of_change_per_s": _limit(rate)}
+                for named, limit, rate in inputs
+            ],
+            "outputs": _named(task.outputs),
+            "time_step": task.time_step,
+            "rate": 1.0 / task.time_step,
+            "frames": task.horizon,
+            "duration": task.horizon * task.time_step,
+            "failure": [
+                {"name": each.name, "words": each.words, "limit": float(each.limit), "unit": each.unit}
+                for each in task.criteria
+            ],
+        }
+
+
+def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
+    """Names and units."""
+    return [{"name": quantity.name, "unit": quantity.unit} for quantity in quantities]
+
+
+def _limit(value: float) -> float | None:
+    """A limit, None where there is none."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,115 @@
+"""Runs a program, and ends it when the process that started this one is gone.
+
+Standard input brings one line of JSON: {"command": [...], "text": ..., "keep": [...]}. The program gets the
+text on its standard input, and inherits the file descriptors to keep. Once standard input closes, as it does
+when the parent is killed, or on SIGTERM, the program and all processes of its group get SIGTERM, and SIGKILL
+after GRACE seconds. On Linux the program is killed also where this process is.
+
+It is run as a file, by Python's standard library alone, so that it starts within milliseconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+GRACE = 1.0  # s between SIGTERM and SIGKILL
+CANNOT_START = 127  # exit status, as a shell's
+PR_SET_PDEATHSIG = 1
+
+
+def main() -> int:
+    """Run the program; its exit status, 128 + n where signal n ended it."""
+    _die_with_parent(signal.SIGTERM)
+    line = b""
+    while not line.endswith(b"\n"):  # without sys.stdin, whose lock a blocked thread holds at exit
+        chunk = os.read(0, 65536)
+        if not chunk:
+            return CANNOT_START
+        line += chunk
+    told = json.loads(line)
+    try:
+        program = subprocess.Popen(
+            told["command"],
+            stdin=subprocess.PIPE,
+            start_new_session=True,
+            pass_fds=told["keep"],
+            preexec_fn=_die_at_once if sys.platform == "linux" else None,
+        )
+    except OSError as error:
+        print(f"cannot be started ({error})", file=sys.stderr)
+        return CANNOT_START
+    changed = threading.Event()  # the program has ended, or has to
+    signal.signal(signal.SIGTERM, lambda *_: changed.set())
+    threading.Thread(target=_give, args=(program, told["text"]), daemon=True).start()
+    for wait in (program.wait, _parent_is_gone):
+        threading.Thread(target=_then, args=(wait, changed), daemon=True).start()
+    changed.wait()
+    if program.returncode is None:
+        _end(program)
+    status = program.wait()
+    return status if status >= 0 else 128 - status
+
+
+def _then(wait: Callable[[], object], changed: threading.Event) -> None:
+    """Note that something waited for has come."""
+    wait()
+    changed.set()
+
+
+def _parent_is_gone() -> None:
+    """Wait until standard input closes."""
+    os.read(0, 1)
+
+
+def _give(program: subprocess.Popen[bytes], text: str) -> None:
+    """Give the program its text, as far as it reads it."""
+    assert program.stdin is not None
+    with contextlib.suppress(OSError), program.stdin as pipe:
+        pipe.write(text.encode())
+
+
+def _end(program: subprocess.Popen[bytes]) -> None:
+    """End the program and its group, first kindly."""
+    _signal(program, "SIGTERM")
+    until = time.monotonic() + GRACE
+    while _signal(program, "") and time.monotonic() < until:
+        time.sleep(0.01)
+    _signal(program, "SIGKILL")
+
+
+def _signal(program: subprocess.Popen[bytes], name: str) -> bool:
+    """Send the program's group a signal, none for ""; whether there is still somebody to get it."""
+    if os.name != "posix":
+        if name:
+            program.terminate()
+        return program.returncode is None
+    try:
+        os.killpg(program.pid, getattr(signal, name) if name else 0)
+    except (ProcessLookupError, PermissionError):
+        return False
+    return True
+
+
+def _die_with_parent(number: int) -> None:
+    """Get a signal when the parent dies, where the system offers that: Linux."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
+
+
+def _die_at_once() -> None:
+    """In the program, before it begins: be killed with this process."""
+    _die_with_parent(signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

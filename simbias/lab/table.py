@@ -1,0 +1,101 @@
+"""CSV files from a lab, read strictly: a number that could mean another one is refused."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import math
+import re
+import zlib
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simbias.core import HardwareError
+from simbias.core.messages import quote, words
+from simbias.core.records import Array
+
+# float() would also take 1_2, digits of other scripts, and words such as nan
+POINT, COMMA = (
+    re.compile(rf"[+-]?([0-9]+[{mark}]?[0-9]*|[{mark}][0-9]+)([eE][+-]?[0-9]+)?") for mark in ".,"
+)
+DECIMAL_COMMA = "; is it a decimal comma? Write a point, or separate the columns by semicolons"
+
+
+@dataclass(frozen=True)
+class Table:
+    """The cells of a CSV file."""
+
+    source: str  # the file, as errors name it
+    names: tuple[str, ...]  # cells of row 1
+    rows: tuple[int, ...]  # (r,) where the others stand in the file
+    cells: Sequence[Sequence[str]]  # (r, c)
+    semicolons: bool  # whether these separate columns; then numbers may have a decimal comma
+
+    def numbers(self, columns: Sequence[int], may_be_blank: Collection[int] = ()) -> Array:
+        """The numbers (r, k) in some columns; in the last row some cells may be blank, which is 0.
+
+        Raises
+        ------
+        HardwareError
+            If a cell is no finite number, with its row and column.
+        """
+        commas = self.semicolons and any("," in cells[column] for cells in self.cells for column in columns)
+        number, last = COMMA if commas else POINT, len(self.rows) - 1
+        table = np.zeros((len(self.rows), len(columns)))
+        for index, cells in enumerate(self.cells):
+            for place, column in enumerate(columns):
+                cell = cells[column].strip()
+                if not cell and index == last and column in may_be_blank:
+                    continue
+                value = float(cell.replace(",", ".")) if number.fullmatch(cell) else math.nan
+                if not math.isfinite(value):
+                    raise self.error(index, column, f"expected a finite number, got {quote(cell)}", cell)
+                table[index, place] = value
+        return table
+
+    def error(self, index: int, column: int, problem: str, cell: str = "") -> HardwareError:
+        """An error in a cell, with the likely reason."""
+        reason = DECIMAL_COMMA if COMMA.fullmatch(cell) and not self.semicolons else ""
+        where = f"row {self.rows[index]}, column {self.names[column].partition('(')[0].strip()}"
+        return HardwareError(f"{self.source}: {where}: {problem}{reason}")
+
+
+def read_table(path: Path, may_lack: str = "") -> Table:
+    """The table in a CSV file, also compressed (.gz), its columns separated by commas or semicolons.
+
+    Rows may lack the column `may_lack`, if it is the last one.
+
+    Raises
+    ------
+    HardwareError
+        If it cannot be read, or a row has another number of cells than row 1.
+    """
+    try:
+        raw = path.read_bytes()
+        text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
+    head = text.lstrip().partition("\n")[0]
+    semicolons = ";" in head and "," not in head
+    try:
+        reader = csv.reader(io.StringIO(text), delimiter=";" if semicolons else ",")
+        lines = [(number, row) for number, row in enumerate(reader, 1) if any(row)]
+    except csv.Error as error:
+        raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
+    if len(lines) < 2:
+        raise HardwareError(f"{path}: expected a header and rows, got {len(lines)} lines")
+    names = tuple(cell.strip() for cell in lines[0][1])
+    cells = []
+    for number, row in lines[1:]:
+        whole = [*row, ""] if len(row) == len(names) - 1 and names[-1] == may_lack else row
+        if len(whole) != len(names):
+            reason = DECIMAL_COMMA if len(row) > len(names) and not semicolons else ""
+            raise HardwareError(
+                f"{path}: row {number}: expected {len(names)} cells as in row 1, got {len(row)}{reason}"
+            )
+        cells.append(whole)
+    return Table(str(path), names, tuple(number for number, _ in lines[1:]), cells, semicolons)

@@ -1,0 +1,62 @@
+"""The covariance that noise in measured states gives to prediction errors over windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simbias.core.records import Array
+
+ROUNDS = 30  # of expectation maximisation
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """First-order predictions over w windows, each of J chunk means of n states: d = J n numbers."""
+
+    by_start: Array  # (w, d, n) derivatives by the state in which a window begins
+    by_parameters: Array  # (w, d, p) by standard normal coordinates of the uncertain parameters
+
+    @staticmethod
+    def of(by_start: Array, by_parameters: Array) -> Linearisation:
+        """Flatten derivatives (w, J, n, n) and (w, J, n, p); those that are not finite become zero."""
+        w, J, n, _ = by_start.shape
+        flat = (each.reshape(w, J * n, each.shape[3]) for each in (by_start, by_parameters))
+        return Linearisation(*(np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0) for each in flat))
+
+    def parameter_covariance(self, weights: Array) -> Array:
+        """Covariance (d, d) of the errors that fitting the parameters removed; weights (w,) of windows."""
+        flat = (
+            (np.sqrt(weights)[:, None, None] * self.by_parameters)
+            .transpose(1, 0, 2)
+            .reshape(self.by_parameters.shape[1], -1)
+        )
+        return flat @ flat.T / len(weights)
+
+
+def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation, floor: Array) -> Array:
+    """Covariance (d, d) over windows of the measurement noise that best explains errors (w, d).
+
+    Noise of variances P (n,) acts on the state in which a window begins, noise of variances R (n,) on the
+    chunk means that its predictions are compared with. Expectation maximisation estimates both. Neither falls
+    below the square of the deviations `floor` (d,).
+    """
+    F = linearisation.by_start
+    w, d, n = F.shape
+    observed = (
+        np.concatenate([errors[:, :, None], linearisation.by_parameters], axis=2)
+        * np.sqrt(weights)[:, None, None]
+    )
+    variance_floor = floor.reshape(-1, n)[0] ** 2
+    R = np.mean(np.sum(observed**2, axis=2), axis=0).reshape(-1, n).mean(axis=0) / 2 + variance_floor
+    P = R.copy()
+    for _ in range(ROUNDS):
+        G = F / np.tile(R, d // n)[:, None]
+        M = np.linalg.inv(np.diag(1.0 / P) + F.transpose(0, 2, 1) @ G)  # (w, n, n)
+        a = M @ (G.transpose(0, 2, 1) @ observed)
+        P = np.mean(np.sum(a**2, axis=2) + np.diagonal(M, axis1=1, axis2=2), axis=0) + variance_floor
+        remaining = np.sum((observed - F @ a) ** 2, axis=2) + np.einsum("wdn,wnm,wdm->wd", F, M, F)
+        R = remaining.mean(axis=0).reshape(-1, n).mean(axis=0) + variance_floor
+    flat = (F * np.sqrt(P)).transpose(1, 0, 2).reshape(d, -1)
+    return flat @ flat.T / w + np.diag(np.tile(R, d // n))

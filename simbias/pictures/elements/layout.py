@@ -1,0 +1,67 @@
+"""Figures of panels under a legend; Matplotlib's constrained layout finds room for all labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from textwrap import fill
+from typing import Literal
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from simbias.pictures.elements.style import SMALL
+
+WIDTH = 9.0  # in, of a figure
+PAD = 12  # points, below a headline
+LABELS = 0.8  # in, of the height of a row: its headline, ticks and labels
+MOST_COLUMNS = 5  # of a legend
+INCHES_OF_CHARACTER, INCHES_OF_HANDLE = 0.095, 0.6  # at most, with the space around it
+
+
+def panels(rows: int, columns: int, height: float) -> tuple[Figure, np.ndarray]:
+    """An empty figure and its axes (rows, columns), each about as high as `height` in inches."""
+    figure = Figure(figsize=(WIDTH, rows * (height + LABELS)), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def headline(axes: Axes, words: str, size: Literal["medium", "large"] = "medium") -> None:
+    """Write words above axes, and above the exponents of the axes at the right.
+
+    They may be longer than the axes are wide, so the layout knows their height alone.
+    """
+    axes.set_title(" ", fontsize=size, pad=PAD)
+    text = axes.annotate(
+        words,
+        (0.0, 1.0),
+        xycoords="axes fraction",
+        xytext=(0, PAD),
+        textcoords="offset points",
+        fontsize=size,
+        fontweight="bold",
+    )
+    text.set_in_layout(False)
+
+
+def legend(figure: Figure, entries: Mapping[str, Artist]) -> None:
+    """Put a legend above all axes, in as many columns as there is room for; the figure grows by its height.
+
+    The figure needs the constrained layout. Labels longer than the figure is wide are wrapped.
+    """
+    longest = int((figure.get_figwidth() - INCHES_OF_HANDLE) / INCHES_OF_CHARACTER)
+    labels = [fill(label, longest) for label in entries]
+    for columns in range(min(len(labels), MOST_COLUMNS), 0, -1):
+        made = figure.legend(
+            list(entries.values()),
+            labels,
+            loc="outside upper center",
+            ncols=columns,
+            frameon=False,
+            fontsize=SMALL,
+        )
+        extent = made.get_window_extent()
+        if extent.width <= figure.bbox.width or columns == 1:
+            break
+        made.remove()
+    figure.set_figheight(figure.get_figheight() + extent.height / figure.dpi)

@@ -1,0 +1,45 @@
+"""Checks of components together: parameters are identified, a trial warms up, rollouts take longer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.core.records import Rollout
+from simbias.testing.check import check
+from simbias.testing.expectations import equal, expect, inputs, rollout, states
+from simbias.trial.study import Study
+
+SECONDS = 0.2  # of a rollout that is learned from
+
+
+@check("identification", "without rollouts, the model itself")
+def _without_rollouts(study: Study) -> None:
+    fitted = study.identification.fit(study.nominal, [])
+    expect(fitted is study.nominal, "fit", "the nominal model itself without rollouts", fitted)
+
+
+@check("identification", "finite predictions of a robot that moves and of one at rest, and draws of them")
+def _fits_motion_and_rest(study: Study) -> None:
+    whole, x, u = rollout(study), states(study), inputs(study)
+    frames = min(study.task.frames(SECONDS), whole.frames)
+    moving = Rollout(whole.states[: frames + 1], whole.inputs[:frames])
+    rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs))
+    for recorded in (moving, rest):
+        fitted = study.identification.fit(study.nominal, [recorded])
+        expect(
+            np.isfinite(fitted.step(x, u)).all(), "fit", "a model of finite predictions", fitted.step(x, u)
+        )
+        one, same = (fitted.draw(np.random.default_rng(3)).step(x, u) for _ in range(2))
+        equal(one, same, "draw", "the same model from the same generator", 0.0)
+
+
+@check("identification", "a trial's warm-up: a rollout is simulated, learned from, and a policy evaluated")
+def _warms_up(study: Study) -> None:
+    study.warm_up()
+
+
+@check("cost", "the cost of a longer horizon, where the evaluation simulates one (evaluation.seconds)")
+def _cost_of_longer_horizon(study: Study) -> None:
+    if study.evaluation.horizon is not None:
+        cost = study.cost.with_horizon(study.evaluation.horizon).of(rollout(study))
+        expect(isinstance(cost, float) and np.isfinite(cost), "with_horizon", "a finite cost", cost)

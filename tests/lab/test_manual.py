@@ -1,0 +1,176 @@
+"""A person as the hardware: requests go out in folders, trajectories come back."""
+
+from __future__ import annotations
+
+import json
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+from labs import THETA, lines, requested, written
+from point_mass import InTheWind, PointMass, Spring
+
+from simbias.__main__ import FAILED, SUCCEEDED, WAITING, main
+from simbias.config import compose
+from simbias.config.build import build
+from simbias.core import HardwareError, Waiting
+from simbias.core.records import Array
+from simbias.lab.checked_hardware import ExperimentConditions
+from simbias.lab.requests.folder import write_request
+from simbias.lab.requests.manual import Manual
+from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.requests.trajectory import header
+from simbias.lab.safety import Safety
+from simbias.trial.study import Study
+
+OWN = [*(each for each in POINT_MASS if "hardware" not in each), "optimizer.max_evaluations=40"]
+
+
+def answer(folder: Path) -> None:
+    """Do what a request says, as a lab that reads policy.json alone."""
+    request = json.loads((folder / "policy.json").read_text())
+    task = PointMass(request["time_step"], request["frames"])
+    start = np.array([state["start"] for state in request["states"]])
+    parameters = np.array(request["policy"]["parameters"])
+    made = InTheWind(task).run(Spring(task), parameters, start, np.random.default_rng(0))
+    times = task.time_step * np.arange(len(made.states))
+    table = np.column_stack([times, made.states, np.concatenate([made.inputs, [[0.0]]])])
+    written(folder, lines(",".join(header(task)), table))
+
+
+@pytest.mark.slow
+def test_a_trial_waits_for_a_person_and_resumes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Request by request, with a wrong file between; it ends as the trial on the simulated hardware."""
+    monkeypatch.chdir(tmp_path)
+    store = [f"tracking.uri=sqlite:///{tmp_path}/mlflow.db", "tracking.pictures=false"]
+    command = ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *OWN, "hardware=manual", *store]
+    status, answered = main(command), 0
+    while status == WAITING:
+        error = capsys.readouterr().err
+        (folder,) = (each for each in Path("requests").iterdir() if not (each / "trajectory.csv").exists())
+        assert f"make the experiment of {folder}/README.txt, and put its trajectory.csv there" in error
+        assert f"({answered} hardware experiment{'s' * (answered != 1)} kept; " in error
+        if answered == 1:
+            (folder / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
+            assert main(command) == FAILED
+            line = capsys.readouterr().err
+            assert f"{folder}/trajectory.csv: row 1: expected a column velocity (m/s), got none" in line
+            assert "(1 hardware experiment kept; " in line
+        answer(folder)
+        answered += 1
+        status = main(command)
+    assert status == SUCCEEDED
+    simulated = list(build(compose([*OWN, "hardware=point_mass"], OWN_CONF)).run())
+    assert answered == simulated[-1].total_experiments == len(list(Path("requests").iterdir()))
+
+
+def run(study: Study, folder: Path, start: Array, seed: int = 3, safety: Safety | None = None) -> str:
+    """The one line of an experiment whose result is not there yet."""
+    conditions = ExperimentConditions(safety=safety or Safety())
+    manual = Manual(study.task, str(folder))
+    with pytest.raises(Waiting) as waiting:
+        replace(study, hardware=manual, conditions=conditions).experiment(
+            THETA, np.random.default_rng(seed), start
+        )
+    return str(waiting.value)
+
+
+def test_a_request_is_found_again_and_is_not_another_ones(point_mass: Study, tmp_path: Path) -> None:
+    """Wherever it was written, whatever its number; one that says anything else is another one."""
+    start = point_mass.task.start_mean
+    for place in ("here", "there"):
+        for seed in (3, 4, 3):
+            run(point_mass, tmp_path / place, start, seed)
+    names = [sorted(path.name for path in (tmp_path / place).iterdir()) for place in ("here", "there")]
+    assert names[0] == names[1]
+    assert len(names[0]) == 2
+    assert not list(tmp_path.glob("*/.*"))
+    for path in (tmp_path / "here").iterdir():
+        answer(path)
+    weaker = Safety(inputs={"force": 3.0})  # than the experiments that were made
+    assert "README.txt" in run(point_mass, tmp_path / "here", start, 3, weaker)
+    assert len(list((tmp_path / "here").iterdir())) == 3
+
+
+def test_the_name_is_a_hash_of_everything_that_a_request_says(study: Study) -> None:
+    """Task, law, limits and generated code: a lab runs nothing else under its name."""
+    task, start = PointMass(), PointMass().start_mean
+    base = requested(task, start)
+    assert requested(PointMass(), start.copy()).name == base.name
+    theta = np.array([1.0, -2.0, 3.0, 0.5, -1.0])
+    paper = ExperimentRequest(study.task, study.policy, theta, study.task.start_mean)
+    others = [
+        requested(task, start + 1e-9),
+        requested(PointMass(time_step=0.01), start),
+        requested(PointMass(horizon=99), start),
+        requested(_with(criteria=(task.criteria[0]._replace(limit=2.0),)), start),
+        requested(_with(criteria=(task.criteria[0]._replace(words="too far"),)), start),
+        requested(_with(inputs=(task.inputs[0]._replace(unit="kN"),)), start),
+        requested(_with(start_deviation=np.array([0.02, 0.01])), start),
+        *(requested(task, start, safety) for safety in (
+            Safety(inputs={"force": 3.0}),
+            Safety(input_rates={"force": 3.0}),
+            Safety(states={"velocity": 3.0}),
+        )),
+        replace(base, token=1),
+        replace(base, theta=base.theta + 1e-9),
+        paper,
+        replace(paper, task=_with_outputs(study.task, 1.1)),
+    ]  # fmt: skip
+    assert len({base.name, *(each.name for each in others)}) == 1 + len(others)
+
+
+def _with(**values: object) -> PointMass:
+    """The task with other attributes."""
+    task = PointMass()
+    for name, value in values.items():
+        setattr(task, name, value)
+    return task
+
+
+def _with_outputs(task, factor: float):
+    """A task whose outputs have other constants, which only the generated code says."""
+    other, kernel = copy(task), task.output_kernel
+    other.output_kernel = kernel._replace(parameters=factor * kernel.parameters)
+    return other
+
+
+def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path: Path) -> None:
+    safety = Safety(states={"velocity": 0.3}, input_rates={"force": 5.0})
+    folder = write_request(requested(point_mass.task, np.array([0.5, 0.0]), safety), tmp_path)
+    assert {path.name for path in folder.iterdir()} == {"README.txt", "policy.json", "template.csv"}
+    text = (folder / "README.txt").read_text()
+    for line in (
+        "position = 0.5 m (within 0.2)",
+        "|velocity| <= 0.3 m/s",
+        "|change of force| <= 5 N per s",
+        "|force| <= 5 N",
+    ):
+        assert f"  {line}\n" in text
+    assert "|position|" not in text
+    assert "has no kernel" in text
+
+
+def test_a_trajectory_of_another_start_is_refused(point_mass: Study, tmp_path: Path) -> None:
+    start = point_mass.task.start_mean
+    run(point_mass, tmp_path, start)
+    (folder,) = tmp_path.iterdir()
+    answer(folder)
+    study = replace(point_mass, hardware=Manual(point_mass.task, str(tmp_path)))
+    assert study.experiment(THETA, np.random.default_rng(3), start).sensed
+    text = (folder / "trajectory.csv").read_text().replace("0.0,0.5,", "0.0,0.2,", 1)
+    (folder / "trajectory.csv").write_text(text)
+    with pytest.raises(HardwareError, match=r"trajectory\.csv: row 2, column position: expected the start"):
+        study.experiment(THETA, np.random.default_rng(3), start)
+
+
+def test_requests_that_cannot_be_written_are_one_line(point_mass: Study, tmp_path: Path) -> None:
+    (tmp_path / "requests").touch()
+    hardware = Manual(point_mass.task, str(tmp_path / "requests"))
+    with pytest.raises(HardwareError, match=r"requests: the request cannot be written"):
+        hardware.run(point_mass.policy, THETA, np.zeros(2), np.random.default_rng(0))

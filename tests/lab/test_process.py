@@ -1,0 +1,273 @@
+"""A program as the hardware: it answers, or is one line; it never runs on alone, and never beside another."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import PYTHONPATH, ROOT
+from labs import THETA
+from processes import INTERRUPTIBLE, runs, wait_for
+
+from simbias.__main__ import BAD_INPUT, main
+from simbias.config import ConfigError, compose
+from simbias.config.build import build
+from simbias.core import HardwareError, Waiting
+from simbias.core.records import Rollout
+from simbias.lab.requests.process import Process
+from simbias.trial.study import Study
+
+EXAMPLE = ROOT / "notebooks" / "examples" / "echo_robot.py"
+START = np.array([0.5, 0.01])
+
+
+def program(folder: Path, text: str) -> str:
+    """The command of a program that knows its request."""
+    (folder / "program.py").write_text(
+        f"import json, os, signal, subprocess, sys, time\nrequest = json.load(sys.stdin)\n{text}\n"
+    )
+    return shlex.join([sys.executable, "-S", str(folder / "program.py")])
+
+
+def run(study: Study, command: str, timeout: float = 30.0) -> Rollout:
+    hardware = Process(study.task, command, timeout)
+    return replace(study, hardware=hardware).experiment(THETA, np.random.default_rng(1), START)
+
+
+def test_the_example_is_the_hardware_in_the_wind(
+    point_mass: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = run(point_mass, shlex.join([sys.executable, str(EXAMPLE)]))
+    expected = point_mass.experiment(THETA, np.random.default_rng(1), START)
+    np.testing.assert_allclose(made.states, expected.states, rtol=1e-12)
+    np.testing.assert_allclose(made.inputs, expected.inputs, rtol=1e-12)
+    assert made.sensed
+    assert capsys.readouterr().err == "the example has run\n"
+
+
+ROWS = "states = [[0.5, 0.0]] * 101; inputs = [[0.0]] * 101; failure = None; times = None"
+ANSWER = "print(json.dumps(dict(states=states, inputs=inputs, failure=failure, times=times)))"
+ANSWERS = {
+    "print('{}')": "expected an object with states and inputs, got {}",
+    "print('hello')": r"expected one JSON object, got 'hello\n'",
+    "print('[' * 100000)": "expected one JSON object, got '[[[",
+    "print('')": r"expected one JSON object, got '\n'",
+    "sys.exit('the arm is not there')": "expected exit status 0, got 1: the arm is not there",
+    "sys.exit(4)": "expected exit status 0, got 4: it says nothing",
+    "os.kill(os.getpid(), 9)": "expected exit status 0, got 137: it says nothing",
+    "print(json.dumps(dict(states=states)))": "expected an object with states and inputs",
+    "print(json.dumps(dict(states=[[0.5]], inputs=inputs)))": "states: expected rows of 2 numbers",
+    "print(json.dumps(dict(states=states, inputs=inputs, cost=1)))": "cost: expected states, inputs",
+    f"inputs = 'no'; {ANSWER}": "inputs: expected rows of 1 numbers",
+    f"inputs = [['1_2']] * 101; {ANSWER}": "inputs: expected rows of 1 numbers",
+    f"inputs = inputs[:50]; {ANSWER}": "expected as many rows of each, got 101",
+    f"states[3] = [float('nan'), 0]; {ANSWER}": "states: row 4: expected finite numbers, got [nan, 0.0]",
+    f"failure = 1; {ANSWER}": "failure: expected a name",
+    f"states, inputs = states[:60], inputs[:60]; {ANSWER}": "row 60: expected 100 frames of 0.02 s",
+    f"times = [0.1 * i for i in range(101)]; {ANSWER}": "column time: expected a row at least every 0.02 s",
+    f"times = 3; {ANSWER}": "times: expected rows of 1 numbers",
+    f"states = [[0.1, 0.0]] * 101; {ANSWER}": "row 1, column position: expected the start 0.5 within 0.2 m",
+    f"inputs[7] = [5.1]; {ANSWER}": "row 8, column force: expected at most 5 N, got 5.1",
+}
+
+
+@pytest.mark.slow
+def test_what_is_no_trajectory_is_one_line(point_mass: Study, tmp_path: Path) -> None:
+    for text, expected in ANSWERS.items():
+        with pytest.raises(HardwareError) as caught:
+            run(point_mass, program(tmp_path, f"{ROWS}\n{text}"))
+        line = str(caught.value)
+        assert expected in line
+        assert line.startswith("Process "), text
+        assert line.isprintable(), text
+    for command in ("nosuchprogram", str(tmp_path)):
+        with pytest.raises(HardwareError, match=r"^Process .*: expected exit .* 127: cannot be started \("):
+            run(point_mass, command)
+
+
+def test_an_answer_at_a_higher_rate_is_resampled(point_mass: Study, tmp_path: Path) -> None:
+    text = (
+        "times = [0.01 * i for i in range(201)]; failure = None; "
+        f"states, inputs = [[0.5, 0.0]] * 201, [[1.0], [3.0]] * 100 + [[1.0]]; {ANSWER}"
+    )
+    made = run(point_mass, program(tmp_path, text))
+    np.testing.assert_allclose(made.inputs, np.full((100, 1), 2.0))
+
+
+def test_a_program_may_wait(point_mass: Study, tmp_path: Path) -> None:
+    with pytest.raises(Waiting, match=r"^charge the battery$"):
+        run(point_mass, program(tmp_path, "print(json.dumps({'waiting': 'charge the battery'}))"))
+
+
+def test_a_program_need_not_read_its_request(point_mass: Study) -> None:
+    with pytest.raises(HardwareError, match="got 1: it says nothing"):
+        run(point_mass, "false")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_program_that_never_stops_printing_is_ended(point_mass: Study, tmp_path: Path, stream: str) -> None:
+    """In one line, and without filling the memory."""
+    import resource
+
+    text = f"while True: sys.{stream}.write('y' * 100000)"
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(HardwareError, match="expected at most 64 MB of output, got more"):
+        run(point_mass, program(tmp_path, text))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # KiB
+
+
+STUBBORN = "signal.signal(signal.SIGTERM, signal.SIG_IGN)"
+
+
+@pytest.mark.slow
+def test_a_program_that_takes_too_long_is_ended_with_its_children(point_mass: Study, tmp_path: Path) -> None:
+    """Also where they ignore SIGTERM; those that do not have time to bring the robot to rest."""
+    child = "subprocess.Popen([sys.executable, '-c', 'import signal, time; {}; time.sleep(60)'])"
+    kind = f"signal.signal(signal.SIGTERM, lambda *_: (open({str(tmp_path / 'at rest')!r}, 'w'), sys.exit()))"
+    for what in (STUBBORN, kind):
+        text = (
+            f"child = {child.format(STUBBORN)}; {what}; "
+            f"open({str(tmp_path / 'pids')!r}, 'w').write(f'{{os.getpid()}} {{child.pid}}'); time.sleep(60)"
+        )
+        begun = time.monotonic()
+        with pytest.raises(HardwareError, match=r"an answer within 2 s \(hardware\.timeout\), got none"):
+            run(point_mass, program(tmp_path, text), 2.0)
+        assert time.monotonic() - begun < 5
+        for pid in (tmp_path / "pids").read_text().split():
+            wait_for(lambda pid=pid: not runs(int(pid)), 1.0)
+    assert (tmp_path / "at rest").exists()
+
+
+DRIVING = """
+import fcntl, json, os, signal, sys, time
+alone = open({alone!r}, "w")
+fcntl.flock(alone, fcntl.LOCK_EX | fcntl.LOCK_NB)  # a robot has one driver, or this raises
+open({pids!r}, "a").write(f"{{os.getpid()}} ")
+{what}
+time.sleep({seconds})
+print(json.dumps(dict(states=[[0.5, 0.0]] * 101, inputs=[[0.0]] * 101)))
+"""
+SIMBIAS = (
+    INTERRUPTIBLE
+    + """
+import sys
+import numpy as np
+from point_mass import PointMass, Spring
+from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
+from simbias.lab.requests.process import Process
+task = PointMass()
+hardware = CheckedHardware(Process(task, sys.argv[1]), task, ExperimentConditions(timeout=eval(sys.argv[2])))
+hardware.run(Spring(task), np.zeros(3), np.array([0.5, 0.0]), np.random.default_rng(0))
+"""
+)
+
+
+@contextmanager
+def simbias(command: str, timeout: float | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that makes an experiment by a program."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SIMBIAS, command, repr(timeout)],
+        env=os.environ | {"PYTHONPATH": PYTHONPATH},
+        stderr=subprocess.PIPE,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stderr is not None
+        process.stderr.close()
+
+
+def driving(folder: Path, seconds: float, what: str = "") -> str:
+    """The command of a program that drives a robot for so long, and notes its process."""
+    text = DRIVING.format(alone=str(folder / "alone"), pids=str(folder / "pids"), seconds=seconds, what=what)
+    (folder / "driving.py").write_text(text)
+    return shlex.join([sys.executable, "-S", str(folder / "driving.py")])
+
+
+def pids(folder: Path) -> list[int]:
+    """The processes of the programs that have been started."""
+    file = folder / "pids"
+    return [int(each) for each in file.read_text().split()] if file.exists() else []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["", STUBBORN])
+def test_a_program_dies_with_simbias_and_the_next_one_waits_for_its_end(
+    point_mass: Study, tmp_path: Path, what: str
+) -> None:
+    """SIGKILL, and at once the same experiment again: two programs never drive the robot together."""
+    command = driving(tmp_path, 60, what)
+    for count in (1, 2, 3):
+        with simbias(command) as process:
+            wait_for(lambda count=count: len(pids(tmp_path)) == count)
+            process.kill()
+    driving(tmp_path, 0.1)  # the same file, so the same command
+    assert run(point_mass, command).frames == 100
+    assert len(pids(tmp_path)) == 4
+    assert not any(runs(pid) for pid in pids(tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="no signal at a parent's death")
+def test_a_program_dies_with_its_supervisor(point_mass: Study, tmp_path: Path) -> None:
+    with simbias(driving(tmp_path, 60, STUBBORN)) as process:
+        wait_for(lambda: len(pids(tmp_path)) == 1)
+        (pid,) = pids(tmp_path)
+        supervisor = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+        assert supervisor != process.pid
+        os.kill(supervisor, signal.SIGKILL)
+        wait_for(lambda: not runs(pid), 2.0)
+        assert b"expected exit status 0, got" in process.communicate()[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("timeout", [None, 60.0], ids=["without limit", "with a limit"])
+def test_ctrl_c_ends_a_program(tmp_path: Path, timeout: float | None) -> None:
+    """Within 2 s, also one that ignores SIGTERM."""
+    with simbias(driving(tmp_path, 60, STUBBORN), timeout) as process:
+        wait_for(lambda: len(pids(tmp_path)) == 1)
+        process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        assert b"KeyboardInterrupt" in process.communicate()[1]
+        assert time.monotonic() - begun < 2.0
+        wait_for(lambda: not runs(pids(tmp_path)[0]), 2.0 - (time.monotonic() - begun))
+
+
+@pytest.mark.slow
+def test_an_experiment_does_not_wait_for_ever_for_another_one(point_mass: Study, tmp_path: Path) -> None:
+    """It names the process to end; programs that are no robot may run beside each other."""
+    command = driving(tmp_path, 60)
+    with simbias(command):
+        wait_for(lambda: len(pids(tmp_path)) == 1)
+        with pytest.raises(HardwareError, match=r"still runs for another experiment \(process ") as caught:
+            run(point_mass, command, 0.1)
+        holder = int(str(caught.value).partition("(process ")[2].partition(")")[0])
+        assert runs(holder)
+        shared = Process(point_mass.task, command, 2.0, exclusive=False)
+        with pytest.raises(HardwareError, match="BlockingIOError"):  # of the program itself
+            replace(point_mass, hardware=shared).experiment(THETA, np.random.default_rng(1), START)
+        os.kill(holder, signal.SIGTERM)
+        wait_for(lambda: not runs(pids(tmp_path)[0]), 2.0)
+
+
+def test_a_program_has_to_be_named() -> None:
+    for override, message in (
+        ("hardware.command=''", "hardware: command is empty"),
+        ("seed=0", "hardware.command"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            build(compose(["hardware=process", override]))
+        assert main(["hardware=process", override, "tracking=none"]) == BAD_INPUT

@@ -1,0 +1,65 @@
+"""What is found before a trial begins: robots at rest, boxes without zero, costs of one horizon only."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from conftest import OWN_CONF, POINT_MASS
+from pendulum import pendulum
+
+import simbias
+from simbias.core import Cost, Evaluation, Model
+from simbias.core.records import Array, Rollout
+from simbias.testing.conformance import verdicts
+from simbias.trial.study import Study
+
+
+class Noting(Evaluation):
+    """Notes the policies that it evaluates."""
+
+    def __init__(self) -> None:
+        self.thetas: list[Array] = []
+
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Any:
+        return self.thetas.append
+
+
+class Constant(Cost):
+    max_cost = 1.0
+
+    def of(self, rollout: Rollout) -> float:
+        return 2.0
+
+
+def problems(study: Study, group: str) -> list[str]:
+    return [verdict.problem for verdict in verdicts(study, {group}) if verdict.problem]
+
+
+def test_what_rests_without_inputs_is_warmed_up() -> None:
+    """A hanging pendulum: nothing errs, so there is nothing to whiten by."""
+    study = pendulum("identification=posterior", "bias=window_gp")
+    assert not study.simulate(np.zeros(study.policy.n_parameters)).states.any()
+    study.warm_up()
+    assert problems(study, "identification") == []
+
+
+def test_the_warm_up_keeps_to_the_policys_box() -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
+    policy, evaluation = copy(study.policy), Noting()
+    policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
+    replace(study, policy=policy, evaluation=evaluation).warm_up()
+    np.testing.assert_array_equal(evaluation.thetas, np.full((2, policy.n_parameters), 0.5))
+
+
+def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates() -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
+    assert problems(replace(study, cost=Constant()), "cost") == []
+    longer = simbias.load(
+        [*POINT_MASS, "tracking=none", "evaluation=robust", "evaluation.seconds=3"], OWN_CONF
+    )
+    (problem,) = problems(replace(longer, cost=Constant()), "cost")
+    assert "Constant" in problem
+    assert "with_horizon" in problem
