@@ -190,7 +190,9 @@ class SweepState:
         done = results.of_folders(sweep, store.folder, _warn) if store.folder else results.in_order({}, sweep)
         self.finished = _done(done, store)
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
-        self._platforms: Counter[tuple[str, ...]] = Counter()
+        ended = self.finished["hash"] if store.folder else ()
+        ran_on = (tuple(TrialFolder(store.folder / name).platforms()) for name in ended)
+        self._platforms = Counter(filter(None, ran_on))  # trials of each
         self._captions: dict[str, str] = {}  # of figures
         self._due = 0.0
         self._outcomes: dict[str, Any] = {}  # of batches of experiments, where nothing is kept

@@ -115,8 +115,8 @@ def test_workers_are_told(project: Path) -> None:
     short = ["task.horizon=5", "optimizer.max_evaluations=2", "tracking=none"]
     trial = compose(["bias=beside", *short], "conf").trial
     assert trial.allowed == ("beside",)
-    assert run_plan(Plan(trial.config, trial.choices, allowed=trial.allowed)).outcome.final
-    assert "--allow beside" in run_plan(Plan(trial.config, trial.choices)).reason
+    assert run_plan(Plan(trial.config, trial.choices, allowed=trial.allowed)).summary.outcome.final
+    assert "--allow beside" in run_plan(Plan(trial.config, trial.choices)).summary.reason
 
 
 def test_an_axis_may_name_what_lies_beside(project: Path) -> None:

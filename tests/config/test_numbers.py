@@ -102,7 +102,7 @@ def test_a_simulated_rollout_in_which_nothing_can_fail_is_refused() -> None:
 def test_a_sweep_that_is_too_large_is_refused_at_once() -> None:
     values = list(range(1, 400))
     axes = f"{{bias.d: {values}, hardware.iterations: {values}}}"
-    began = time.monotonic()
+    began = time.process_time()
     for overrides in (
         ["+sweep=table2", "sweep.trials=5000"],
         ["+sweep=table2", f"sweep.trials={10**30}"],
@@ -110,4 +110,4 @@ def test_a_sweep_that_is_too_large_is_refused_at_once() -> None:
     ):
         with pytest.raises(ConfigError, match=r"^sweep\.trials: .*100000"):
             expand([*overrides, "tracking=none"])
-    assert time.monotonic() - began < 5
+    assert time.process_time() - began < 5

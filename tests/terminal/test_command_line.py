@@ -1,18 +1,21 @@
-"""The command line as a person uses it: a real process, a real store. Some start from nothing."""
+"""The command line as a person uses it."""
 
 from __future__ import annotations
 
 import os
 import re
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import OWN_CONF, POINT_MASS, PYTHONPATH, ROOT
 from omegaconf import OmegaConf
-from sweeping import simbias
+
+from simbias.__main__ import EXAMPLES, main
+from simbias.config import compose
 
 pytestmark = pytest.mark.slow
 
@@ -33,6 +36,11 @@ def from_nothing(*arguments: str, folder: Path) -> subprocess.CompletedProcess[s
     )
 
 
+def used() -> float:
+    """Seconds of processor time of the processes that were started here and have ended."""
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+
+
 def test_success_exits_0_and_says_how_many_experiments(tmp_path: Path) -> None:
     done = from_nothing(*QUICK, folder=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -42,52 +50,53 @@ def test_success_exits_0_and_says_how_many_experiments(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_failure_exits_1_and_says_why(tmp_path: Path) -> None:
-    done = simbias(
-        "task.horizon=3000", "optimizer.max_evaluations=3", "method.max_iterations=1", "tracking=none",
-        folder=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 1, done.stderr
-    assert "Did not succeed after 2 hardware experiments" in done.stdout
-    assert "last failure: " in done.stdout
+@pytest.fixture
+def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """The command line in this process, in an empty folder: arguments -> (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: (main(arguments), *capsys.readouterr())
+
+
+def test_failure_exits_1_and_says_why(line: Any, tmp_path: Path) -> None:
+    short = ["task.horizon=3000", "optimizer.max_evaluations=3", "method.max_iterations=1"]
+    status, out, _ = line(*short, "tracking=none")
+    assert status == 1
+    assert "Did not succeed after 2 hardware experiments" in out
+    assert "last failure: " in out
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("override", ["bias.d=abc", "optimizer=unknown", "nosuch=1"])
-def test_bad_input_exits_2_with_one_line(tmp_path: Path, override: str) -> None:
-    done = from_nothing(override, folder=tmp_path)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1
+def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
+    for override in ("bias.d=abc", "optimizer=unknown", "nosuch=1", "chekc"):
+        status, out, err = line(override)
+        assert (status, out, len(err.splitlines())) == (2, "", 1)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_bad_store_is_bad_input(tmp_path: Path) -> None:
-    done = simbias(*QUICK, "tracking.uri=sqlite:////no/such/folder/mlflow.db", folder=tmp_path)
-    assert done.returncode == 2
-    assert "tracking.uri" in done.stderr.splitlines()[-1]
-    assert "Traceback" not in done.stderr
-
-
-def test_issue_example_swaps_components(tmp_path: Path) -> None:
-    done = simbias(
+def test_issue_example_swaps_components(line: Any) -> None:
+    status, out, _ = line(
         *QUICK, "bias=none", "hardware.noise.torque_variance=0.1", "hardware.inertia_error=0.2",
-        "optimizer=nlopt_crs", "seed=3", "tracking=none", folder=tmp_path,
+        "optimizer=nlopt_crs", "seed=3", "tracking=none",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "bias none, optimizer nlopt_crs" in done.stdout
-    assert "seed 3" in done.stdout
+    assert status == 0
+    assert "bias none, optimizer nlopt_crs" in out
+    assert "seed 3" in out
 
 
-def test_own_components_run(tmp_path: Path) -> None:
-    done = simbias("--config-dir", str(OWN_CONF), *POINT_MASS, "tracking=none", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
+def test_own_components_run(line: Any) -> None:
+    """Options may stand anywhere, also before a command, and `run` is the command that is meant."""
+    own = ["--config-dir", str(OWN_CONF)]
+    assert line(*POINT_MASS, *own, "tracking=none")[0] == 0
+    checked = line(*own, "check", *POINT_MASS)
+    assert checked == line("check", *POINT_MASS, *own)
+    assert "task point_mass: 1 check failed" in checked[1]  # EveryFifth counts few samples
+    assert line("run", *own, *POINT_MASS, "--cfg", "job") == line(*POINT_MASS, "--cfg", "job", *own)
 
 
 def test_help_is_quick_and_complete(tmp_path: Path) -> None:
-    start = time.perf_counter()
+    start = used()
     done = from_nothing("--help", folder=tmp_path)
-    assert time.perf_counter() - start < 1.5
+    assert used() - start < 1.5
     assert done.returncode == 0
     for folder in (path for path in (ROOT / "conf").iterdir() if path.is_dir()):
         (line,) = re.findall(rf"^  {folder.name} +(.+)$", done.stdout, re.MULTILINE)
@@ -96,11 +105,8 @@ def test_help_is_quick_and_complete(tmp_path: Path) -> None:
         assert word in done.stdout
 
 
-def test_values_that_help_names_exist(tmp_path: Path) -> None:
+def test_values_that_help_names_exist() -> None:
     """What --help advertises composes."""
-    from simbias.__main__ import EXAMPLES
-    from simbias.config import compose
-
     overrides = [
         re.split("  +", line)[1] for line in EXAMPLES.splitlines() if line.startswith("  ") and "=" in line
     ]
@@ -110,10 +116,10 @@ def test_values_that_help_names_exist(tmp_path: Path) -> None:
         compose([override])
 
 
-def test_cfg_job_prints_the_config(tmp_path: Path) -> None:
-    done = from_nothing("--cfg", "job", "bias.d=2", folder=tmp_path)
-    assert done.returncode == 0
-    assert OmegaConf.create(done.stdout).bias.d == 2
+def test_cfg_job_prints_the_config(line: Any) -> None:
+    status, out, _ = line("--cfg", "job", "bias.d=2")
+    assert status == 0
+    assert OmegaConf.create(out).bias.d == 2
 
 
 def test_a_reader_that_has_seen_enough_meets_no_traceback(tmp_path: Path) -> None:
