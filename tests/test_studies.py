@@ -21,9 +21,7 @@ def study(name: str, *arguments: str, folder: Path) -> str:
 
 
 def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
-    status, _, err = run(
-        "+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential", folder=tmp_path
-    )
+    status, _, err = run("+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential", folder=tmp_path)
     assert status == 0, err
     printed = study("last_policies", "smoke", "policies.csv", folder=tmp_path)
     head, _, *body = printed.splitlines()
