@@ -137,7 +137,7 @@ class TrialExport(Export):
         return {file.path: file.file_size for file in (*listed(run_id, FOLDER), *listed(run_id, PICTURES))}
 
     def _sizes(self) -> dict[str, int | None]:
-        """Sizes of the folder's files by their names among the artifacts; pictures have a place of their own."""
+        """Sizes of the folder's files by their names among the artifacts, where pictures lie apart."""
         files = {file.relative_to(self._folder.path).as_posix(): file for file in self._folder.files()}
         return {
             name if name.startswith(f"{PICTURES}/") else f"{FOLDER}/{name}": file.stat().st_size
