@@ -1,19 +1,24 @@
-"""A whole sweep on a cluster of which a worker is killed."""
+"""Whole sweeps on clusters: a worker is killed, or shares no disk."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import time
 from pathlib import Path
 
 import psutil
 import pytest
-from sweeping import FOUR_CELLS, run, trial_by_trial, write_sweep
+from sweeping import FOLDERS, FOUR_CELLS, NO_FIGURES, QUICK, run, trial_by_trial, write_sweep
+
+import simbias
+from simbias.sweep import worker
+from simbias.trial.folder import TrialFolder
 
 pytestmark = pytest.mark.slow
 
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
 
 
 def test_dask_sweep_with_a_killed_worker(tmp_path: Path) -> None:
@@ -49,3 +54,33 @@ def kill_a_dask_worker(root: int, killed: list[int]) -> None:
             busy[0].kill()
             killed.append(busy[0].pid)
             return
+
+
+def on_another_disk(here: str, there: str) -> None:
+    """Have a worker see this folder's paths in another one, and work in neither."""
+    worker.Path = lambda name: Path(str(name).replace(here, there))  # type: ignore[assignment,misc]
+    os.chdir("/")
+
+
+def test_workers_that_share_no_disk_get_and_send_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    sweep = ["+sweep=smoke", "sweep.trials=1", NO_FIGURES, *QUICK, *FOLDERS, "cost.max_cost=1e-3"]
+    simbias.run_sweep([*sweep, "engine=sequential"])
+    expected = trial_by_trial(here)
+    shutil.rmtree("trials")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+        cluster.get_client().run(on_another_disk, str(here), str(there))
+        clustered = [*sweep, "engine=dask", f"engine.address={cluster.scheduler_address}"]
+        simbias.run_sweep(clustered)
+        assert trial_by_trial(here) == trial_by_trial(there) == expected
+        shutil.rmtree(there)
+        stopped = here / "trials" / next(iter(expected))
+        for file in (stopped / "outcome.json", *TrialFolder(stopped).steps()[3:]):
+            file.unlink()
+        simbias.run_sweep(clustered)
+    assert trial_by_trial(here) == expected
+    assert len(TrialFolder(there / "trials" / stopped.name).attempts()) == 2  # the first of them from here
