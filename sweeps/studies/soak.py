@@ -33,7 +33,7 @@ from sweeping import artifacts, client_of, finish, run, start, trial_by_trial
 
 SHORT = [
     *("task.horizon=300", "optimizer.max_evaluations=30", "method.max_iterations=4", "cost.max_cost=1e-3"),
-    *("hardware=logged", "hardware.seconds=0.1", "tracking.pictures=true"),
+    *("hardware=logged", "hardware.seconds=0.3", "tracking.pictures=true"),
 ]
 OWN = ["--config-dir", "conf"]
 SWEEP = "sweep: {trials: 3, axes: {bias: [gp, none]}}"

@@ -141,7 +141,7 @@ def trial_by_trial(folder: Path) -> dict[str, Any]:
 
 
 def content(trial: Path) -> dict[str, Any]:
-    """Files of a trial, comparable: without pictures, attempts and times."""
+    """Files of a trial, comparable: without pictures, attempts, times and versions."""
     files = [*trial.glob("[0-9]*"), *trial.glob("*.json"), *trial.glob("*.csv")]
     return {file.name: _timeless(_read(file)) for file in sorted(files)}
 
@@ -161,7 +161,8 @@ def _timeless(value: Any) -> Any:
     return {
         key: _timeless(each)
         for key, each in value.items()
-        if key not in ("started", "ended", "seconds", "versions") and not key.startswith("seconds/")
+        if key not in ("started", "ended", "seconds", "versions", "commit", "changed")
+        and not key.startswith("seconds/")
     }
 
 
