@@ -208,7 +208,7 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
     from simbias.trial.summary import Outcome
 
     folder = store.trial_folder(study.hash)
-    export = store.export_trial(folder, live=True) if folder else Export()
+    export = store.export_trial(folder) if folder else Export()
     replayed = folder is not None and TrialFolder(folder).ended
     if folder is not None and (changed := changed_since(study, folder)):
         print(f"simbias: {changed}", file=sys.stderr)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from conftest import ROOT
-from sweeping import NO_FIGURES, run
+from sweeping import FOLDERS, NO_FIGURES, run
 
 pytestmark = pytest.mark.slow
 
@@ -21,9 +21,7 @@ def study(name: str, *arguments: str, folder: Path) -> str:
 
 
 def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
-    status, _, err = run(
-        "+sweep=smoke", NO_FIGURES, "tracking.pictures=false", "engine=sequential", folder=tmp_path
-    )
+    status, _, err = run("+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential", folder=tmp_path)
     assert status == 0, err
     printed = study("last_policies", "smoke", "policies.csv", folder=tmp_path)
     head, _, *body = printed.splitlines()
@@ -56,7 +54,7 @@ def test_robots_are_tried_by_each_way(tmp_path: Path) -> None:
     study("robots", "robots.csv", "cartpole", *ways, *short, folder=tmp_path)
     tried = pd.read_csv(tmp_path / "robots.csv")
     assert list(tried["way"]) == ways[1:]
-    assert tried["held"].between(0, 20).all()
+    assert tried["test_successes"].between(0, 20).all()
     made = tried.set_index("way")["experiments"]
     assert 1 <= made["lqr"] <= 2
     assert 1 <= made["bayesian"] <= 4

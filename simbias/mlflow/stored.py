@@ -8,25 +8,44 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simbias.core.errors import ConfigError
-from simbias.mlflow.store import find_run, reaching
+from simbias.mlflow.store import client_of, database, reaching, redact
 from simbias.mlflow.trial import FOLDER
 
 
 @contextmanager
 def trial_folder(run_id: str, uri: str) -> Iterator[Path]:
-    """The trial's folder, downloaded from its run; it goes with the context.
+    """The trial's folder, downloaded from its run; it is deleted with the context.
 
     Raises
     ------
     ConfigError
-        If the store cannot be used, has no such run, or the run is no trial's.
+        If the store cannot be used (one that is missing is not made), has no such run, or the run is no
+        trial's.
     """
-    client, run = find_run(uri, run_id)
-    if "sweep" in run.data.tags:
-        raise ConfigError(run_id, "is a sweep; each of its trials is a run of its own")
-    if "hash" not in run.data.tags:
-        raise ConfigError(run_id, "is no run of simbias")
+    file = database(uri)
+    if file is not None and not file.exists():
+        raise ConfigError("tracking.uri", f"{redact(uri)}: no such store")
     with tempfile.TemporaryDirectory() as folder:
         with reaching(uri):
-            client.download_artifacts(run_id, FOLDER, folder)
+            _download(run_id, uri, folder)
         yield Path(folder, FOLDER)
+
+
+def _download(run_id: str, uri: str, folder: str) -> None:
+    """Copy the trial's folder from its run."""
+    from mlflow.exceptions import MlflowException
+
+    client = client_of(uri)
+    try:
+        tags = client.get_run(run_id).data.tags
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+            raise
+        raise ConfigError(run_id, f"no such run in {redact(uri)}, and no such folder") from error
+    if "sweep" in tags:
+        raise ConfigError(run_id, "is a sweep; each of its trials is a run of its own")
+    if "hash" not in tags:
+        raise ConfigError(run_id, "is no run of simbias")
+    if not any(client.list_artifacts(run_id, FOLDER)):
+        raise ConfigError(run_id, "its files are not in the store")
+    client.download_artifacts(run_id, FOLDER, folder)

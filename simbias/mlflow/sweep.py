@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,16 +10,19 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from simbias.core import markdown
+from simbias.core.errors import ConfigError
 from simbias.mlflow import pages
-from simbias.mlflow.runs import Runs
-from simbias.mlflow.trial import NOTE, TrialExport, origin_tags, write_yaml
+from simbias.mlflow.runs import NOT_EXPORTED, Runs
+from simbias.mlflow.trial import NOTE, Nested, TrialExport, began_at, origin_tags, write_yaml
 from simbias.sweep.folder import FIGURES, SweepFolder
 from simbias.sweep.tracking import SweepExport
+from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import TrialFolder
 
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
+TABLE = "table.json"  # among the artifacts
 STATUS = {"**Running**": "RUNNING", "**Done**": "FINISHED", "**Interrupted**": "KILLED"}
 
 
@@ -31,14 +35,14 @@ class MlflowSweep(SweepExport):
         Where it is, or will be.
     folder
         The sweep's.
-    live
-        Whether the sweep runs in this process: then its trials are exported as they end.
     """
 
-    def __init__(self, runs: Runs, folder: SweepFolder, live: bool = False) -> None:
-        self._runs, self._folder, self._live = runs, folder, live
+    def __init__(self, runs: Runs, folder: SweepFolder) -> None:
+        self._runs, self._folder = runs, folder
         self._description = folder.description()
         self._uploaded: dict[str, int | None] = {}  # sizes of files
+        self._trials: dict[str, Run] = {}  # runs of earlier exports by their trials' hash
+        self._done: set[str] = set()  # trials that nothing is added to
         self._parent = ""  # its run
 
     @property
@@ -49,50 +53,74 @@ class MlflowSweep(SweepExport):
     def _run(self) -> Run:
         """The parent run, a new one if need be; its trials are listed by the sweep's axes."""
         about, runs = self._description, self._runs
-        tags = {**origin_tags(about), "sweep": about["name"]}
-        run = runs.run(about["hash"], tags=tags, run_name=f"sweep {about['name']}")
-        if not self._parent:
-            self._parent = run.info.run_id
-            runs.find_nested(self._parent)
-            runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, self._parent))
+        if self._parent and (run := runs.client.get_run(self._parent)).info.lifecycle_stage == "active":
+            return run
+        self._uploaded, self._done = {}, set()
+        tags = {**origin_tags(about), "hash": about["hash"], "sweep": about["name"]}
+        found = runs.find(about["hash"])
+        run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
+        self._trials = runs.nested(run.info.run_id) if found else {}
+        runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
+        self._parent = run.info.run_id
         return run
 
     def trial_ended(self, folder: Path) -> None:
         """Export a trial into a nested run."""
-        if not self._parent:  # the store is away: `update` will export it
-            return
-        trial = self._description["trials"][folder.name]
-        labels = {pages.AXIS + name: label for name, label in trial["labels"].items()}
-        tags, name = {"repetition": str(trial["repetition"]), **labels}, trial["name"]
-        TrialExport(self._runs, folder, parent=self._parent, tags=tags, name=name).update()
+        if self._parent:  # else the store is away: `update` will export it
+            self._runs.reach(lambda: self._write_trial(TrialFolder(folder)))
+
+    def _write_trial(self, folder: TrialFolder) -> None:
+        """Bring a nested run up to date; one that has all of a trial that has ended is left alone."""
+        identity, ended = folder.path.name, folder.ended
+        known = self._trials.get(identity)
+        whole = known and (known.info.status, known.info.start_time) == ("FINISHED", began_at(folder))
+        if identity not in self._done and not (ended and whole):
+            about = self._description["trials"][identity]
+            labels = {pages.AXIS + name: label for name, label in about["labels"].items()}
+            tags = {"repetition": str(about["repetition"]), **labels}
+            TrialExport(self._runs, folder.path, Nested(self._parent, about["name"], tags, known)).write()
+        if ended:
+            self._done.add(identity)
 
     def update(self, final: bool = False) -> None:
         """Bring the parent run up to date, and at the end all trials that the store lacks."""
-        self._runs.reach(lambda: self._update(final), final)
+        self._runs.reach(lambda: self.write(final), final)
 
-    def _update(self, final: bool) -> None:
-        """Write what the run lacks."""
+    def write(self, final: bool) -> None:
+        """Write what the run lacks.
+
+        Raises
+        ------
+        ConfigError
+            If a file cannot be read.
+        """
         state, run = self._folder.state(), self._run()
         client, run_id = self._runs.client, run.info.run_id
         if final:
-            for identity in self._description["trials"]:
-                folder = TrialFolder(self._folder.trials / identity)
-                exported = self._live and self._runs.knows(identity, run_id)
-                if folder.path.is_dir() and not exported:
-                    self.trial_ended(folder.path)
+            self._write_trials()
         self._upload(run_id, final)
         verdict = state.get("verdict", "**Running**")
         client.set_tag(run_id, NOTE, self._note(state, run_id))
-        if final:
-            for name, value in _metrics(state).items():
-                if run.data.metrics.get(name) != value:
-                    client.log_metric(run_id, name, value, step=state["done"])
-        status = STATUS.get(verdict, "FAILED") if self._live or verdict != "**Running**" else "KILLED"
+        for name, value in _metrics(state).items() if final and state else ():
+            if run.data.metrics.get(name) != value:
+                client.log_metric(run_id, name, value, step=state["done"])
+        status = STATUS.get(verdict, "FAILED")
+        if status == "RUNNING" and not is_locked(self._folder.path / LOCK):
+            status = "KILLED"
+        if run.info.status == status:
+            return
         if status == "RUNNING":
-            if run.info.status != status:
-                client.update_run(run_id, status=status)
-        elif run.info.status != status:
+            client.update_run(run_id, status=status)
+        else:
             client.set_terminated(run_id, status)
+
+    def _write_trials(self) -> None:
+        """Export all trials that have begun; those that cannot be read are named."""
+        for identity in self._description["trials"]:
+            try:
+                self._write_trial(TrialFolder(self._folder.trials / identity))
+            except ConfigError as error:
+                logging.getLogger(__name__).warning(NOT_EXPORTED, error)
 
     def _upload(self, run_id: str, final: bool) -> None:
         """Copy the files that the run lacks; tables at the end."""
@@ -111,15 +139,18 @@ class MlflowSweep(SweepExport):
             if self._uploaded.get(name) != file.stat().st_size or place is None:
                 client.log_artifact(run_id, str(file), place)
                 self._uploaded[name] = file.stat().st_size
-        if final and "table.json" not in self._uploaded:  # which MLflow shows as a table
-            table = pd.read_csv(own.path / "table.csv", dtype={a["name"]: str for a in self._axes})
-            client.log_table(run_id, table.astype(object), "table.json")
-            self._uploaded["table.json"] = 0
+        if final and own.tables():
+            self._upload_table(run_id)
 
-    @property
-    def _axes(self) -> list[dict[str, Any]]:
-        """The sweep's axes."""
-        return list(self._description["axes"])
+    def _upload_table(self, run_id: str) -> None:
+        """Write the table that MLflow shows as one; `log_table` would append to that of an earlier export."""
+        labels = {axis["name"]: str for axis in self._description["axes"]}
+        table = pd.read_csv(self._folder.path / "table.csv", dtype=labels).astype(object)
+        if TABLE in self._uploaded:
+            self._runs.client.log_text(run_id, table.to_json(orient="split", index=False), TABLE)
+        else:
+            self._runs.client.log_table(run_id, table, TABLE)
+            self._uploaded[TABLE] = 0
 
     def _note(self, state: dict[str, Any], run_id: str) -> str:
         """The parent's description: how far it is, the table, how to resume."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
 from simbias.core.errors import ConfigError
-from simbias.mlflow.runs import Runs
-from simbias.mlflow.store import database
+from simbias.core.messages import counted
+from simbias.mlflow.runs import NOT_EXPORTED, Runs
+from simbias.mlflow.store import database, reaching
 from simbias.mlflow.sweep import MlflowSweep
 from simbias.mlflow.trial import TrialExport
 from simbias.sweep.folder import SweepFolder, sweep_folders
@@ -58,31 +60,43 @@ class Mlflow(Tracking):
         """The store's runs."""
         return Runs(self._uri, self._experiment, self.folder)
 
-    def export_trial(self, folder: Path, live: bool = False) -> Export:
+    def export_trial(self, folder: Path) -> Export:
         """The trial's run; it is made once the folder has something to show."""
-        return TrialExport(self._runs, folder, live)
+        return TrialExport(self._runs, folder)
 
-    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> SweepExport:
         """The sweep's parent run, and a nested run for each trial."""
-        return MlflowSweep(self._runs, folder, live)
+        return MlflowSweep(self._runs, folder)
 
     def export_all(self) -> Iterator[str]:
-        """Export all trials and sweeps of the folder; one line for each kind.
+        """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.
 
         Raises
         ------
         ConfigError
-            If there are none, or the store cannot be used.
+            If there are none, or the store cannot be used; what was exported before it failed stays.
         """
         folders = [file.parent for file in sorted(self.folder.glob(f"*/{TRIAL}"))]
         if not folders:
             raise ConfigError("tracking.trials", f"no trials in {self.folder}")
         in_sweeps: set[str] = set()
-        for sweep in sweep_folders(self.folder):
-            self.export_sweep(sweep).update(final=True)
-            in_sweeps |= sweep.description()["trials"].keys()
-            yield f"sweep {sweep.description()['name']}"
-        alone = [folder for folder in folders if folder.name not in in_sweeps]
-        for folder in alone:
-            self.export_trial(folder).update(final=True)
-        yield f"{len(alone)} trials"
+        with reaching(self._uri):
+            for sweep in sweep_folders(self.folder):
+                about = sweep.description()
+                MlflowSweep(self._runs, sweep).write(final=True)
+                in_sweeps |= about["trials"].keys()
+                yield f"sweep {about['name']}: {counted(len(about['trials']), 'trial')}"
+            alone = [folder for folder in folders if folder.name not in in_sweeps]
+            exported = sum(self._exported(folder) for folder in alone)
+            yield f"{counted(exported, 'trial')} in no sweep"
+
+    def _exported(self, folder: Path) -> bool:
+        """Export a trial; False, with a warning, if its folder cannot be read."""
+        try:
+            TrialExport(self._runs, folder).write()
+        except ConfigError as error:
+            if error.key.startswith("tracking."):
+                raise
+            logging.getLogger(__name__).warning(NOT_EXPORTED, error)
+            return False
+        return True

@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
 from simbias.core.records import Iteration
 from simbias.mlflow import notes
+from simbias.mlflow.pages import PARENT
 from simbias.mlflow.runs import Runs
-from simbias.mlflow.writes import Point, Writes
+from simbias.mlflow.writes import File, Point, Writes
 from simbias.sweep.tracking import Export
-from simbias.trial.folder import PICTURES, TrialFolder
+from simbias.trial.disk import LOCK, is_locked
+from simbias.trial.folder import PICTURES, TRIAL, TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
 
 if TYPE_CHECKING:
@@ -31,6 +33,15 @@ STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITIN
 KEY_LENGTH, VALUE_LENGTH = 250, 6000  # characters that MLflow takes
 
 
+class Nested(NamedTuple):
+    """A trial's place in a sweep."""
+
+    parent: str  # run
+    name: str
+    tags: Mapping[str, str]
+    run: Run | None  # of an earlier export
+
+
 class TrialExport(Export):
     """A trial's run.
 
@@ -40,24 +51,13 @@ class TrialExport(Export):
         Where it is, or will be.
     folder
         The trial's.
-    live
-        Whether the trial runs in this process; else one that has not stopped was killed.
-    parent, tags, name
-        Of a nested run.
+    nested
+        Its place in a sweep.
     """
 
-    def __init__(
-        self,
-        runs: Runs,
-        folder: Path,
-        live: bool = False,
-        parent: str = "",
-        tags: Mapping[str, str] = {},
-        name: str = "",
-    ) -> None:
-        self._runs, self._folder, self._live = runs, TrialFolder(folder), live
-        self._parent, self._tags, self._name = parent, tags, name
-        self._uploaded: dict[str, int | None] = {}  # sizes of files
+    def __init__(self, runs: Runs, folder: Path, nested: Nested | None = None) -> None:
+        self._runs, self._folder, self._nested = runs, TrialFolder(folder), nested
+        self._uploaded: dict[str, int | None] | None = None  # sizes of files
         self.run_id = ""
 
     def iterated(self, iteration: Iteration) -> None:
@@ -66,69 +66,99 @@ class TrialExport(Export):
 
     def update(self, final: bool = False) -> None:
         """Bring the run up to date with the folder; `final` tries a store again that was away."""
-        if (self._folder.path / "trial.json").exists():
-            self._runs.reach(self._update, final)
+        self._runs.reach(self.write, final)
 
     @property
     def where(self) -> str:  # type: ignore[override]
         """How a person looks at the run, or at the folder where the store is away."""
         return self._runs.address(self.run_id) if self.run_id else str(self._folder.path)
 
-    def _run(self) -> Run:
-        """The run, a new one if need be."""
-        description, attempts = self._folder.description(), self._folder.attempts()
-        began = [1000 * each["started"] for each in attempts if "started" in each]
-        return self._runs.run(
-            description["hash"],
-            self._parent,
-            tags={**origin_tags(description), **self._tags},
-            run_name=self._name or notes.run_name(description),
-            start_time=int(began[0]) if began else None,
-        )
+    def write(self) -> None:
+        """Write what the run lacks: files first, so that who finds numbers finds all.
 
-    def _update(self) -> None:
-        """Write what the run lacks: files first, so that who finds numbers finds all."""
-        run, description, folder = self._run(), self._folder.description(), self._folder
-        summary, iterations = folder.summary(), folder.iterations()
-        writes, client, run_id = Writes(), self._runs.client, run.info.run_id
-        writes.files += self._new_files(run_id)
-        if not run.data.params:
+        Raises
+        ------
+        ConfigError
+            If a file of the folder cannot be read.
+        """
+        if not (began := began_at(self._folder)):
+            return
+        description, iterations = self._folder.description(), self._folder.iterations()
+        summary, running = self._folder.summary(), is_locked(self._folder.path / LOCK)
+        run_id = self.run_id
+        self.run_id = ""  # to be found again if the store fails now
+        run = self._runs.client.get_run(run_id) if run_id else self._run(description, began)
+        writes = Writes(files=list(self._new_files(run)), tags=_tags(summary) if summary else {})
+        if any(name == f"{FOLDER}/{TRIAL}" for name, _ in writes.files):
             writes.files.append(("config.yaml", partial(write_yaml, description["config"])))
-            writes.parameters |= parameters(description)
-        logged, end = int(run.data.metrics.get(ITERATIONS, 0)), 0.0
-        for each in iterations[logged:]:
-            end = each["ended"]
-            numbers = {_name(key): value for key, value in each["metrics"].items()}
-            writes.metrics.append([(key, value, each["iteration"], end) for key, value in numbers.items()])
-        state = "RUNNING" if summary is None and self._live else "KILLED"
-        if summary is not None:
-            end = summary.started + summary.seconds
-            state = STATUS.get(summary.outcome, "FINISHED")
-            writes.metrics.append(list(_changed(summary, run, end)))
-            writes.tags |= _tags(summary)
-        writes.tags[NOTE] = notes.note(description, iterations, summary, running=state == "RUNNING")
+        kept = run.data.params
+        writes.parameters = {key: each for key, each in parameters(description).items() if key not in kept}
+        writes.metrics += _new_metrics(iterations, summary, run)
+        writes.tags[NOTE] = notes.note(description, iterations, summary, running)
         for tag in {"error", "outcome"} & run.data.tags.keys() - writes.tags.keys():
-            client.delete_tag(run_id, tag)
-        writes.flush(client, run_id)
-        if state == "RUNNING":
-            if run.info.status != state:
-                client.update_run(run_id, status=state)
-        elif (run.info.status, run.data.tags.get("outcome")) != (state, writes.tags.get("outcome")):
-            client.set_terminated(run_id, state, end_time=int(1000 * end) if end else None)
-        self.run_id = run_id
+            self._runs.client.delete_tag(run.info.run_id, tag)
+        writes.flush(self._runs.client, run.info.run_id)
+        self._end(run, summary, running)
+        self.run_id = run.info.run_id
 
-    def _new_files(self, run_id: str) -> Iterator[tuple[str, Any]]:
+    def _run(self, description: Mapping[str, Any], began: int) -> Run:
+        """The run, a new one if need be: the same trial, begun again in a new folder, has another one."""
+        nested, known = self._nested, [self._nested.run] if self._nested and self._nested.run else []
+        found = known if nested else self._runs.find(description["hash"])
+        for run in found:
+            if run.info.start_time == began:
+                return run
+        self._uploaded = {}
+        tags = {**origin_tags(description), "hash": description["hash"]}
+        if nested:
+            tags |= {PARENT: nested.parent, **nested.tags}
+        return self._runs.create(nested.name if nested else notes.run_name(description), tags, began)
+
+    def _end(self, run: Run, summary: TrialSummary | None, running: bool) -> None:
+        """Set the run's status."""
+        status, outcome = "RUNNING" if running else "KILLED", None
+        if summary is not None:
+            status, outcome = STATUS.get(summary.outcome, "FINISHED"), str(summary.outcome)
+        if (run.info.status, run.data.tags.get("outcome")) == (status, outcome):
+            return
+        if status == "RUNNING":
+            self._runs.client.update_run(run.info.run_id, status=status)
+        else:
+            end = int(1000 * summary.ended) if summary else None
+            self._runs.client.set_terminated(run.info.run_id, status, end_time=end)
+
+    def _new_files(self, run: Run) -> Iterator[File]:
         """Names among the artifacts, and what copies them there, of files that the run lacks."""
-        if not self._uploaded:
-            for place in (FOLDER, PICTURES):
-                for file in self._runs.client.list_artifacts(run_id, place):
-                    self._uploaded[file.path] = file.file_size
+        uploaded, self._uploaded = self._uploaded, None  # to be listed again if the store fails now
+        if uploaded is None:
+            places = [
+                self._runs.client.list_artifacts(run.info.run_id, place) for place in (FOLDER, PICTURES)
+            ]
+            uploaded = {file.path: file.file_size for files in places for file in files}
         for path in self._folder.files():
             inside = path.relative_to(self._folder.path).as_posix()
             name = inside if inside.startswith(f"{PICTURES}/") else f"{FOLDER}/{inside}"
-            if self._uploaded.get(name) != (size := path.stat().st_size):
-                self._uploaded[name] = size
+            if uploaded.get(name) != (size := path.stat().st_size):
+                uploaded[name] = size
                 yield name, partial(shutil.copyfile, path)
+        self._uploaded = uploaded
+
+
+def began_at(folder: TrialFolder) -> int:
+    """When a trial began, in ms since the epoch; 0 if it has not."""
+    return next((int(1000 * each["started"]) for each in folder.attempts() if "started" in each), 0)
+
+
+def _new_metrics(
+    iterations: Sequence[Mapping[str, Any]], summary: TrialSummary | None, run: Run
+) -> Iterator[list[Point]]:
+    """The numbers that the run lacks: a list for each iteration, and one for the trial that has ended."""
+    for each in iterations[int(run.data.metrics.get(ITERATIONS, 0)) :]:
+        step, time = each["iteration"], each["ended"]
+        yield [(_name(key), value, step, time) for key, value in each["metrics"].items()]
+    if summary is not None and summary.outcome.final:
+        new = {key: each for key, each in summary.metrics().items() if run.data.metrics.get(key) != each}
+        yield [(key, value, 0, summary.ended) for key, value in new.items()]
 
 
 def parameters(description: Mapping[str, Any]) -> dict[str, str]:
@@ -183,10 +213,3 @@ def _tags(summary: TrialSummary) -> dict[str, str]:
         "processor": summary.processor,
     }
     return {name: text for name, text in tags.items() if text}
-
-
-def _changed(summary: TrialSummary, run: Run, time: float) -> Iterator[Point]:
-    """The trial's numbers that the run lacks."""
-    for name, value in summary.metrics().items():
-        if run.data.metrics.get(name) != value:
-            yield name, value, 0, time

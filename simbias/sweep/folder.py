@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.sweep.batches import Outcomes
-from simbias.trial.folder import read_json, write_json, write_whole
+from simbias.trial.disk import read_json, write_json, write_whole
 
 SWEEP, STATE = "sweep.json", "state.json"
 FIGURES, EXPERIMENTS = "figures", "experiments"

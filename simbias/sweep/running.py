@@ -27,7 +27,8 @@ from simbias.sweep.services import engine, tracking
 from simbias.sweep.tracking import SweepExport, Tracking
 from simbias.sweep.worker import Plan, Result, lost, pack, run_plan, unpack
 from simbias.testing.rehearsal import rehearse
-from simbias.trial.folder import LOCK, PICTURES, TrialFolder, locked
+from simbias.trial.disk import LOCK, locked
+from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.origin import changed_code, provenance
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
@@ -206,7 +207,7 @@ class SweepState:
     @cached_property
     def export(self) -> SweepExport:
         """Shows the sweep elsewhere."""
-        return self._store.export_sweep(self.folder, live=True) if self.folder else SweepExport()
+        return self._store.export_sweep(self.folder) if self.folder else SweepExport()
 
     def begin(self) -> None:
         """Note that trials or figures are about to be made; a finished sweep stays so."""

@@ -40,8 +40,8 @@ class Tracking(ABC):
         return None if self.folder is None else SweepFolder(self.folder / "sweeps" / f"{name}_{identity}")
 
     @abstractmethod
-    def export_trial(self, folder: Path, live: bool = False) -> Export:
-        """Show a trial elsewhere; `live` if it runs in this process.
+    def export_trial(self, folder: Path) -> Export:
+        """Show a trial elsewhere.
 
         Raises
         ------
@@ -50,8 +50,8 @@ class Tracking(ABC):
         """
 
     @abstractmethod
-    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
-        """Show a sweep elsewhere; `live` if it runs in this process.
+    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+        """Show a sweep elsewhere.
 
         Raises
         ------
@@ -75,13 +75,13 @@ class Folders(Tracking):
         self.folder = Path(trials)
         self.pictures = pictures
 
-    def export_trial(self, folder: Path, live: bool = False) -> Export:
+    def export_trial(self, folder: Path) -> Export:
         """Show nothing but the folder."""
         export = Export()
         export.where = str(folder)
         return export
 
-    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> SweepExport:
         """Show nothing but the folder."""
         export = SweepExport()
         export.where = str(folder.path)
@@ -93,10 +93,10 @@ class NoTracking(Tracking):
 
     folder = None
 
-    def export_trial(self, folder: Path, live: bool = False) -> Export:
+    def export_trial(self, folder: Path) -> Export:
         """Show nothing."""
         return Export()
 
-    def export_sweep(self, folder: SweepFolder, live: bool = False) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> SweepExport:
         """Show nothing."""
         return SweepExport()

@@ -64,7 +64,7 @@ def run_plan(plan: Plan) -> Result:
 
 def lost(reason: str) -> Result:
     """The result of a trial that could not begin, or whose workers died; its folder has what it did."""
-    return Result(TrialSummary(Outcome.ERROR, reason=reason, started=time.time()))
+    return Result(TrialSummary(Outcome.ERROR, reason=reason, ended=time.time()))
 
 
 def pack(folder: Path) -> bytes:

@@ -20,21 +20,21 @@ from __future__ import annotations
 import itertools
 import json
 import logging
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from simbias.core import platform
 from simbias.core.errors import ConfigError
-from simbias.core.messages import words
+from simbias.core.messages import with_type, words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
+from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, read_lines, write_json, write_whole
 from simbias.trial.files import load_rollout, raw_parts, save_arrays, save_rollout
 from simbias.trial.origin import description
 from simbias.trial.replay import EndOfRecord, Record
@@ -43,10 +43,13 @@ from simbias.trial.summary import TrialSummary, iteration_summary
 
 TRIAL, ATTEMPTS, OUTCOME, EPISODES = "trial.json", "attempts.jsonl", "outcome.json", "test_episodes.csv"
 SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json"
-ERROR, REFUSED, PICTURES, LOCK = "error_", "refused_", "pictures", ".lock"
-PART = ".part"  # suffix of a file that is being written
+ERROR, REFUSED, PICTURES = "error_", "refused_", "pictures"
+COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
+
+
+Loaded = TypeVar("Loaded")
 
 
 @dataclass(frozen=True)
@@ -95,17 +98,16 @@ class TrialFolder:
 
     def attempts(self) -> list[dict[str, Any]]:
         """The lines of attempts.jsonl; one that a kill cut off is left out."""
-        file = self.path / ATTEMPTS
-        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-        return [line for line in map(_parsed, lines) if line]
+        return read_lines(self.path / ATTEMPTS)
 
     def platforms(self) -> list[str]:
         """The platforms that the trial ran on, in their order."""
         return list(dict.fromkeys(each["platform"] for each in self.attempts() if "platform" in each))
 
     def seconds(self) -> float:
-        """Wall time of the attempts that stopped."""
-        return sum(float(each["stopped"]["seconds"]) for each in self.attempts() if "stopped" in each)
+        """Wall time of all attempts but those that were killed, s."""
+        stops = [each["stopped"] for each in self.attempts() if "stopped" in each]
+        return float(stops[-1]["seconds"]) if stops else 0.0  # which has that of those before it
 
     def steps(self) -> list[Path]:
         """The files of the steps, in their order."""
@@ -140,15 +142,12 @@ class FolderRecord(Record):
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Hold the folder for this process, unless it is only read."""
-        if not self._writes:
-            yield
-            return
+        """Hold the folder for this process, unless the trial is only read, or has ended."""
         taken = ConfigError(str(self.folder.path), "another process is running this trial")
-        with locked(self.folder.path / LOCK, LOCK_SECONDS, taken):
-            if self.folder.ended:  # meanwhile, by another process
-                self._writes = False
-            else:
+        lock = locked(self.folder.path / LOCK, LOCK_SECONDS, taken)
+        with lock if self._writes and not self.folder.ended else nullcontext():
+            self._writes = self._writes and not self.folder.ended  # meanwhile, by another process
+            if self._writes:
                 self._begin()
             yield
 
@@ -162,14 +161,15 @@ class FolderRecord(Record):
         here, before = platform.kind(), self.folder.platforms()
         if before and here not in before and self.folder.steps():
             logging.getLogger(__name__).warning(MIXED, path.name, before[-1], here)
-        self._append({"started": time.time(), "platform": here, "processor": platform.processor()})
+        append_line(
+            path / ATTEMPTS, {"started": time.time(), "platform": here, "processor": platform.processor()}
+        )
 
     def search(self, make: Callable[[], Optimum]) -> Optimum:
         """The next search."""
         path = self._replayed(SEARCH)
         if path is not None:
-            fields = read_json(path)
-            return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
+            return _loaded(path, _load_search)
         optimum = make()
         fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
         self._keep(SEARCH, lambda file: file.write(json.dumps(fields).encode()))
@@ -179,7 +179,7 @@ class FolderRecord(Record):
         """The next experiment; what breaks the contract is no step, as it would be replayed for ever."""
         path = self._replayed(EXPERIMENT)
         if path is not None:
-            rollout = load_rollout(path)
+            rollout = _loaded(path, load_rollout)
             if not np.array_equal(rollout.parameters, theta):
                 raise changed(path)
             return rollout
@@ -193,13 +193,12 @@ class FolderRecord(Record):
         path = self._replayed(ITERATION)
         if path is None:
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
-            self._keep(ITERATION, lambda file: file.write(json.dumps(summary, indent=1).encode()))
+            self._keep(ITERATION, lambda file: file.write(_dumped(summary)))
         else:
-            kept = read_json(path)
-            made = [iteration.index, iteration.total_experiments, iteration.succeeded]
-            if made != [kept[name] for name in ("iteration", "total_experiments", "succeeded")]:
+            *kept, seconds = _loaded(path, lambda path: itemgetter(*COMPARED, "seconds")(read_json(path)))
+            if kept != [iteration.index, iteration.total_experiments, iteration.succeeded]:
                 raise changed(path)
-            iteration = replace(iteration, seconds=kept["seconds"])
+            iteration = replace(iteration, seconds=seconds)
         self._iterations.append(iteration)
         return iteration
 
@@ -243,7 +242,7 @@ class FolderRecord(Record):
         if summary.outcome.final:
             write_json(self.folder.path / OUTCOME, summary.as_json())
         else:
-            self._append({"stopped": summary.as_json()})
+            append_line(self.folder.path / ATTEMPTS, {"stopped": summary.as_json()})
 
     def _replayed(self, kind: str) -> Path | None:
         """The next step, if there is one.
@@ -274,17 +273,6 @@ class FolderRecord(Record):
         """The file of the next step."""
         return f"{self._next:04d}_{kind}"
 
-    def _append(self, line: Mapping[str, Any]) -> None:
-        """Append a line to attempts.jsonl, on disk when this returns."""
-        with (self.folder.path / ATTEMPTS).open("a+b") as file:
-            file.seek(0, os.SEEK_END)
-            if file.tell():
-                file.seek(-1, os.SEEK_END)
-            cut_off = file.read(1) not in (b"", b"\n")  # a process was killed while it wrote
-            file.write(b"\n" * cut_off + json.dumps(line).encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-
 
 def changed(path: Path) -> ConfigError:
     """The error of a step that does not fit the trial."""
@@ -293,70 +281,28 @@ def changed(path: Path) -> ConfigError:
     )
 
 
-@contextmanager
-def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
-    """Hold a lock in a folder that is made if need be.
+def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
+    """The content of a step.
 
     Raises
     ------
     ConfigError
-        If the folder cannot be written; `taken` if another process holds the lock for `timeout` s.
+        If it cannot be read.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(path)
-        lock.acquire(timeout=timeout)
-    except Timeout as error:
-        raise taken from error
-    except OSError as error:
-        raise ConfigError(str(path.parent), f"cannot be written ({error.strerror})") from error
-    try:
-        yield
-    finally:
-        lock.release()
+        return load(path)
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(str(path), f"cannot be read ({with_type(error)})") from error
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """A mapping from a file.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or has no mapping.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(str(path), f"cannot be read ({words(error)})") from error
-    if not isinstance(content, dict):
-        raise ConfigError(str(path), "has no mapping")
-    return content
+def _load_search(path: Path) -> Optimum:
+    """The optimum that a search found."""
+    fields = read_json(path)
+    return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
 
 
-def _parsed(line: str) -> dict[str, Any]:
-    """A mapping from a line; empty if the line was cut off."""
-    try:
-        content = json.loads(line)
-    except ValueError:
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as `write_whole` does."""
-    text = json.dumps(content, indent=1, default=str) + "\n"
-    write_whole(path, lambda file: file.write(text.encode()))
-
-
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
-    part = path.with_name(f"{path.name}{PART}")
-    with part.open("wb") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
-    if os.name == "posix":  # elsewhere a folder cannot be opened
-        folder = os.open(path.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
+def _dumped(content: Mapping[str, Any]) -> bytes:
+    """A mapping as JSON; NumPy's numbers are numbers."""
+    return json.dumps(content, indent=1, default=lambda value: value.tolist()).encode()

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import Waiting, platform
 from simbias.core.error_origin import told
+from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.trial import diagnostics
@@ -80,7 +81,13 @@ def read_trial(study: Study, folder: Path) -> TrialRecord:
     kept = FolderRecord(folder, study, writes=False)
     run = _Run(study, kept, Observer())
     with threadpool_limits(1, user_api="blas"), suppress(EndOfRecord):
-        run.run()
+        try:
+            run.run()
+        except (EndOfRecord, ConfigError, KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException:  # of a component, as when the trial stopped
+            if kept.folder.ended:
+                raise
     record = run.record(Outcome.INTERRUPTED)
     return replace(record, summary=kept.folder.summary() or record.summary)
 
@@ -90,7 +97,7 @@ class _Run(Observer):
 
     def __init__(self, study: Study, kept: FolderRecord | None, observer: Observer) -> None:
         self._study, self._kept, self._observer = study, kept, observer
-        self._started, self._clock = time.time(), time.perf_counter()
+        self._clock = time.perf_counter()
         self._iterations: list[Iteration] = []
         self._unfinished: list[Rollout] = []
         self._policy_test: PolicyTestResult | None = None
@@ -151,7 +158,7 @@ class _Run(Observer):
             iterations=len(self._iterations),
             max_experiments=method.max_experiments,
             max_iterations=method.max_iterations,
-            started=self._started,
+            ended=time.time(),
             seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
             hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in made),
             test_episodes=test.successes if test else "",

@@ -42,8 +42,8 @@ class TrialSummary:
     iterations: int = 0  # finished so far
     max_experiments: int = 0  # that the method may make
     max_iterations: int = 0
-    started: float = nan  # s since the epoch, of the process that ended it
-    seconds: float = 0.0  # wall time, of all processes that ran it
+    ended: float = nan  # or stopped, s since the epoch
+    seconds: float = 0.0  # wall time, of all processes that ran it but those that were killed
     hardware_seconds: float = 0.0  # duration of the experiments
     test_episodes: str = ""  # of the last policy: 1 for each in which it succeeds, 0 for each other
     success_rate: float = nan  # share of test episodes

@@ -327,8 +327,6 @@ def test_ctrl_c_ends_an_experiment(loop: str, timeout: float | None, tmp_path: P
     )
     wait_for(lambda: (tmp_path / "begun").exists())
     process.send_signal(signal.SIGINT)
-    begun = time.monotonic()
+    wait_for(lambda: {path.name for path in tmp_path.iterdir()} == {"begun", "at rest", "stopped"}, 2.0)
     _, err = process.communicate(timeout=10)
-    assert time.monotonic() - begun < 2.0
     assert b"KeyboardInterrupt" in err
-    assert {path.name for path in tmp_path.iterdir()} == {"begun", "at rest", "stopped"}

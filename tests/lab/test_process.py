@@ -240,10 +240,8 @@ def test_ctrl_c_ends_a_program(tmp_path: Path, timeout: float | None) -> None:
     with simbias(driving(tmp_path, 60, STUBBORN), timeout) as process:
         wait_for(lambda: len(pids(tmp_path)) == 1)
         process.send_signal(signal.SIGINT)
-        begun = time.monotonic()
-        assert b"KeyboardInterrupt" in process.communicate()[1]
-        assert time.monotonic() - begun < 2.0
-        wait_for(lambda: not runs(pids(tmp_path)[0]), 2.0 - (time.monotonic() - begun))
+        wait_for(lambda: not runs(pids(tmp_path)[0]), 2.0)
+        assert b"KeyboardInterrupt" in process.communicate(timeout=10)[1]
 
 
 @pytest.mark.slow

@@ -3,13 +3,20 @@ from __future__ import annotations
 import json
 
 from simbias.mlflow import pages
-from simbias.sweep.grid import expand
+
+SWEEP = {
+    "name": "table2",
+    "hash": "abc",
+    "axes": [
+        {"name": "noise", "keys": ["hardware.noise.torque_variance", "hardware.noise.angle_variance"]},
+        {"name": "hardware.inertia_error", "keys": ["hardware.inertia_error"]},
+    ],
+}
 
 
 def test_the_columns_of_a_sweeps_trials_are_its_axes() -> None:
-    sweep = expand(["+sweep=table2"])
-    key, value = pages.trials_view(sweep, "0123")
-    assert pages.trials_page("7", sweep).endswith("&viewStateShareKey=" + key.removeprefix(pages.VIEW))
+    key, value = pages.trials_view(SWEEP, "0123")
+    assert pages.trials_page("7", "abc").endswith("&viewStateShareKey=" + key.removeprefix(pages.VIEW))
     view = json.loads(value)
     state = json.loads(view["state"])
     assert state["selectedColumns"] == [
@@ -26,6 +33,6 @@ def test_the_columns_of_a_sweeps_trials_are_its_axes() -> None:
     assert len(value) < 5000  # what MLflow keeps of a tag of an experiment
 
 
-def test_pages() -> None:
+def test_addresses() -> None:
     assert pages.run_page("7", "0123") == "#/experiments/7/runs/0123?workflowType=machine_learning"
     assert "/runs/0123/artifacts/figures/a.png?" in pages.run_page("7", "0123", "figures/a.png")

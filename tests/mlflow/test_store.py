@@ -1,67 +1,158 @@
-"""A new SQLite store is a copy of one that was made before, and the same as one of MLflow's own making."""
+"""Stores that are made, shared, or cannot be used: one quick line that names the store."""
 
 from __future__ import annotations
 
+import logging
+import multiprocessing
+import os
+import shutil
+import socket
 import sqlite3
+import time
+from collections.abc import Iterator
 from contextlib import closing
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
+from processes import wait_for
 
+from simbias.config import ConfigError
 from simbias.mlflow import store
+from simbias.mlflow.tracking import Mlflow
 
 pytestmark = pytest.mark.slow
 
-TIMES = ("creation_time", "last_update_time")  # columns that differ
+
+def uri(folder: Path) -> str:
+    return f"sqlite:///{folder}/mlflow.db"
 
 
-def content(file: Path) -> dict[str, list[dict]]:
-    """The indices, columns and rows of a database, but for times and folders."""
-    with closing(sqlite3.connect(file)) as database:
-        database.row_factory = sqlite3.Row
-        made = [dict(row) for row in database.execute("SELECT type, name FROM sqlite_master ORDER BY name")]
-        tables = [row["name"] for row in made if row["type"] == "table"]
-        columns = {name: list(map(tuple, database.execute(f"PRAGMA table_info({name})"))) for name in tables}
-        rows = {name: [dict(row) for row in database.execute(f"SELECT * FROM {name}")] for name in tables}
-    for row in rows["experiments"]:
-        assert Path(row.pop("artifact_location")).parent.parent == file.parent
-        for column in TIMES:
-            assert row.pop(column) > 0
-    return {"made": made, "columns": [columns], **rows}
+def test_processes_make_a_new_store_at_once_and_share_it(tmp_path: Path) -> None:
+    """Also after one was killed while it made the store."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["mlflow", "simbias.mlflow.store"])
+
+    def start() -> BaseProcess:
+        process = context.Process(target=store.connect, args=(uri(tmp_path), "mine"))
+        process.start()
+        return process
+
+    killed = start()
+    wait_for((tmp_path / ".mlflow.db.lock").exists)
+    killed.kill()
+    (tmp_path / ".mlflow.db.part").write_text("half")
+    started = [start() for _ in range(3)]
+    for process in started:
+        process.join(120)
+        assert process.exitcode == 0
+    experiments = MlflowClient(uri(tmp_path)).search_experiments()
+    assert sorted(each.name for each in experiments) == ["Default", "mine"]
+    assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", ".mlflow.db.lock"}
 
 
-def test_a_copy_is_as_mlflow_makes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_files_lie_beside_it(
+    new_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Quietly, and nothing of the user's MLflow is touched."""
+    monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
     monkeypatch.chdir(tmp_path)
-    MlflowClient(f"sqlite:///{tmp_path}/mlflows.db").search_experiments(max_results=1)
-    store._create(tmp_path / "ours.db")
-    assert content(tmp_path / "ours.db") == content(tmp_path / "mlflows.db")
-    assert not list(tmp_path.glob(f".*{store.PART}"))
+    shutil.copy(new_store, tmp_path)
+    level = logging.getLogger("mlflow").level
+    client, experiment_id = store.connect("sqlite:///mlflow.db", "mine")
+    assert client.get_experiment(experiment_id).artifact_location == (tmp_path / "mlartifacts").as_uri()
+    assert Mlflow().folder == tmp_path / "trials"
+    assert Mlflow(trials="elsewhere").folder == Path("elsewhere")
+    assert (logging.getLogger("mlflow").level, capfd.readouterr()) == (level, ("", ""))
+    assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
 
 
-def test_it_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "cache_folder", lambda name: tmp_path)
-    first = store._empty_store()
-    written = first.stat().st_mtime_ns
-    assert store._empty_store() == first
-    assert first.stat().st_mtime_ns == written
-    assert [path.name for path in tmp_path.iterdir()] == [first.name]
+def test_an_experiments_name_is_one() -> None:
+    for name in ("", "..", " .", "a\nb", "\x1b[31m"):
+        with pytest.raises(ValueError, match=r"^experiment must be a name"):
+            Mlflow(experiment=name)
 
 
-def test_of_two_processes_that_make_it_at_once_the_first_does(tmp_path: Path) -> None:
-    """Else what the first has kept by then would be lost."""
-    uri = f"sqlite:///{tmp_path}/mlflow.db"
-    store.connect(uri, "mine")
-    store._create(tmp_path / "mlflow.db")
-    assert MlflowClient(uri).get_experiment_by_name("mine") is not None
-    assert not list(tmp_path.glob(f".*{store.PART}"))
-    (tmp_path / "empty.db").touch()
-    store.connect(f"sqlite:///{tmp_path}/empty.db", "mine")
+def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
+    """Addresses and what is said of them."""
+    (folder / "text").write_text("no database " * 100)
+    (folder / "circle").symlink_to("circle")
+    (folder / "taken").mkdir()
+    (folder / "taken" / "mlartifacts").touch()
+    for name, statement in {
+        "other": "CREATE TABLE mine (value)",
+        "newer": "UPDATE alembic_version SET version_num = 'ffffffffffff'",
+    }.items():
+        if name == "newer":
+            shutil.copy(new_store, folder / name)
+        with closing(sqlite3.connect(folder / name)) as database:
+            database.execute(statement)
+            database.commit()
+    yield f"sqlite:///{folder}/missing/mlflow.db", "no folder"
+    yield f"sqlite:///{folder}/text", "file is not a database"
+    yield f"sqlite:///{folder}/circle", "Too many levels of symbolic links"
+    yield f"sqlite:///{folder}/taken/mlflow.db", "is in the place of the folder for its files"
+    yield f"sqlite:///{folder}/other", "the database of another program"
+    yield f"sqlite:///{folder}/newer", "of another version of MLflow"
+    yield f"sqlite:///{folder}", "unable to open database file"
+    yield "sqlite://", "in memory"
+    yield "sqlite:///:memory:", "in memory"
+    yield "nonsense", "filesystem tracking backend"
+    yield "foo://bar", "unsupported URI"
+    yield "http://127.0.0.1:9", "refused"
+    yield "http://me:secret@no-such-host.invalid", ""
+    yield "postgresql://me:secret@127.0.0.1:9/x", ""
 
 
-def test_what_a_kill_left_of_one_goes_with_the_next_start(tmp_path: Path) -> None:
-    uri, dead = f"sqlite:///{tmp_path}/mlflow.db", tmp_path / f".mlflow.db.{2**22 + 1}{store.PART}"
-    for _ in range(2):
-        dead.touch()
-        store.connect(uri, "mine")
-        assert not dead.exists()
+def test_a_store_that_cannot_be_used_is_one_quick_line_that_names_it(tmp_path: Path, new_store: Path) -> None:
+    for address, message in unusable(tmp_path, new_store):
+        start = time.perf_counter()
+        with pytest.raises(ConfigError) as caught:
+            store.connect(address, "mine")
+        assert time.perf_counter() - start < 10
+        assert caught.value.key == "tracking.uri"
+        assert message in caught.value.problem
+        assert "\n" not in str(caught.value)
+        assert "secret" not in str(caught.value)
+    assert (tmp_path / "text").read_text() == "no database " * 100
+    with closing(sqlite3.connect(tmp_path / "other")) as database:
+        assert database.execute("SELECT name FROM sqlite_master").fetchall() == [("mine",)]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_store_that_may_not_be_written(tmp_path: Path, new_store: Path) -> None:
+    shutil.copy(new_store, tmp_path)
+    (tmp_path / "mlflow.db").chmod(0o400)
+    tmp_path.chmod(0o500)
+    for name in ("mlflow.db", "new.db"):
+        with pytest.raises(ConfigError, match=r"tracking\.uri: .*readonly database|cannot be written"):
+            store.connect(f"sqlite:///{tmp_path}/{name}", "mine")
+    tmp_path.chmod(0o700)
+
+
+def test_a_deleted_experiment_is_named(tmp_path: Path, new_store: Path) -> None:
+    shutil.copy(new_store, tmp_path)
+    client, experiment_id = store.connect(uri(tmp_path), "mine")
+    client.delete_experiment(experiment_id)
+    with pytest.raises(ConfigError, match=r"tracking\.experiment: mine is deleted"):
+        store.connect(uri(tmp_path), "mine")
+
+
+def test_a_server_that_says_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "1")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        start = time.perf_counter()
+        with pytest.raises(ConfigError, match=r"tracking\.uri: http://127\.0\.0\.1.*timed out"):
+            store.connect(f"http://127.0.0.1:{silent.getsockname()[1]}", "mine")
+        assert time.perf_counter() - start < 10
+
+
+def test_no_password_is_shown() -> None:
+    for text, expected in {
+        "http://me:secret@host:5000/path": "http://host:5000/path",
+        "postgresql+psycopg2://me:se/cr@et@host/x is away": "postgresql+psycopg2://host/x is away",
+        "sqlite:////a/b@c/mlflow.db": "sqlite:////a/b@c/mlflow.db",
+        "sqlite:///mlflow.db": "sqlite:///mlflow.db",
+    }.items():
+        assert store.redact(text) == expected

@@ -22,9 +22,9 @@ NO_ASSISTANT = "localStorage.setItem('mlflow.assistant.fab.autoOpenedOnFirstLoad
 
 
 @contextmanager
-def serve(command: str, folder: Path) -> Iterator[str]:
-    """The command that a sweep prints, on a port of its own; yields its address, and kills it at the end."""
-    port = _free_port()
+def serve(command: str, folder: Path, port: int | None = None) -> Iterator[str]:
+    """Run the command that a sweep prints, and kill it at the end; yields its address."""
+    port = port or free_port()
     root = f"http://127.0.0.1:{port}"
     environment = {
         **os.environ,
@@ -75,7 +75,7 @@ def visit(browser: Browser) -> Iterator[Page]:
     context.close()
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

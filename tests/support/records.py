@@ -1,24 +1,28 @@
-"""Comparing records."""
+"""Comparing records and folders of trials."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from simbias.trial.folder import TrialFolder
 from simbias.trial.run import TrialRecord
+
+DERIVED = ("fitted_bias", "nominal", "study", "traceback")  # follow from the rest
 
 
 def assert_equal(a: Any, b: Any, where: str = "") -> None:
-    """Two records are the same to the last bit, but for fitted biases, which follow from the data."""
+    """Two records are the same to the last bit, but for what follows from the rest."""
     if isinstance(b, np.ndarray):
         np.testing.assert_array_equal(a, b, err_msg=where)
     elif is_dataclass(b):
         assert type(a) is type(b), where
         for field in fields(b):
-            if field.name not in ("fitted_bias", "nominal", "traceback"):
+            if field.name not in DERIVED:
                 assert_equal(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
     elif isinstance(b, tuple):
         assert len(a) == len(b), where
@@ -33,4 +37,9 @@ def assert_equal(a: Any, b: Any, where: str = "") -> None:
 def timeless(record: TrialRecord) -> TrialRecord:
     """A record without its times."""
     iterations = tuple(replace(iteration, seconds={}) for iteration in record.iterations)
-    return replace(record, iterations=iterations, started=0.0, seconds=0.0)
+    return replace(record, iterations=iterations, summary=replace(record.summary, ended=0.0, seconds=0.0))
+
+
+def step_names(folder: Path) -> list[str]:
+    """The steps of a trial's folder, `search`, `experiment` or `iteration`."""
+    return [file.stem.partition("_")[2] for file in TrialFolder(folder).steps()]

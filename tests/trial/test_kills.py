@@ -1,34 +1,31 @@
-"""A trial that is killed again and again ends as one that is not; nothing of it is made or told twice."""
+"""Processes that are killed, and two at once: no experiment is lost or made twice."""
 
 from __future__ import annotations
 
 import json
-import os
 import random
 import signal
 import time
-from dataclasses import replace
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 from logged_hardware import LOG
-from mlflow import MlflowClient
-from mlflow.entities import Run
-from records import assert_equal, timeless
-from sweeping import finish, run, start
+from records import assert_equal, step_names, timeless
+from trial_process import start
 
 import simbias
-from simbias.mlflow.store import connect
-from simbias.mlflow.trials import load_trial
-from simbias.trial.run import Outcome, TrialRecord, run_trial
+from simbias.config import ConfigError
+from simbias.trial.folder import TrialFolder
+from simbias.trial.run import TrialRecord, read_trial, run_trial
 
 pytestmark = pytest.mark.slow
 
 KILLS = 4
 SHORT = [
-    *("task.horizon=400", "optimizer.max_evaluations=30", "method.max_iterations=8"),
+    *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=6"),
     "cost.max_cost=1e-3",  # never reached
-    *("hardware=logged", "tracking.pictures=false"),
+    "hardware=logged",
 ]
 
 
@@ -36,9 +33,20 @@ SHORT = [
 def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("conf")
     (folder / "hardware").mkdir()
-    (folder / "hardware" / "logged.yaml").write_text("_target_: logged_hardware.Logged\n")
+    (folder / "hardware" / "logged.yaml").write_text("_target_: logged_hardware.Logged\nseconds: 0.1\n")
     (folder / "components.yaml").write_text("allow: [logged_hardware]\n")
     return folder
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(
+    conf: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[TrialRecord, list[list[float]]]:
+    """The record of the trial, and the starts of its experiments."""
+    folder = tmp_path_factory.mktemp("uninterrupted")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return timeless(run_trial(simbias.load(SHORT, conf))), begun(folder)
 
 
 def begun(folder: Path) -> list[list[float]]:
@@ -47,86 +55,55 @@ def begun(folder: Path) -> list[list[float]]:
     return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
 
 
-def kept(folder: Path) -> int:
-    """How many experiments the journal has."""
-    return len(list((folder / "journals").glob("*/*/*_experiment.npz")))
-
-
-@pytest.fixture(scope="module")
-def undisturbed(
-    conf: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[TrialRecord, list[list[float]]]:
-    """The record of the trial, and the starts of its experiments."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("undisturbed"))
-        record = run_trial(simbias.load(SHORT, conf))
-        return record, begun(Path())
-
-
-def killed(arguments: list[str], folder: Path, seconds: float, in_experiment: bool) -> None:
-    """Start the trial, and kill it so long after it has begun, or after its first new experiment has."""
-    earlier, deadline = len(begun(folder)), time.monotonic() + 60.0
-    process = start(*arguments, folder=folder)
-    assert process.stdout is not None
-    for line in process.stdout:
-        if ", trial " in line:
-            break
-    while in_experiment and len(begun(folder)) == earlier and time.monotonic() < deadline:
+def until_begun(process: BaseProcess, folder: Path, count: int) -> None:
+    """Wait until so many experiments have been begun."""
+    while len(begun(folder)) < count and process.is_alive():
         time.sleep(0.01)
-    time.sleep(seconds)
-    os.killpg(process.pid, signal.SIGKILL)
-    status, _, err = finish(process)
-    assert status == -signal.SIGKILL, err
 
 
-def only_run(folder: Path) -> tuple[MlflowClient, Run]:
-    client = MlflowClient(tracking_uri=f"sqlite:///{folder}/mlflow.db")
-    experiment = client.get_experiment_by_name("simbias")
-    assert experiment is not None
-    (only,) = client.search_runs([experiment.experiment_id])
-    return client, only
-
-
-def test_killed_again_and_again_a_trial_ends_as_undisturbed(
-    conf: Path, undisturbed: tuple[TrialRecord, list[list[float]]], tmp_path: Path
+def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
+    conf: Path, uninterrupted: tuple[TrialRecord, list[list[float]]], tmp_path: Path
 ) -> None:
-    expected, starts = undisturbed
-    assert (expected.outcome, len(starts)) == (Outcome.NOT_SUCCEEDED, 16)
-    uri = f"sqlite:///{tmp_path}/mlflow.db"
-    connect(uri, "simbias")
-    arguments = ["--config-dir", str(conf), *SHORT]
-    rng = random.Random(2015)
+    expected, starts = uninterrupted
+    assert len(starts) == 12
+    rng, folder = random.Random(2015), tmp_path / "trial"
     for number in range(KILLS + 1):
-        safe, earlier = kept(tmp_path), begun(tmp_path)
+        safe, earlier = step_names(folder).count("experiment"), len(begun(tmp_path))
+        process = start(folder, SHORT, conf)
         if number < KILLS:
-            killed(arguments, tmp_path, rng.uniform(0.0, 0.3), in_experiment=number % 2 == 0)
-            made = begun(tmp_path)[len(earlier) :]
-            assert made or number % 2
-            assert kept(tmp_path) >= safe + max(0, len(made) - 1)  # all but the one under way
-        else:
-            status, out, err = run(*arguments, folder=tmp_path)
-            assert (status, err) == (1, ""), out
-            made = begun(tmp_path)[len(earlier) :]
-            assert made
+            until_begun(process, tmp_path, earlier + 1)
+            time.sleep(rng.uniform(0.0, 0.2))
+            process.kill()
+        process.join(120)
+        assert process.exitcode == (-signal.SIGKILL if number < KILLS else 0)
+        made = begun(tmp_path)[earlier:]
         assert made == starts[safe : safe + len(made)]  # none that was kept is made again
+        assert step_names(folder).count("experiment") >= safe + len(made) - 1  # all but the one under way
     assert made[-1] == starts[-1]
-    assert not (tmp_path / "journals").exists()
-    check_store(tmp_path, uri, expected)
-    earlier = begun(tmp_path)
-    status, out, _ = run(*arguments, folder=tmp_path)
-    assert (status, begun(tmp_path)) == (1, earlier)
-    assert "in an earlier run of this command" in out
+    study = simbias.load(SHORT, conf)
+    for record in (run_trial(study, folder), read_trial(study, folder)):
+        assert_equal(timeless(record), expected)
+    assert sum("started" in each for each in TrialFolder(folder).attempts()) == KILLS + 1
 
 
-def check_store(folder: Path, uri: str, expected: TrialRecord) -> None:
-    """One run, with the records of the undisturbed trial, and every metric once an iteration."""
-    client, only = only_run(folder)
-    assert (only.info.status, only.data.tags["outcome"]) == ("FINISHED", "not succeeded")
-    assert "error" not in only.data.tags
-    trial = load_trial(only.info.run_id, uri, allow=["logged_hardware"])
-    assert_equal(timeless(replace(expected, iterations=trial.iterations)), timeless(expected))
-    for name in only.data.metrics:
-        steps = [metric.step for metric in client.get_metric_history(only.info.run_id, name)]
-        assert steps == ([0] if name.startswith("trial/") else list(range(8))), name
-    assert only.data.metrics["trial/experiments"] == 16.0
-    assert "**Did not succeed**" in only.data.tags["mlflow.note.content"]
+def test_two_processes_do_not_make_the_same_trial(
+    conf: Path,
+    uninterrupted: tuple[TrialRecord, list[list[float]]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The second one gives up, or waits until the first has ended, and then finds what that made."""
+    monkeypatch.chdir(tmp_path)
+    study, folder = simbias.load(SHORT, conf), tmp_path / "trial"
+    process = start(folder, SHORT, conf)
+    until_begun(process, tmp_path, 1)
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 0.1)
+    with pytest.raises(ConfigError, match="another process is running this trial"):
+        run_trial(study, folder)
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 60.0)
+    record = run_trial(study, folder)
+    process.join(120)
+    assert process.exitcode == 0
+    assert_equal(timeless(record), uninterrupted[0])
+    assert begun(tmp_path) == uninterrupted[1]
+    assert len(TrialFolder(folder).attempts()) == 1

@@ -1,11 +1,13 @@
-"""The one way to run a trial: what is told to whom, in which order, and what its record says."""
+"""The one way to run a trial: what its observers hear, in which order, and what its record says."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator
 from dataclasses import replace
 from math import isnan, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +17,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from simbias.core import HardwareError, Waiting
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.trial.run import Outcome, Recorder, TrialRecord, run_trial
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.run import read_trial, run_trial
+from simbias.trial.study import Method, Observer, Observers, Study
+from simbias.trial.summary import Outcome, TrialSummary
 
 
 def rollout(cost: float = 0.0) -> Rollout:
@@ -48,17 +51,11 @@ class Scripted(Method):
             yield record
 
 
-class Everything(Recorder, Observer):
-    """Hears as a recorder and as an observer."""
+class Everything(Observer):
+    """Notes what it hears."""
 
-    def __init__(self, pictures: tuple[str, ...] = ()) -> None:
-        self.pictures = pictures
+    def __init__(self) -> None:
         self.heard: list[str] = []
-        self.record: TrialRecord | None = None
-
-    def recalling(self, study: Study) -> Study:
-        self.heard.append("recalling")
-        return study
 
     def searching(self, evaluations: int, best_cost: float) -> None:
         self.heard.append("searching")
@@ -72,13 +69,6 @@ class Everything(Recorder, Observer):
     def iterated(self, iteration: Iteration) -> None:
         self.heard.append(f"iterated {iteration.index}")
 
-    def ended(self, record: TrialRecord) -> None:
-        self.heard.append(record.outcome)
-        self.record = record
-
-    def illustrated(self, pictures: Mapping[str, bytes]) -> None:
-        self.heard.append(f"illustrated {sorted(pictures)}")
-
 
 EXPERIMENTS = ["searching", "experimenting", "experimented", "experimenting", "experimented"]
 
@@ -87,77 +77,69 @@ def scripted(study: Study, **options: Any) -> Study:
     return replace(study, method=Scripted(**options))
 
 
-def test_all_is_passed_on_in_order(point_mass: Study) -> None:
-    """The recorder, first, hears of iterations and of the end; the observer of all that happens."""
-    recorder, observer = Everything(), Everything()
-    record = run_trial(scripted(point_mass), recorder, observer)
-    assert recorder.heard == ["recalling", "iterated 0", "iterated 1", "succeeded"]
-    assert observer.heard == [*EXPERIMENTS, "iterated 0", *EXPERIMENTS, "iterated 1"]
-    both = Everything()
-    run_trial(scripted(point_mass), both, both)
-    assert both.heard[6:8] == ["iterated 0", "iterated 0"]
-    assert recorder.record is record
+def test_observers_hear_all_in_order(point_mass: Study) -> None:
+    one, other = Everything(), Everything()
+    run_trial(scripted(point_mass), observer=Observers(one, other))
+    assert one.heard == other.heard == [*EXPERIMENTS, "iterated 0", *EXPERIMENTS, "iterated 1"]
 
 
-def test_an_iteration_is_kept_before_anyone_sees_it(point_mass: Study) -> None:
-    class Full(Recorder):
-        def iterated(self, iteration: Iteration) -> None:
-            raise OSError("disk full")
+def test_an_iteration_is_kept_before_anyone_sees_it(
+    point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError("disk full")
 
     observer = Everything()
-    record = run_trial(scripted(point_mass), Full(), observer)
+    monkeypatch.setattr("simbias.trial.folder.FolderRecord._keep", full)
+    record = run_trial(scripted(point_mass), tmp_path, observer)
     assert observer.heard == EXPERIMENTS
-    assert (record.outcome, record.reason) == (Outcome.ERROR, "OSError: disk full")
-    assert record.experiments == 2
+    assert (record.outcome, record.summary.reason) == (Outcome.ERROR, "OSError: disk full")
+    assert record.summary.experiments == 2
 
 
-@pytest.mark.parametrize("succeeds", [True, False])
-def test_a_record_of_a_trial_that_came_to_its_end(point_mass: Study, succeeds: bool) -> None:
-    record = run_trial(scripted(point_mass, succeeds=succeeds))
-    assert record.outcome is (Outcome.SUCCEEDED if succeeds else Outcome.NOT_SUCCEEDED)
-    assert record.outcome.final
-    assert [each.index for each in record.iterations] == [0, 1]
-    assert (record.unfinished, record.reason, record.traceback, record.pictures) == ((), "", "", {})
-    assert record.experiments == 4
-    assert record.experiments_until_success == (4.0 if succeeds else 10.0)
-    assert record.iterations_until_success == (2.0 if succeeds else 5.0)
-    assert record.started > 0
-    assert 0 < record.seconds < 5
+def test_a_trial_that_ended(point_mass: Study) -> None:
+    for succeeds in (True, False):
+        record = run_trial(scripted(point_mass, succeeds=succeeds))
+        summary = record.summary
+        assert summary.outcome is (Outcome.SUCCEEDED if succeeds else Outcome.NOT_SUCCEEDED)
+        assert [each.index for each in record.iterations] == [0, 1]
+        assert (record.unfinished, summary.reason, record.traceback) == ((), "", "")
+        assert summary.experiments == 4
+        assert summary.experiments_until_success == (4.0 if succeeds else 10.0)
+        assert summary.iterations_until_success == (2.0 if succeeds else 5.0)
+        assert 0 < summary.seconds < 5
 
 
-@pytest.mark.parametrize(
-    ("raised", "outcome", "reason"),
-    [
-        (Waiting("run.csv is\nnot there."), Outcome.WAITING, "run.csv is not there."),
-        (HardwareError("hot"), Outcome.ERROR, "HardwareError: hot"),
-        (SystemExit(), Outcome.ERROR, "SystemExit"),
-        (asyncio.CancelledError(), Outcome.ERROR, "CancelledError"),
-    ],
-)
-def test_a_record_of_a_trial_that_stopped(
-    point_mass: Study, raised: BaseException, outcome: Outcome, reason: str
+def test_a_trial_that_stopped(point_mass: Study, tmp_path: Path) -> None:
+    """It is read back as far as it went, though its method raises again."""
+    for number, (raised, outcome, reason) in enumerate(
+        [
+            (Waiting("run.csv is\nnot there."), Outcome.WAITING, "run.csv is not there."),
+            (HardwareError("hot"), Outcome.ERROR, "HardwareError: hot"),
+            (SystemExit(), Outcome.ERROR, "SystemExit"),
+            (asyncio.CancelledError(), Outcome.ERROR, "CancelledError"),
+        ]
+    ):
+        study = scripted(point_mass, breaks=raised)
+        record = run_trial(study, tmp_path / str(number))
+        summary = record.summary
+        assert (summary.outcome, summary.reason) == (outcome, reason)
+        assert ("Traceback" in record.traceback) == (outcome is Outcome.ERROR)
+        assert (len(record.iterations), len(record.unfinished), summary.experiments) == (1, 1, 3)
+        assert isnan(summary.experiments_until_success)
+        assert isnan(summary.iterations_until_success)
+        assert_equal(read_trial(study, tmp_path / str(number)), record)
+
+
+def test_an_interrupted_trial_is_kept_and_the_interruption_passed_on(
+    point_mass: Study, tmp_path: Path
 ) -> None:
-    recorder = Everything(pictures=("overview",))
-    record = run_trial(scripted(point_mass, breaks=raised), recorder)
-    assert (record.outcome, record.reason) == (outcome, reason)
-    assert not record.outcome.final
-    assert ("Traceback" in record.traceback) == (outcome is Outcome.ERROR)
-    assert (len(record.iterations), len(record.unfinished), record.experiments) == (1, 1, 3)
-    assert isnan(record.experiments_until_success)
-    assert isnan(record.iterations_until_success)
-    assert recorder.heard == ["recalling", "iterated 0", outcome]
-
-
-@pytest.mark.parametrize("raised", [KeyboardInterrupt(), GeneratorExit()])
-def test_an_interrupted_trial_is_kept_and_the_interruption_goes_on(
-    point_mass: Study, raised: BaseException
-) -> None:
-    recorder = Everything()
-    with pytest.raises(type(raised)):
-        run_trial(scripted(point_mass, breaks=raised), recorder)
-    assert recorder.heard == ["recalling", "iterated 0", "interrupted"]
-    assert recorder.record is not None
-    assert (recorder.record.experiments, recorder.record.reason) == (3, "")
+    for raised in (KeyboardInterrupt(), GeneratorExit()):
+        folder = tmp_path / type(raised).__name__
+        with pytest.raises(type(raised)):
+            run_trial(scripted(point_mass, breaks=raised), folder)
+        record = read_trial(scripted(point_mass, breaks=Waiting()), folder)
+        assert (record.outcome, record.summary.experiments, record.summary.reason) == ("interrupted", 3, "")
 
 
 def test_a_trial_without_an_iteration_does_not_succeed(point_mass: Study) -> None:
@@ -165,38 +147,30 @@ def test_a_trial_without_an_iteration_does_not_succeed(point_mass: Study) -> Non
         def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
             yield from ()
 
-    record = run_trial(replace(point_mass, method=Nothing()))
-    assert (record.outcome, record.experiments) == (Outcome.NOT_SUCCEEDED, 0)
-    assert record.experiments_until_success == 10.0
+    summary = run_trial(replace(point_mass, method=Nothing())).summary
+    assert (summary.outcome, summary.experiments) == (Outcome.NOT_SUCCEEDED, 0)
+    assert summary.experiments_until_success == 10.0
 
 
-def test_more_experiments_than_foreseen_are_not_hidden() -> None:
-    record = TrialRecord(Outcome.NOT_SUCCEEDED, (iteration(0), iteration(1)), max_experiments=3)
-    assert record.experiments_until_success == 4.0
+def test_counts_of_experiments_are_censored_without_success() -> None:
+    for outcome in Outcome:
+        assert outcome.final == (outcome in ("succeeded", "not succeeded"))
+        counted = TrialSummary(outcome, experiments=2, max_experiments=20).experiments_until_success
+        expected = {"succeeded": 2.0, "not succeeded": 20.0}.get(outcome, nan)
+        assert counted == pytest.approx(expected, nan_ok=True)
+    more = TrialSummary(Outcome.NOT_SUCCEEDED, experiments=4, max_experiments=3)
+    assert more.experiments_until_success == 4.0  # none is hidden
 
 
-@pytest.mark.parametrize("outcome", Outcome)
-def test_only_what_would_come_again_is_final(outcome: Outcome) -> None:
-    assert outcome.final == (outcome in ("succeeded", "not succeeded"))
-    counted = TrialRecord(outcome, (iteration(0),), max_experiments=20).experiments_until_success
-    expected = {"succeeded": 2.0, "not succeeded": 20.0}.get(outcome, nan)
-    assert counted == pytest.approx(expected, nan_ok=True)
-
-
-def test_pictures_are_drawn_once_the_trial_is_kept(
-    point_mass: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from simbias.pictures.trial import gallery
-
-    def draw(study: Study, iterations: tuple[Iteration, ...], names: tuple[str, ...]) -> dict[str, bytes]:
-        return {f"{name}.png": str(len(iterations)).encode() for name in names}
-
-    monkeypatch.setattr(gallery, "pictures", draw)
-    recorder = Everything(pictures=("overview", "costs"))
-    study = scripted(point_mass)
-    record = gallery.illustrated(study, run_trial(study, recorder), recorder)
-    assert recorder.heard[-2:] == ["succeeded", "illustrated ['costs.png', 'overview.png']"]
-    assert record.pictures == {"overview.png": b"2", "costs.png": b"2"}
+def test_a_summary_is_the_same_after_json() -> None:
+    for summary in (
+        TrialSummary(Outcome.ERROR, reason="a | b\n"),
+        TrialSummary(Outcome.SUCCEEDED, success_rate=0.5, platforms=("a", "b"), diagnostics=("c",)),
+    ):
+        assert_equal(TrialSummary.from_json(json.loads(json.dumps(summary.as_json()))), summary)
+    for wrong in ({}, {"outcome": "fine"}, TrialSummary(Outcome.ERROR).as_json() | {"more": 1}):
+        with pytest.raises((KeyError, TypeError, ValueError)):
+            TrialSummary.from_json(wrong)
 
 
 def test_linear_algebra_runs_on_one_thread(point_mass: Study) -> None:
@@ -213,9 +187,9 @@ def test_linear_algebra_runs_on_one_thread(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_a_trial_is_the_studys_run(point_mass: Study) -> None:
-    """No recorder, no observer: the records are those that the study yields."""
+def test_a_trial_is_its_studys_run(point_mass: Study) -> None:
+    """Its records are those that the study yields."""
     record = run_trial(point_mass)
     same = replace(record, iterations=tuple(point_mass.run()))
     assert_equal(timeless(record), timeless(same))
-    assert record.max_experiments == point_mass.method.max_experiments
+    assert record.summary.max_experiments == point_mass.method.max_experiments

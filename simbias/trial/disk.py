@@ -1,0 +1,117 @@
+"""Files that are there in whole or not at all, lines that are on disk when they are said to be, and locks."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from filelock import FileLock, Timeout
+
+from simbias.core.errors import ConfigError
+from simbias.core.messages import words
+
+PART = ".part"  # suffix of a file that is being written
+LOCK = ".lock"  # file of a folder that one process at a time may write
+
+
+@contextmanager
+def locked(path: Path, timeout: float, taken: ConfigError) -> Iterator[None]:
+    """Hold a lock in a folder that is made if need be.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be written; `taken` if another process holds the lock for `timeout` s.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path)
+        lock.acquire(timeout=timeout)
+    except Timeout as error:
+        raise taken from error
+    except OSError as error:
+        raise ConfigError(str(path.parent), f"cannot be written ({error.strerror})") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a process holds this lock."""
+    try:
+        if path.exists():
+            FileLock(path).acquire(timeout=0).lock.release()
+    except Timeout:
+        return True
+    except OSError:  # a copy that nobody may write
+        pass
+    return False
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A mapping from a file.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or has no mapping.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be read ({words(error)})") from error
+    if not isinstance(content, dict):
+        raise ConfigError(str(path), "has no mapping")
+    return content
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a mapping as `write_whole` does."""
+    text = json.dumps(content, indent=1, default=str) + "\n"
+    write_whole(path, lambda file: file.write(text.encode()))
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
+    part = path.with_name(f"{path.name}{PART}")
+    with part.open("wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+    if os.name == "posix":  # elsewhere a folder cannot be opened
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
+
+
+def append_line(path: Path, line: Mapping[str, Any]) -> None:
+    """Append a line of JSON to a file, on disk when this returns; one that a kill cut off stays apart."""
+    with path.open("a+b") as file:
+        file.seek(0, os.SEEK_END)
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+        cut_off = file.read(1) not in (b"", b"\n")
+        file.write(b"\n" * cut_off + json.dumps(line).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """The lines of JSON of a file that may be missing; one that a kill cut off is left out."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [line for line in map(_parsed, lines) if line]
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    """A mapping from a line; empty if the line was cut off."""
+    try:
+        content = json.loads(line)
+    except ValueError:
+        return {}
+    return content if isinstance(content, dict) else {}

@@ -1,0 +1,322 @@
+"""Folders of trials in MLflow: live, later or again, always the same pages."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+from hardware import counted
+from mlflow import MlflowClient
+from mlflow.entities import Run
+from mlflow_ui import free_port, serve
+from records import assert_equal
+
+import simbias
+from simbias.config import ConfigError
+from simbias.core import Hardware, HardwareError
+from simbias.core.records import Iteration
+from simbias.mlflow.tracking import Mlflow
+from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.run import run_trial
+from simbias.trial.study import Observer, Observers, Study
+
+pytestmark = pytest.mark.slow
+
+SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=2"]
+
+
+def study(seed: int = 0) -> Study:
+    return simbias.load([*SHORT, f"seed={seed}"], OWN_CONF)
+
+
+class Broken(Hardware):
+    def run(self, *_: Any) -> NoReturn:
+        raise HardwareError("the motor | is hot")
+
+
+class Stop(Observer):
+    def iterated(self, iteration: Iteration) -> None:
+        raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of trials, each of which stands otherwise: its seed tells."""
+    trials = tmp_path_factory.mktemp("made") / "trials"
+    finished, killed = (run_trial(study(seed), trials / study(seed).hash) for seed in (0, 1))
+    assert finished.outcome.final
+    assert killed.outcome.final
+    folder = TrialFolder(trials / study(1).hash)
+    for file in (folder.steps()[-1], folder.path / "outcome.json"):
+        file.unlink()
+    run_trial(counted(study(2), slow=True)[0], trials / study(2).hash)
+    run_trial(replace(study(3), hardware=Broken()), trials / study(3).hash)
+    with pytest.raises(KeyboardInterrupt):
+        run_trial(study(4), trials / study(4).hash, Stop())
+    return trials
+
+
+@pytest.fixture
+def folder(made: Path, new_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with these trials and a store in which nothing is."""
+    shutil.copytree(made, tmp_path / "trials")
+    shutil.copy(new_store, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def uri(folder: Path) -> str:
+    return f"sqlite:///{folder}/mlflow.db"
+
+
+def export(address: str, trials: Path) -> list[str]:
+    return list(Mlflow(address, trials=str(trials)).export_all())
+
+
+def pages(address: str) -> dict[str, dict[str, Any]]:
+    """All that the runs of a store hold, by their seed, but for their ids."""
+    client = MlflowClient(address)
+    experiment = client.get_experiment_by_name("simbias")
+    assert experiment is not None
+    runs = client.search_runs([experiment.experiment_id])
+    found = {run.data.params["seed"]: page(client, run) for run in runs}
+    assert len(found) == len(runs)
+    return dict(sorted(found.items()))
+
+
+def page(client: MlflowClient, run: Run) -> dict[str, Any]:
+    """A run."""
+    histories = {}
+    for name in run.data.metrics:
+        points = client.get_metric_history(run.info.run_id, name)
+        histories[name] = [(point.step, point.timestamp, point.value) for point in points]
+        assert len({point.step for point in points}) == len(points), name
+    root = Path(client.download_artifacts(run.info.run_id, ""))
+    files = sorted(file for file in root.rglob("*") if file.is_file())
+    return {
+        "name": run.info.run_name,
+        "status": run.info.status,
+        "start": run.info.start_time,
+        "params": run.data.params,
+        "tags": run.data.tags,
+        "metrics": histories,
+        "files": {str(file.relative_to(root)): file.read_bytes() for file in files},
+    }
+
+
+def test_every_trial_has_its_page(folder: Path) -> None:
+    assert export(uri(folder), folder / "trials") == ["5 trials in no sweep"]
+    found = pages(uri(folder))
+    assert [each["status"] for each in found.values()] == [
+        "FINISHED",
+        "KILLED",
+        "SCHEDULED",
+        "FAILED",
+        "KILLED",
+    ]
+    outcomes = [each["tags"].get("outcome") for each in found.values()]
+    ended = TrialFolder(folder / "trials" / study(0).hash).summary()
+    assert ended is not None
+    assert outcomes == [str(ended.outcome), None, "waiting", "error", "interrupted"]
+    assert found["3"]["tags"]["error"] == "HardwareError: the motor | is hot"
+    assert "trial/error_0000.txt" in found["3"]["files"]
+    finished, trial = found["0"], TrialFolder(folder / "trials" / study(0).hash)
+    assert finished["params"]["optimizer.max_evaluations"] == "20"
+    assert finished["params"]["task"] == "point_mass"
+    assert {"config.yaml", *(f"trial/{file.name}" for file in trial.files())} == {*finished["files"]}
+    totals = [
+        (each["iteration"], int(1000 * each["ended"]), 2.0 * each["iteration"] + 2)
+        for each in trial.iterations()
+    ]
+    assert finished["metrics"]["experiments/total"] == totals
+    assert finished["metrics"]["trial/hardware_seconds"] == [
+        (0, int(1000 * ended.ended), ended.hardware_seconds)
+    ]
+
+
+def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folder: Path) -> None:
+    """Also where one run, or all files, are gone."""
+    export(uri(folder), folder / "trials")
+    before = pages(uri(folder))
+    export(uri(folder), folder / "trials")
+    assert pages(uri(folder)) == before
+    client = MlflowClient(uri(folder))
+    (first, *_) = client.search_runs([client.get_experiment_by_name("simbias").experiment_id])  # type: ignore[union-attr]
+    client.delete_run(first.info.run_id)
+    export(uri(folder), folder / "trials")
+    assert pages(uri(folder)) == before
+    export(f"sqlite:///{folder}/other.db", folder / "trials")
+    assert pages(f"sqlite:///{folder}/other.db") == before
+
+
+def test_a_trial_that_resumes_or_begins_again(folder: Path) -> None:
+    """What was killed, waited, failed or was interrupted ends in its own run; one made again has another."""
+    export(uri(folder), folder / "trials")
+    before = pages(uri(folder))
+    for seed in range(1, 5):
+        run_trial(study(seed), folder / "trials" / study(seed).hash)
+    export(uri(folder), folder / "trials")
+    after = pages(uri(folder))
+    assert {each["status"] for each in after.values()} == {"FINISHED"}
+    assert [each["start"] for each in after.values()] == [each["start"] for each in before.values()]
+    assert not any("error" in each["tags"] for each in after.values())
+    shutil.rmtree(folder / "trials" / study(0).hash)
+    run_trial(study(0), folder / "trials" / study(0).hash)
+    export(uri(folder), folder / "trials")
+    client = MlflowClient(uri(folder))
+    runs = client.search_runs([client.get_experiment_by_name("simbias").experiment_id])  # type: ignore[union-attr]
+    assert len(runs) == 6
+
+
+def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
+    """Each iteration is logged as it ends."""
+    shutil.rmtree(folder / "trials")
+    store, seen = Mlflow(uri(folder)), []
+
+    class Looking(Observer):
+        def iterated(self, iteration: Iteration) -> None:
+            seen.append(pages(uri(folder))["0"])
+
+    shown = store.export_trial(folder / "trials" / study().hash)
+    record = run_trial(study(), folder / "trials" / study().hash, Observers(shown, Looking()))
+    for index, each in enumerate(seen):
+        assert [step for step, *_ in each["metrics"]["experiments/total"]] == list(range(index + 1))
+        assert each["status"] == "RUNNING"
+        assert "**Running**" in each["tags"]["mlflow.note.content"]
+        assert f"trial/{4 * index + 3:04d}_iteration.json" in each["files"]
+    assert len(seen) == len(record.iterations) > 0
+    shown.update(final=True)
+    live = pages(uri(folder))
+    assert live["0"]["status"] == "FINISHED"
+    assert " -m mlflow ui " in shown.where
+    export(f"sqlite:///{folder}/other.db", folder / "trials")
+    assert pages(f"sqlite:///{folder}/other.db") == live
+
+
+def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None:
+    record = run_trial(study(), folder / "trials" / study().hash)
+    export(uri(folder), folder / "trials")
+    client = MlflowClient(uri(folder))
+    experiment_id = client.get_experiment_by_name("simbias").experiment_id  # type: ignore[union-attr]
+    (run,) = client.search_runs([experiment_id], "params.seed = '0'")
+    for trial in (folder / "trials" / study().hash, run.info.run_id):
+        assert_equal(simbias.load_trial(trial, uri(folder), OWN_CONF), record)
+    foreign = client.create_run(experiment_id).info.run_id
+    sweep = client.create_run(experiment_id, tags={"hash": "abc", "sweep": "mine"}).info.run_id
+    lost = client.create_run(experiment_id, tags={"hash": "abc"}).info.run_id
+    for name, message in {
+        "0" * 32: "no such run in sqlite:",
+        foreign: "is no run of simbias",
+        sweep: "is a sweep",
+        lost: "its files are not in the store",
+    }.items():
+        with pytest.raises(ConfigError, match=f"^{name}: {message}"):
+            simbias.load_trial(name, uri(folder))
+    with pytest.raises(ConfigError, match=r"^tracking\.uri: .*no such store"):
+        simbias.load_trial("0" * 32, f"sqlite:///{folder}/none.db")
+    assert not (folder / "none.db").exists()
+
+
+def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (folder / "trials" / study(0).hash / TRIAL).write_text("{")
+    assert export(uri(folder), folder / "trials") == ["4 trials in no sweep"]
+    (warning,) = [each.getMessage() for each in caplog.records]
+    assert f"{study(0).hash}/{TRIAL}: cannot be read" in warning
+    assert [*pages(uri(folder))] == ["1", "2", "3", "4"]
+    with pytest.raises(ConfigError, match=r"^tracking\.trials: no trials in "):
+        export(uri(folder), folder / "none")
+
+
+def test_many_and_long_parameters(folder: Path) -> None:
+    shutil.rmtree(folder / "trials")
+    plain = study()
+    config = {**plain.config, "many": {f"p{i}": i for i in range(250)}, "a+b": "ü" * 7000}
+    composition = replace(plain.composition, config=config)  # type: ignore[type-var]
+    run_trial(replace(plain, composition=composition), folder / "trials" / "many")
+    export(uri(folder), folder / "trials")
+    (found,) = pages(uri(folder)).values()
+    assert found["params"]["many.p249"] == "249"
+    assert len(found["params"]["a_b"]) == 6000
+    assert found["files"]["config.yaml"].count("ü".encode()) == 7000
+
+
+def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """At any call to it; the same exporter catches up."""
+    shutil.rmtree(folder / "trials")
+    failing = ("create_run", "log_artifacts", "log_batch", "set_terminated")
+    for seed, name in enumerate(failing):
+
+        def fail(*_: Any, **__: Any) -> NoReturn:
+            raise ConnectionError("gone")
+
+        trial = folder / "trials" / study(seed).hash
+        shown = Mlflow(uri(folder)).export_trial(trial)
+        with monkeypatch.context() as patch:
+            patch.setattr(MlflowClient, name, fail)
+            record = run_trial(study(seed), trial, shown)
+            shown.update()
+        assert record.outcome.final
+        shown.update(final=True)
+    assert [each.getMessage().count("gone. All is kept in ") for each in caplog.records] == [1] * len(failing)
+    found = pages(uri(folder))
+    assert [each["status"] for each in found.values()] == ["FINISHED"] * len(failing)
+    export(f"sqlite:///{folder}/other.db", folder / "trials")
+    assert pages(f"sqlite:///{folder}/other.db") == found
+
+
+class Until(Observer):
+    """Does something after the first iteration."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+
+    def iterated(self, iteration: Iteration) -> None:
+        self._stack.close()
+
+
+def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Away at the start, and in the middle; back, `export` catches up."""
+    shutil.rmtree(folder / "trials")
+    port = free_port()
+    address, trials = f"http://127.0.0.1:{port}", folder / "trials"
+    store = Mlflow(address, trials=str(trials))
+    began = time.monotonic()
+    shown = store.export_trial(trials / study(0).hash)
+    assert run_trial(study(0), trials / study(0).hash, shown).outcome.final
+    shown.update(final=True)
+    assert time.monotonic() - began < 30
+    assert shown.where == str(trials / study(0).hash)
+    (warning,) = [each.getMessage() for each in caplog.records]
+    assert f"{address}: " in warning
+    assert f"All is kept in {trials}; `python -m simbias export` shows it" in warning
+    with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
+        export(address, trials)
+    command = (
+        f"mlflow server --workers 1 --backend-store-uri {uri(folder)} --artifacts-destination {folder}/files"
+    )
+    with ExitStack() as stack:
+        stack.enter_context(serve(command, folder, port))
+        shown = Mlflow(address, trials=str(trials)).export_trial(trials / study(1).hash)
+        record = run_trial(study(1), trials / study(1).hash, Observers(shown, Until(stack)))
+        shown.update(final=True)
+        assert record.outcome.final
+    assert len(record.iterations) > 1
+    assert len(caplog.records) == 2
+    with serve(command, folder, port):
+        assert export(address, trials) == ["2 trials in no sweep"]
+        found = pages(address)
+    assert [each["status"] for each in found.values()] == ["FINISHED", "FINISHED"]
+    export(f"sqlite:///{folder}/other.db", trials)
+    assert pages(f"sqlite:///{folder}/other.db") == found

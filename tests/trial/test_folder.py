@@ -1,0 +1,332 @@
+"""A trial's folder: on disk before it is used, resumed from any point, read back as far as it goes."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import OWN_CONF, POINT_MASS
+from hardware import counted
+from records import assert_equal, step_names, timeless
+
+import simbias
+from simbias.config import ConfigError
+from simbias.config.stored import read_folder
+from simbias.core import platform
+from simbias.core.records import Iteration, Rollout
+from simbias.terminal.trial import changed_since
+from simbias.trial import folder as folders
+from simbias.trial.disk import LOCK, is_locked, write_whole
+from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
+from simbias.trial.run import TrialRecord, read_trial, run_trial
+from simbias.trial.steps import experiment
+from simbias.trial.study import Method, Observer, Study
+from simbias.trial.summary import Outcome
+
+SHORT = [
+    *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=3"),
+    "cost.max_cost=1e-3",  # never reached
+    *("policy_test.episodes=2", "policy_test.long_episodes=1", "policy_test.long_seconds=2"),
+]
+ROBUST = [
+    *SHORT,
+    *("bias=sparse_gp", "evaluation=domain_randomization", "optimizer=hybrid", "method=model_based"),
+    *("optimizer.explorations=10", "evaluation.rollouts=3", "evaluation.sample_bias=true"),
+    *("method.retry_search=1", "method.stop_at_failure=false"),
+]
+EXPERIMENTS = 8  # with the test's
+
+
+@pytest.fixture(scope="module")
+def short() -> Study:
+    return simbias.load(SHORT)
+
+
+@pytest.fixture(scope="module")
+def whole(short: Study, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrialRecord]:
+    """The folder of a trial that ended, and its record."""
+    folder = tmp_path_factory.mktemp("trial") / "whole"
+    return folder, run_trial(short, folder)
+
+
+def cut(whole: Path, folder: Path, lost: int) -> Path:
+    """A copy of a folder without its last steps, as a kill leaves it."""
+    shutil.copytree(whole, folder)
+    for file in TrialFolder(folder).steps()[len(step_names(whole)) - lost :]:
+        file.unlink()
+    (folder / OUTCOME).unlink()
+    (folder / EPISODES).unlink()
+    return folder
+
+
+def test_an_experiment_is_on_disk_before_it_is_used(short: Study, tmp_path: Path) -> None:
+    kept = []
+
+    class Watching(Observer):
+        def experimented(self, rollout: Rollout) -> None:
+            kept.append(step_names(tmp_path).count("experiment"))
+
+    run_trial(short, tmp_path, Watching())
+    assert kept == [1, 2, 3, 4, 5, 6]
+    assert step_names(tmp_path) == [*(3 * ["search", *2 * ["experiment"], "iteration"]), *2 * ["experiment"]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("overrides", [SHORT, ROBUST], ids=["paper", "robust"])
+def test_stopped_anywhere_a_trial_ends_as_uninterrupted(overrides: list[str], tmp_path: Path) -> None:
+    """However many of its last steps are missing, whatever else a kill left; no experiment is made twice."""
+    study = simbias.load(overrides)
+    uninterrupted = timeless(run_trial(study, tmp_path / "whole"))
+    assert_equal(timeless(run_trial(study)), uninterrupted)
+    names = step_names(tmp_path / "whole")
+    for lost in range(len(names) + 1):
+        folder = cut(tmp_path / "whole", tmp_path / f"lost {lost}", lost)
+        (folder / f"{len(names) - lost:04d}_search.json.part").write_text("{")
+        with (folder / ATTEMPTS).open("r+b") as file:
+            file.truncate(file.seek(0, 2) - lost)
+        same, log = counted(study)
+        assert_equal(timeless(run_trial(same, folder)), uninterrupted)
+        assert log.count("made") == names[len(names) - lost :].count("experiment")
+        assert {file.name for file in TrialFolder(folder).files()} == {
+            file.name for file in TrialFolder(tmp_path / "whole").files()
+        }
+        assert len(TrialFolder(folder).attempts()) == (2 if lost == 0 else 1 + (lost < 2))
+        for file in TrialFolder(folder).steps():
+            if file.suffix == ".npz":
+                assert file.read_bytes() == (tmp_path / "whole" / file.name).read_bytes()
+
+
+@pytest.mark.slow
+def test_it_waits_for_each_result_and_resumes(short: Study, tmp_path: Path) -> None:
+    """Also for those of the last policy's test, which make no experiment of the trial."""
+    study, log = counted(short, slow=True)
+    for number in range(EXPERIMENTS):
+        record = run_trial(study, tmp_path)
+        assert (record.outcome, record.summary.experiments) == (Outcome.WAITING, min(number, 6))
+        assert record.summary.reason == "trajectory.csv is not there yet."
+    record = run_trial(study, tmp_path)
+    assert_equal(timeless(record), timeless(run_trial(short)))
+    assert log.count("made") == EXPERIMENTS
+    stops = [each["stopped"] for each in TrialFolder(tmp_path).attempts() if "stopped" in each]
+    assert [each["outcome"] for each in stops] == EXPERIMENTS * ["waiting"]
+    seconds = [each["seconds"] for each in stops]
+    assert seconds == sorted(seconds)
+    assert 0.0 < seconds[-1] < record.summary.seconds < sum(seconds)  # of all attempts, each once
+
+
+def test_a_trial_that_ended_touches_no_hardware(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor a file, be the folder somebody's who may only read it."""
+    before = {file: file.stat().st_mtime_ns for file in TrialFolder(whole[0]).files()}
+    study, log = counted(short)
+    monkeypatch.setattr("simbias.trial.disk.FileLock", None)
+    assert_equal(run_trial(study, whole[0]), whole[1])
+    assert_equal(read_trial(study, whole[0]), whole[1])
+    assert log == []
+    assert {file: file.stat().st_mtime_ns for file in TrialFolder(whole[0]).files()} == before
+
+
+def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+) -> None:
+    names = step_names(whole[0])
+    for lost in range(len(names) + 1):
+        folder, left = cut(whole[0], tmp_path / str(lost), lost), names[: len(names) - lost]
+        record = read_trial(short, folder)
+        assert record.outcome is Outcome.INTERRUPTED
+        assert_equal(record.iterations, whole[1].iterations[: left.count("iteration")])
+        experiments = min(left.count("experiment"), 6)
+        assert record.summary.experiments == experiments
+        assert len(record.unfinished) == experiments - 2 * len(record.iterations)
+
+
+def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20"], OWN_CONF)
+    record = run_trial(study, tmp_path)
+    read = read_folder(tmp_path, OWN_CONF)
+    assert_equal(read, record)
+    assert (read.study.hash, read.study.title, read.study.seed) == (study.hash, study.title, study.seed)
+    assert "tracking" not in TrialFolder(tmp_path).description()["config"]  # may hold a password
+    with pytest.raises(ConfigError, match=r"point_mass"):
+        read_folder(tmp_path)  # an untrusted module is not imported
+
+
+def test_what_cannot_be_read_is_one_line_that_names_the_file(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+) -> None:
+    for number, name in enumerate(
+        [TRIAL, OUTCOME, "0000_search.json", "0001_experiment.npz", "0003_iteration.json"]
+    ):
+        for content in (b"", b"{}", b"PK"):
+            folder = tmp_path / f"{number}{content!r}"
+            shutil.copytree(whole[0], folder)
+            (folder / name).write_bytes(content)
+            with pytest.raises(ConfigError, match=f"{name}: cannot be read") as caught:
+                read_folder(folder)
+            assert "\n" not in str(caught.value)
+    with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
+        read_folder(tmp_path)
+
+
+def test_steps_of_other_code_are_one_line(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+) -> None:
+    """Another kind of step, another policy, another iteration."""
+    kind, theta, iteration = (cut(whole[0], tmp_path / name, 0) for name in ("kind", "theta", "iteration"))
+    (kind / "0000_search.json").rename(kind / "0000_experiment.npz")
+    for file, change in (
+        (theta / "0000_search.json", {"parameters": [0.0] * 5}),
+        (iteration / "0003_iteration.json", {"succeeded": True}),
+    ):
+        file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    for folder, file in (
+        (kind, "0000_experiment.npz"),
+        (theta, "0001_experiment.npz"),
+        (iteration, "0003_iteration.json"),
+    ):
+        message = f"{file}: does not fit the trial: its code has changed since"
+        with pytest.raises(ConfigError, match=message):
+            read_trial(short, folder)
+        record = run_trial(short, folder)
+        assert (record.outcome, message in record.summary.reason) == (Outcome.ERROR, True)
+        assert step_names(folder)[1:] == step_names(whole[0])[1:]  # nothing is lost
+
+
+def test_changed_code_is_said(whole: tuple[Path, TrialRecord], tmp_path: Path) -> None:
+    study = simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20"], OWN_CONF)
+    run_trial(study, tmp_path)
+    assert changed_since(study, tmp_path) == ""
+    description = json.loads((tmp_path / TRIAL).read_text())
+    assert description["code"]
+    (tmp_path / TRIAL).write_text(json.dumps(description | {"code": {"point_mass": "another"}}))
+    assert "is shown as it was; its code has changed since it began (point_mass)" in changed_since(
+        study, tmp_path
+    )
+    (tmp_path / OUTCOME).unlink()
+    assert "resumes, but its code has changed" in changed_since(study, tmp_path)
+    assert changed_since(study, tmp_path / "none") == ""
+
+
+def test_another_platform_is_said_and_kept(
+    short: Study,
+    whole: tuple[Path, TrialRecord],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    here = platform.kind()
+    begun, unbegun = cut(whole[0], tmp_path / "begun", 3), cut(whole[0], tmp_path / "unbegun", 14)
+    monkeypatch.setattr(platform, "kind", lambda: "another")
+    with caplog.at_level(logging.WARNING):
+        records = [run_trial(short, folder) for folder in (begun, unbegun)]
+    (warning,) = [each.getMessage() for each in caplog.records]
+    assert warning.endswith(
+        f"trial begun mixes platforms, so its last bits are of neither: {here}; now another"
+    )
+    assert [record.summary.platforms for record in records] == 2 * [(here, "another")]
+
+
+def test_a_full_disk_loses_nothing(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Full at any step, the trial stops with an error, and resumes as uninterrupted."""
+    for room in range(len(step_names(whole[0]))):
+        steps = iter(range(100))
+
+        def until_full(path: Path, write: object, steps: Iterator[int] = steps, room: int = room) -> None:
+            if path.name[0].isdigit() and next(steps) >= room:
+                raise OSError(28, "No space left on device")
+            write_whole(path, write)  # type: ignore[arg-type]
+
+        folder = tmp_path / str(room)
+        with monkeypatch.context() as patch:
+            patch.setattr(folders, "write_whole", until_full)
+            record = run_trial(short, folder)
+        assert (record.outcome, len(step_names(folder))) == (Outcome.ERROR, room)
+        assert "No space left on device" in record.summary.reason
+    assert_equal(timeless(run_trial(short, folder)), timeless(whole[1]))
+
+
+def test_a_file_is_there_in_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    write_whole(path, lambda file: file.write(b"old"))
+
+    def fail(file: object) -> None:
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_whole(path, fail)
+    assert path.read_bytes() == b"old"
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(short: Study, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=r"file.*cannot be written"):
+        run_trial(short, tmp_path / "file" / "trial")
+
+
+def test_pandas_reads_it(whole: tuple[Path, TrialRecord]) -> None:
+    folder = TrialFolder(whole[0])
+    iterations = pd.json_normalize(folder.iterations())
+    assert list(iterations["iteration"]) == [0, 1, 2]
+    assert list(iterations["hardware_cost"]) == [each.hardware_cost for each in whole[1].iterations]
+    assert list(iterations["metrics.experiments/total"]) == [2.0, 4.0, 6.0]
+    assert (iterations["seconds.search"] > 0).all()
+    attempts = pd.read_json(StringIO((whole[0] / ATTEMPTS).read_text()), lines=True)
+    assert list(attempts["platform"]) == [platform.kind()]
+    (outcome,) = pd.json_normalize(json.loads((whole[0] / OUTCOME).read_text())).to_dict("records")
+    assert (outcome["outcome"], outcome["experiments"]) == ("not succeeded", 6)
+    assert len(pd.read_csv(whole[0] / EPISODES)) == 2
+    with np.load(whole[0] / "0001_experiment.npz", allow_pickle=False) as file:
+        assert {"states", "inputs", "parameters"} <= set(file.files)
+
+
+class Guessing(Method):
+    """Two policies by chance; its numbers are NumPy's."""
+
+    max_iterations, max_experiments = 2, 4
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        for index in range(2):
+            theta_rng, experiment_rng = rng.spawn(2)
+            theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
+            made = experiment(study, theta, experiment_rng, observer, 2)
+            cost = np.max([rollout.cost for rollout in made])
+            succeeded = np.bool_(index == 1)
+            yield Iteration(index, theta, made, cost, succeeded, np.int64(2 * index + 2))  # type: ignore[arg-type]
+
+
+def test_any_method_runs_resumes_and_is_read_back(point_mass: Study, tmp_path: Path) -> None:
+    study = replace(point_mass, method=Guessing())
+    uninterrupted = run_trial(study, tmp_path / "whole")
+    assert (uninterrupted.outcome, uninterrupted.summary.experiments) == (Outcome.SUCCEEDED, 4)
+    assert_equal(read_trial(study, tmp_path / "whole"), uninterrupted)
+    for lost in range(len(step_names(tmp_path / "whole")) + 1):
+        folder = tmp_path / str(lost)
+        shutil.copytree(tmp_path / "whole", folder)
+        (folder / OUTCOME).unlink()
+        for file in TrialFolder(folder).steps()[6 - lost :]:
+            file.unlink()
+        assert_equal(timeless(run_trial(study, folder)), timeless(uninterrupted))
+
+
+def test_a_lock_tells_whether_a_process_runs_the_trial(short: Study, tmp_path: Path) -> None:
+    seen = []
+
+    class Looking(Observer):
+        def iterated(self, iteration: Iteration) -> None:
+            seen.append(is_locked(tmp_path / LOCK))
+
+    assert not is_locked(tmp_path / LOCK)
+    run_trial(short, tmp_path, Looking())
+    assert seen == 3 * [True]
+    assert not is_locked(tmp_path / LOCK)
