@@ -20,9 +20,7 @@ TREES = {
 # Numba documents some of its modules by these names.
 DOCUMENTED = ("numba.core.cgutils", "numba.core.errors", "numba.core.event", "numba.core.types")
 PRIVATE = re.compile(r"\._[a-z]|\.externals\b|^numba\.core\b")
-NOT_YET = {
-    "simulation/compiler/compilation.py": {"_defn", "numba.core.dispatcher.Dispatcher"},
-}
+NOT_YET = {"simulation/compiler/compilation.py": {"_defn", "numba.core.dispatcher.Dispatcher"}}
 
 
 def imports(tree: ast.Module) -> set[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,7 +16,7 @@ from simbias.core.records import Iteration
 from simbias.mlflow import notes
 from simbias.mlflow.pages import PARENT
 from simbias.mlflow.runs import Runs
-from simbias.mlflow.writes import File, Point, Writes
+from simbias.mlflow.writes import Point, Writes
 from simbias.sweep.tracking import Export
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import PICTURES, TRIAL, TrialFolder
@@ -85,11 +85,14 @@ class TrialExport(Export):
             return
         description, iterations = self._folder.description(), self._folder.iterations()
         summary, running = self._folder.summary(), is_locked(self._folder.path / LOCK)
-        run_id = self.run_id
-        self.run_id = ""  # to be found again if the store fails now
+        (run_id, uploaded), self.run_id, self._uploaded = (self.run_id, self._uploaded), "", None
         run = self._runs.client.get_run(run_id) if run_id else self._run(description, began)
-        writes = Writes(files=list(self._new_files(run)), tags=_tags(summary) if summary else {})
-        if any(name == f"{FOLDER}/{TRIAL}" for name, _ in writes.files):
+        sizes, known = self._sizes(), uploaded if uploaded is not None else self._listed(run)
+        new = [name for name in sizes if sizes[name] != known.get(name)]
+        writes = Writes(
+            files=[(name, self._copy(name)) for name in new], tags=_tags(summary) if summary else {}
+        )
+        if f"{FOLDER}/{TRIAL}" in new:
             writes.files.append(("config.yaml", partial(write_yaml, description["config"])))
         kept = run.data.params
         writes.parameters = {key: each for key, each in parameters(description).items() if key not in kept}
@@ -99,7 +102,7 @@ class TrialExport(Export):
             self._runs.client.delete_tag(run.info.run_id, tag)
         writes.flush(self._runs.client, run.info.run_id)
         self._end(run, summary, running)
-        self.run_id = run.info.run_id
+        self.run_id, self._uploaded = run.info.run_id, sizes  # else both are looked up again
 
     def _run(self, description: Mapping[str, Any], began: int) -> Run:
         """The run, a new one if need be: the same trial, begun again in a new folder, has another one."""
@@ -108,7 +111,6 @@ class TrialExport(Export):
         for run in found:
             if run.info.start_time == began:
                 return run
-        self._uploaded = {}
         tags = {**origin_tags(description), "hash": description["hash"]}
         if nested:
             tags |= {PARENT: nested.parent, **nested.tags}
@@ -127,21 +129,24 @@ class TrialExport(Export):
             end = int(1000 * summary.ended) if summary else None
             self._runs.client.set_terminated(run.info.run_id, status, end_time=end)
 
-    def _new_files(self, run: Run) -> Iterator[File]:
-        """Names among the artifacts, and what copies them there, of files that the run lacks."""
-        uploaded, self._uploaded = self._uploaded, None  # to be listed again if the store fails now
-        if uploaded is None:
-            places = [
-                self._runs.client.list_artifacts(run.info.run_id, place) for place in (FOLDER, PICTURES)
-            ]
-            uploaded = {file.path: file.file_size for files in places for file in files}
-        for path in self._folder.files():
-            inside = path.relative_to(self._folder.path).as_posix()
-            name = inside if inside.startswith(f"{PICTURES}/") else f"{FOLDER}/{inside}"
-            if uploaded.get(name) != (size := path.stat().st_size):
-                uploaded[name] = size
-                yield name, partial(shutil.copyfile, path)
-        self._uploaded = uploaded
+    def _listed(self, run: Run) -> dict[str, int | None]:
+        """Sizes of the files among the run's artifacts."""
+        if not run.data.metrics and not run.data.params:  # a new one, which has none
+            return {}
+        listed, run_id = self._runs.client.list_artifacts, run.info.run_id
+        return {file.path: file.file_size for file in (*listed(run_id, FOLDER), *listed(run_id, PICTURES))}
+
+    def _sizes(self) -> dict[str, int | None]:
+        """Sizes of the folder's files by their names among the artifacts, where pictures lie apart."""
+        files = {file.relative_to(self._folder.path).as_posix(): file for file in self._folder.files()}
+        return {
+            name if name.startswith(f"{PICTURES}/") else f"{FOLDER}/{name}": file.stat().st_size
+            for name, file in files.items()
+        }
+
+    def _copy(self, name: str) -> Callable[[Path], object]:
+        """What copies a file of the folder by its name among the artifacts."""
+        return partial(shutil.copyfile, self._folder.path / name.removeprefix(f"{FOLDER}/"))
 
 
 def began_at(folder: TrialFolder) -> int:

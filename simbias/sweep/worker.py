@@ -14,7 +14,8 @@ from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.messages import with_type
-from simbias.trial.folder import OUTCOME, TrialFolder, write_whole
+from simbias.trial.disk import write_whole
+from simbias.trial.folder import OUTCOME, TrialFolder
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -46,10 +46,10 @@ def _exists(name: str) -> bool:
 def _imports(name: str) -> bool:
     """Whether there is a module or a class of this name."""
     module, _, attribute = name.rpartition(".")
-    try:
-        return hasattr(import_module(module), attribute) or find_spec(name) is not None
-    except ImportError:
-        return False
+    for each in (name, module):
+        with suppress(ImportError):
+            return bool(import_module(each)) if each == name else hasattr(import_module(each), attribute)
+    return False
 
 
 def _has(config: object, parts: list[str]) -> bool:

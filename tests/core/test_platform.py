@@ -29,7 +29,7 @@ def platforms(folder: Path) -> list[tuple[str, ...]]:
     return [tuple(TrialFolder(file.parent).platforms()) for file in folder.glob("*/trial.json")]
 
 
-def test_a_kind_tells_what_makes_the_last_bits() -> None:
+def test_a_platform_tells_what_makes_the_last_bits() -> None:
     """Also what the environment made of the processor; not its model, which makes none."""
     code = "from simbias.core.platform import kind; print(kind())"
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | GENERIC
@@ -44,7 +44,7 @@ def test_a_kind_tells_what_makes_the_last_bits() -> None:
 
 
 @pytest.mark.slow
-def test_a_sweep_that_mixes_machines_says_so_once(
+def test_a_sweep_that_mixes_platforms_says_so_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert main([*SWEEP, *kept(tmp_path)]) == 0
@@ -61,7 +61,7 @@ def test_a_sweep_that_mixes_machines_says_so_once(
 
 
 @pytest.mark.slow
-def test_a_trial_that_goes_on_elsewhere_says_so(
+def test_a_trial_that_resumes_elsewhere_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Only if anything of it was made before."""

@@ -168,8 +168,8 @@ def test_a_summary_is_the_same_after_json() -> None:
         TrialSummary(Outcome.SUCCEEDED, success_rate=0.5, platforms=("a", "b"), diagnostics=("c",)),
     ):
         assert_equal(TrialSummary.from_json(json.loads(json.dumps(summary.as_json()))), summary)
-    for wrong in ({}, {"outcome": "fine"}, TrialSummary(Outcome.ERROR).as_json() | {"more": 1}):
-        with pytest.raises((KeyError, TypeError, ValueError)):
+    for wrong in ({}, {"outcome": "fine"}, TrialSummary(Outcome.ERROR).as_json() | {"experiments": "many"}):
+        with pytest.raises(ValueError, match="validation error"):
             TrialSummary.from_json(wrong)
 
 

@@ -23,7 +23,8 @@ from simbias.pictures.trial.forecast import forecast
 from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
 from simbias.pictures.trial.rejections import rejections
-from simbias.trial.folder import PICTURES, write_whole
+from simbias.trial.disk import write_whole
+from simbias.trial.folder import PICTURES
 from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
 
