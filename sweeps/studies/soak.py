@@ -121,7 +121,6 @@ def uninterrupted(kind: str, folder: Path) -> Uninterrupted:
     prepared(before)
     if kind == "export":
         shutil.copytree(first / "trials", before / "trials")
-        (before / "trials" / "exports.jsonl").unlink()
     shutil.copytree(before, after)
     began = time.monotonic()
     status, out, err = run(*COMMANDS[kind], folder=after, timeout=300)
