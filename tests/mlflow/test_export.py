@@ -21,6 +21,7 @@ import simbias
 from simbias.config import ConfigError
 from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
+from simbias.mlflow.runs import SPARING
 from simbias.mlflow.tracking import Mlflow
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.run import run_trial
@@ -303,9 +304,8 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     assert f"All is kept in {trials}; `python -m simbias export` shows it" in warning
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)
-    command = (
-        f"mlflow server --workers 1 --backend-store-uri {uri(folder)} --artifacts-destination {folder}/files"
-    )
+    files = f"--backend-store-uri {uri(folder)} --artifacts-destination {folder}/files"
+    command = f"{SPARING} mlflow server --workers 1 {files}"
     with ExitStack() as stack:
         stack.enter_context(serve(command, folder, port))
         shown = Mlflow(address, trials=str(trials)).export_trial(trials / study(1).hash)
