@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -98,7 +99,7 @@ class Variations:
         config_dir: Path | str | None = None,
         allow: Sequence[str] = (),
     ) -> None:
-        if config_dir is not None and not Path(config_dir).is_dir():
+        if config_dir is not None and not os.path.isdir(config_dir):
             raise ConfigError("--config-dir", f"no such folder: {config_dir}")
         check_no_primary(config_dir)
         self.overrides = list(overrides)

@@ -41,7 +41,8 @@ def sweeps(config_dir: Path | str | None = None) -> list[str]:
 
 def _names(folders: Iterator[Path]) -> set[str]:
     """The names of the configs in some folders."""
-    return {file.stem for folder in folders for file in folder.glob("*.yaml")}
+    there = filter(os.path.isdir, folders)  # False of what no file system takes as a name, too
+    return {file.stem for folder in there for file in folder.glob("*.yaml")}
 
 
 def _sweep_folders(config_dir: Path | str | None) -> Iterator[Path]:

@@ -64,8 +64,10 @@ def test_bad_override() -> None:
 
 
 def test_config_dir_must_exist() -> None:
-    with pytest.raises(ConfigError, match="--config-dir: no such folder"):
-        compose([], "/no/such/folder")
+    for folder in ("/no/such/folder", "[" * 400):  # the second is no name that a file system takes
+        with pytest.raises(ConfigError, match="--config-dir: no such folder"):
+            compose([], folder)
+        assert options(folder) == options()
 
 
 @pytest.mark.slow
