@@ -50,7 +50,8 @@ class Mechanism:
         actuators: Sequence[str] | None = None,
     ) -> None:
         engine = mujoco()
-        model = self.model = _read(file, actuators or ())
+        self._file, self._added = file, actuators or ()
+        model = self.model = _read(file, self._added)
         kinds = {name: int(model.joint(name).type[0]) for name in names_of(model, "joint")}
         joints = list(kinds) if joints is None else list(joints)
         actuators = names_of(model, "actuator") if actuators is None else list(actuators)
@@ -96,6 +97,22 @@ class Mechanism:
         put_values(changed.model, values)
         return changed
 
+    def text(self) -> str:
+        """The mechanism as MJCF; inertias are written out, files of meshes and textures as absolute paths."""
+        engine, spec, model = mujoco(), _spec(_path(self._file), self._added), self.model
+        spec.compile()
+        spec.compiler.inertiafromgeom = engine.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        for body in spec.bodies[1:]:
+            i, body.explicitinertial, body.fullinertia = body.id, True, [np.nan] * 6
+            body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
+            body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+        spec.compile()
+        spec.copy_back(model)
+        for folder in ("meshdir", "texturedir"):
+            own = _path(self._file).parent / (getattr(spec.compiler, folder) or "")
+            setattr(spec.compiler, folder, str(own.resolve()))
+        return str(spec.to_xml())
+
     def physics(self, x: Array) -> Array:
         """MuJoCo's full states (k, .) at states x (k, n)."""
         size = mujoco().mj_stateSize(self.model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
@@ -116,19 +133,23 @@ class Mechanism:
 
 def _read(file: str, actuators: Sequence[str]) -> Any:
     """The compiled model of a file, with motors at joints that are named as actuators."""
-    engine = mujoco()
-    path = _path(file)
-    if not path.is_file():
+    if not (path := _path(file)).is_file():
         raise ValueError(f"no such file: {path}")
     try:
-        spec = engine.MjSpec.from_file(str(path))
-        known = {actuator.name for actuator in spec.actuators}
-        for name in actuators:
-            if name not in known and any(joint.name == name for joint in spec.joints):
-                spec.add_actuator(name=name, target=name, trntype=engine.mjtTrn.mjTRN_JOINT)
-        return spec.compile()
+        return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
         raise ValueError(f"{file}: {words(error)}") from error
+
+
+def _spec(path: Path, actuators: Sequence[str]) -> Any:
+    """The model that a file specifies, with these motors."""
+    engine = mujoco()
+    spec = engine.MjSpec.from_file(str(path))
+    known = {actuator.name for actuator in spec.actuators}
+    for name in actuators:
+        if name not in known and any(joint.name == name for joint in spec.joints):
+            spec.add_actuator(name=name, target=name, trntype=engine.mjtTrn.mjTRN_JOINT)
+    return spec
 
 
 def _path(file: str) -> Path:

@@ -51,7 +51,7 @@ class Lqr(Method):
         ConfigError
             If the model has no LQR, or the policy cannot imitate it.
         """
-        nominal, experiments = study.nominal, list[Rollout]()
+        nominal, experiments = study.first_model().nominal, list[Rollout]()
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("learning"):
