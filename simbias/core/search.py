@@ -65,11 +65,7 @@ class Cost(ABC):
 
 
 class Objective(Protocol):
-    """What a policy search minimises; deterministic. A plain function will do, `together` is faster.
-
-    Some offer `speculate(thetas)` besides, for searches that guess what they will ask for: costs (k,) of
-    thetas (k, p), and which are known yet (k,), one at least. Those in front are known sooner.
-    """
+    """What a policy search minimises; deterministic. A plain function will do, `together` is faster."""
 
     steps: int  # simulated so far, for searches that are limited by them
 

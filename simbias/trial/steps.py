@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from simbias.core import Model, Objective
 from simbias.core.records import (
     Array,
-    Flags,
     Iteration,
     Learning,
     Optimum,
@@ -88,8 +86,6 @@ class _Watched:
         self._evaluations, self._best = 0, np.inf
         if hasattr(objective, "together"):
             self.together = self._together
-        if speculate := getattr(objective, "speculate", None):
-            self.speculate = partial(self._speculate, speculate)
 
     @property
     def steps(self) -> int:
@@ -105,13 +101,6 @@ class _Watched:
         costs = self._objective.together(thetas)
         self._report(costs)
         return costs
-
-    def _speculate(
-        self, speculate: Callable[[Array], tuple[Array, Flags]], thetas: Array
-    ) -> tuple[Array, Flags]:
-        costs, known = speculate(thetas)
-        self._report(costs[known])
-        return costs, known
 
     def _report(self, costs: Array) -> None:
         self._evaluations += len(costs)
