@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from simbias.core.search import Model
+    from simbias.core.model import Model
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
