@@ -50,7 +50,7 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
-  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files; which parameter to trust?
+  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited

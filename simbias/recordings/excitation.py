@@ -10,7 +10,6 @@ import numpy as np
 from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
-from simbias.lab.safety import Bounds
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior, Problem
 from simbias.learning.prediction_errors import ErrorDistribution
@@ -39,7 +38,7 @@ class Excitation:
 
 
 class Designer:
-    """Rates trajectories of inputs by the posterior that recordings of them are expected to leave (D-optimal).
+    """Rates trajectories of inputs by the posterior that recordings of them should leave (D-optimal).
 
     Parameters
     ----------

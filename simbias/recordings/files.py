@@ -109,7 +109,8 @@ def trajectory(assessment: Assessment, rollout: Rollout) -> pd.DataFrame:
 
 def _config(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
     """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
-    yield "# What recordings say of the nominal model's parameters (5% .. most probable .. 95%); experiments add to it."
+    yield "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
+    yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
         yield f"# {e.name}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {e.unit}"
     for key, value in identification.items():

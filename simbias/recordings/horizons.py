@@ -62,7 +62,7 @@ class Prediction:
 def predictions(
     task: Task, nominal: Nominal, identified: Sequence[Nominal], parts: Sequence[Sequence[Rollout]]
 ) -> list[Prediction]:
-    """Predictions of each part by the nominal model and by the part's identified one, as far as parts last."""
+    """Of each part, predictions by the nominal model and by its identified one, as far as parts last."""
     longest = min(max(rollout.frames for rollout in part) for part in parts)
     frames = {seconds: task.frames(seconds) for seconds in HORIZONS}
     return [

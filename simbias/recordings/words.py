@@ -31,7 +31,10 @@ def verdict(assessment: Assessment) -> str:
     each = f" ({min(ratios.values()):.2f} to {max(ratios.values()):.2f})" if len(ratios) > 1 else ""
     what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
     if assessment.better:
-        return f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as the nominal one{each}."
+        return (
+            f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
+            f"the nominal one{each}."
+        )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "
         f"{assessment.ratio:.2f} times as much{each}. Do not use it."

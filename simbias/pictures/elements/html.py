@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"  # nothing is loaded, nothing runs
 STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+body { font: 16px/1.5 system-ui, sans-serif; color: #222;
+  max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
 table { border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; display: block; overflow-x: auto }
 th, td { border-bottom: 1px solid #ddd; padding: 0.25rem 0.7rem; text-align: right; white-space: nowrap }
 th:first-child, td:first-child, td:last-child, th:last-child { text-align: left }
@@ -60,4 +61,5 @@ def picture(figure: Figure, words: str) -> str:
     """A figure within the page; the words say what it shows to those who cannot see it."""
     file = BytesIO()
     render(figure, PUBLISHED_DOTS_PER_INCH).save(file, "PNG", optimize=True)
-    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{b64encode(file.getvalue()).decode()}"></p>'
+    data = b64encode(file.getvalue()).decode()
+    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{data}"></p>'
