@@ -37,10 +37,9 @@ def parameters(assessment: Assessment) -> Figure:
         _parameter(axes, finding)
     for axes in grid.flat[len(found) :]:
         axes.set_axis_off()
-    line = {"linewidth": 3.0}
     shown = {
-        "prior, 5% to 95%": Line2D([], [], color=PRIOR, **line),
-        "posterior": Line2D([], [], color=SIMULATION, **line),
+        "prior, 5% to 95%": Line2D([], [], color=PRIOR, linewidth=3.0),
+        "posterior": Line2D([], [], color=SIMULATION, linewidth=3.0),
         "of each part alone": Line2D([], [], color=HARDWARE, linewidth=1.2),
     }
     legend(figure, shown)

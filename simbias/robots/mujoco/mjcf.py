@@ -108,6 +108,7 @@ class Mechanism:
             body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
         spec.compile()
         spec.copy_back(model)
+        spec.stat.meaninertia = np.nan  # which copying sets; it affects nothing, and a file may not say it
         for folder in ("meshdir", "texturedir"):
             own = _path(self._file).parent / (getattr(spec.compiler, folder) or "")
             setattr(spec.compiler, folder, str(own.resolve()))
