@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from simbias.core import Nominal, Task
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Flags, Rollout
 from simbias.simulation.open_loop import Windows, World, predict
 
 HORIZONS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # s
 SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
 REGION = 0.9  # probability of a predictive region
 FEWEST = 5  # errors that a region is estimated from, for each state
+SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
 
 
@@ -41,8 +42,8 @@ class Prediction:
             nominal, identified = self.rmse()
         else:
             nominal, identified = _rmse(self.nominal[part]), _rmse(self.identified[part])
-        both = np.minimum([identified, nominal], np.finfo(float).max)
-        ratios = np.divide(*both, where=both.min(axis=0) > 0, out=np.ones_like(nominal))
+        before, after = (np.clip(each, SMALLEST, LARGEST) for each in (nominal, identified))
+        ratios = after / before
         return geometric_mean(np.clip(ratios, 1 / MOST_RATIO, MOST_RATIO))
 
     def coverage(self) -> float:
@@ -50,7 +51,7 @@ class Prediction:
 
         The region is the ellipsoid of their second moments that holds 90% of them.
         """
-        inside: list[Array] = []
+        inside: list[Flags] = []
         for i, own in enumerate(self.identified):
             rest = [each for j, each in enumerate(self.identified) if j != i]
             known = np.concatenate(rest) if rest else np.empty((0, own.shape[1]))

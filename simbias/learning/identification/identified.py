@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
@@ -33,7 +34,7 @@ class Identified(Nominal):
         prior: Nominal,
         mode: Array,
         spread: Array,
-        diagnostics: dict[str, float],
+        diagnostics: Mapping[str, float],
         errors: ErrorDistribution | None = None,
     ) -> None:
         self._prior = prior
@@ -70,7 +71,7 @@ class Identified(Nominal):
 
     def narrowed(self, scale: float) -> Identified:
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
-        return Identified(self._prior, self.mode, scale * self.spread, dict(self.diagnostics), self.errors)
+        return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model with parameters drawn from the posterior."""
