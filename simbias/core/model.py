@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
 from simbias.core.kernel import Kernel
 from simbias.core.parameters import Estimate, Parameter, values_at
+from simbias.core.policy import Policy
 from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
+from simbias.core.robot import Task
 
 
 class Nominal(ABC):
@@ -126,3 +129,13 @@ class FittedBias(ABC):
     def draw(self, rng: np.random.Generator) -> FittedBias:
         """A bias that might be the right one, as far as the data tells; this one if it does not say."""
         return self
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The corrected simulation model of Eq. 7, and the task and policy that close its loop."""
+
+    task: Task
+    policy: Policy
+    nominal: Nominal
+    bias: FittedBias

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core import Waiting, platform
+from simbias.core import Model, Waiting, platform
 from simbias.core.error_origin import told
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
@@ -117,9 +117,9 @@ class _Run(Observer):
         """Whether the last iteration's policy passed on the hardware."""
         return bool(self._iterations) and self._iterations[-1].succeeded
 
-    def searched(self, search: Search) -> None:
+    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Pass it on."""
-        self._observer.searched(search)
+        self._observer.designed(theta, model, search)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Pass it on."""
@@ -168,7 +168,7 @@ class _Run(Observer):
             test_words=test.words if test else "",
             platforms=tuple(dict.fromkeys([*(before.platforms() if before else ()), platform.kind()])),
             processor=platform.processor(),
-            diagnostics=tuple(sorted(diagnostics.kinds(self._iterations))),
+            diagnostics=tuple(sorted({remark.kind for remark in diagnostics.of_trial(self._iterations)})),
         )
         return TrialRecord(
             self._study, summary, tuple(self._iterations), tuple(self._unfinished), test, traceback

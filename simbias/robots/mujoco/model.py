@@ -11,6 +11,7 @@ import numpy as np
 from numba import get_num_threads
 
 from simbias.core import Kernel, Nominal, Task
+from simbias.core.files import ConfigFile
 from simbias.core.parameters import Parameter
 from simbias.core.ranges import NonNegative
 from simbias.core.records import Array, Indices
@@ -51,7 +52,7 @@ class Mujoco(Nominal):
     def __init__(
         self,
         task: Task,
-        file: str,
+        file: ConfigFile,
         joints: list[str] | None = None,
         actuators: list[str] | None = None,
         values: Values | None = None,
