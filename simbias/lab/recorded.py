@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.files import ConfigFile
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import place_of
 from simbias.lab.table import read_table
@@ -40,7 +41,7 @@ class Recorded(Hardware):
     def __init__(
         self,
         task: Task,
-        folder: str,
+        folder: ConfigFile,
         files: list[str] | None = None,
         columns: Mapping[str, str] | None = None,
     ) -> None:

@@ -86,10 +86,6 @@ class Origin(Protocol):
         """The chosen option of every group."""
 
     @property
-    def allowed(self) -> tuple[str, ...]:
-        """Modules of which the config may name classes."""
-
-    @property
     def code(self) -> Mapping[str, str]:
         """Digests of the modules of the user's that its components come from, by name."""
 
