@@ -51,6 +51,7 @@ examples:
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
   python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
+  python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -125,6 +126,7 @@ def _parser(
     identify = commands.add_parser(
         "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
     )
+    withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
     for each, command in takes_overrides:
@@ -138,6 +140,11 @@ def _parser(
     identify.add_argument("--into", default="identified", metavar="DIR", help="where results go")
     identify.add_argument("--attach", action="store_true", help="start a trial with what was identified")
     identify.set_defaults(command=_identify)
+    withdraw.add_argument(
+        "file", type=Path, help="of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
+    )
+    withdraw.add_argument("--reason", default="", help="why, for who looks at the trial")
+    withdraw.set_defaults(command=_withdraw)
     new.add_argument("name", help="of a Python module, as my_robot")
     new.set_defaults(command=_new)
     return parser, commands.choices
@@ -182,6 +189,17 @@ def _identify(parsed: argparse.Namespace) -> int:
         return SUCCEEDED if better else FAILED
     parsed.overrides, parsed.config_dir = request.again, str(request.configs)
     return _run_or_show(parsed)
+
+
+def _withdraw(parsed: argparse.Namespace) -> int:
+    """Take an experiment out of a trial."""
+    from simbias.core.messages import counted
+    from simbias.trial.folder import withdraw
+
+    withdrawal = withdraw(parsed.file, parsed.reason)
+    steps = counted(len(withdrawal.superseded), "step")
+    print(f"{withdrawal}; {steps} after it count no longer. The trial's own command resumes it.")
+    return SUCCEEDED
 
 
 def _new(parsed: argparse.Namespace) -> int:

@@ -98,7 +98,7 @@ class KnownPrior(Nominal):
             )
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
-        self.batched, self.kernel, self.memory_size = nominal.batched, nominal.kernel, nominal.memory_size
+        self.kernel, self.memory_size = nominal.kernel, nominal.memory_size
         self.parameters = tuple(Parameter(name, "", 0.0, 1.0) for name in names)
 
     def step(self, x: Array, u: Array) -> Array:
