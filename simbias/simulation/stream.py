@@ -33,13 +33,13 @@ class Stream:
     def costs(self, thetas: Array) -> tuple[Array, Indices]:
         """Costs and frames (k,) of thetas (k, p), begun in this order; -1 frames of those not ended."""
         k, simulator, cost = len(thetas), self._simulator, self._cost
-        policy = simulator.policy(np.asarray(thetas, dtype=np.float64))
-        loop, rows = simulator.loop(policy, cost)
+        loop, rows = simulator.loop(cost)
         self._threads = self._threads or [_Lanes(rows) for _ in range(min(get_num_threads(), THREADS))]
         keys = [theta.tobytes() for theta in thetas]
         under_way = [lanes.keep(keys) for lanes in self._threads]
         others = sorted(set(range(k)).difference(*under_way))
-        policies, worlds = np.ascontiguousarray(policy.parameters), np.zeros(k, np.int64)
+        policies = simulator.policy.parameters(np.asarray(thetas, dtype=np.float64))
+        worlds = np.zeros(k, np.int64)
         starts, made = np.tile(self._start, (k, 1)), Made.of(k, cost, simulator.task)
 
         def run(thread: int) -> None:

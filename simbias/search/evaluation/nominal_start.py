@@ -39,7 +39,7 @@ class CostOfOneRollout:
     @cached_property
     def speculate(self) -> Callable[[Array], tuple[Array, Flags]] | None:
         """Some of the costs Z (k,) of thetas (k, p), and of which (k,); None if all rollouts end together."""
-        if self.cost.kernel is None or not isinstance(self.simulator, CompiledSimulator):
+        if not isinstance(self.simulator, CompiledSimulator) or not self.simulator.sums_up(self.cost):
             return None
         stream = Stream(self.simulator, self.cost, self.start)
 
