@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from simbias.core.ranges import EvaluationCount, Seconds, Share, Steps
-from simbias.core.records import Array, Flags, Optimum
+from simbias.core.records import Array, Optimum
 
 EVALUATION_LIMIT = "the evaluation limit"
 STEP_LIMIT = "the limit of simulated steps"
@@ -124,18 +124,6 @@ class Evaluations:
     def together(self) -> Callable[[Array], Array] | None:
         """What costs points (k, p) together, if the objective offers it; neither counted nor judged."""
         return getattr(self._objective, "together", None)
-
-    def guess(self, points: Array) -> tuple[Array, Flags]:
-        """Costs (k,) of points (k, p), and whether they are known (k,), one at least; neither is counted.
-
-        Of an objective that offers `speculate`, which ones are known depends on the threads. So where
-        simulated steps are limited, all are costed together.
-        """
-        speculate = getattr(self._objective, "speculate", None)
-        if speculate is not None and self._last_step == np.inf:
-            return speculate(points)
-        assert self.together is not None
-        return self.together(points), np.full(len(points), True)
 
     def evaluate(self, point: Array) -> float:
         """Cost of the point (p,), moved into the box where rounding left it outside.

@@ -4,28 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from simbias.core.evaluations import Budget, Evaluations
-from simbias.core.model import FittedBias, Nominal
-from simbias.core.policy import Policy
+from simbias.core.model import Model
 from simbias.core.records import Array, Indices, Optimum, Rollout
-from simbias.core.robot import Task
 
 Reduction = Literal["sum", "max"]
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """The corrected simulation model of Eq. 7, and the task and policy that close its loop."""
-
-    task: Task
-    policy: Policy
-    nominal: Nominal
-    bias: FittedBias
 
 
 class Simulator(Protocol):
@@ -87,11 +74,7 @@ class Cost(ABC):
 
 
 class Objective(Protocol):
-    """What a policy search minimises; deterministic. A plain function will do, `together` is faster.
-
-    Some offer `speculate(thetas)` besides, for searches that guess what they will ask for: costs (k,) of
-    thetas (k, p), and which are known yet (k,), one at least. Those in front are known sooner.
-    """
+    """What a policy search minimises; deterministic. A plain function will do, `together` is faster."""
 
     steps: int  # simulated so far, for searches that are limited by them
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from simbias.core import Model, Objective
 from simbias.core.records import (
     Array,
-    Flags,
     Iteration,
     Learning,
     Optimum,
@@ -57,12 +55,8 @@ def search(
             evaluations=sum(one.evaluations for one, _ in searches),
             stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
-    nominal = model.nominal
-    found = Search(
-        *(optimum, predicted_cost, model.bias, model.bias.diagnostics),
-        *(nominal, nominal.estimates, dict(nominal.diagnostics)),
-    )
-    observer.searched(found)
+    found = Search(optimum, predicted_cost)
+    observer.designed(optimum.parameters, model, found)
     return found
 
 
@@ -92,8 +86,6 @@ class _Watched:
         self._evaluations, self._best = 0, np.inf
         if hasattr(objective, "together"):
             self.together = self._together
-        if speculate := getattr(objective, "speculate", None):
-            self.speculate = partial(self._speculate, speculate)
 
     @property
     def steps(self) -> int:
@@ -109,13 +101,6 @@ class _Watched:
         costs = self._objective.together(thetas)
         self._report(costs)
         return costs
-
-    def _speculate(
-        self, speculate: Callable[[Array], tuple[Array, Flags]], thetas: Array
-    ) -> tuple[Array, Flags]:
-        costs, known = speculate(thetas)
-        self._report(costs[known])
-        return costs, known
 
     def _report(self, costs: Array) -> None:
         self._evaluations += len(costs)
@@ -184,13 +169,17 @@ def iteration_record(
     succeeded: bool,
     total_experiments: int,
     clock: Stopwatch,
+    model: Model | None = None,
     search: Search | None = None,
     learning: Learning | None = None,
 ) -> Iteration:
-    """The record of an iteration; its hardware cost Z_r is the largest of its experiments' (line 9)."""
+    """The record of an iteration; its hardware cost Z_r is the largest of its experiments' (line 9).
+
+    `model` is the simulation that its policy was made on.
+    """
     cost = max(rollout.cost for rollout in experiments)
-    counts = succeeded, total_experiments
-    return Iteration(index, theta, experiments, cost, *counts, search, learning, clock.seconds)
+    made = model, search, learning, clock.seconds
+    return Iteration(index, theta, experiments, cost, succeeded, total_experiments, *made)
 
 
 class Stopwatch:

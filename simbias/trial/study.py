@@ -27,7 +27,7 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.ranges import CountOrZero, Seconds
+from simbias.core.ranges import CountOrZero, Seconds, Seed
 from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
@@ -44,8 +44,8 @@ class Observer:
     def searching(self, evaluations: int, best_cost: float) -> None:
         """A policy search has simulated this number of policies, a few in vain if it looks ahead."""
 
-    def searched(self, search: Search) -> None:
-        """A policy search has ended."""
+    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
+        """A policy theta (p,) was made: on this model, if on any, and by this search, if by one."""
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """A hardware experiment with theta (p,) from start (n,) begins."""
@@ -86,10 +86,6 @@ class Origin(Protocol):
         """The chosen option of every group."""
 
     @property
-    def allowed(self) -> tuple[str, ...]:
-        """Modules of which the config may name classes."""
-
-    @property
     def code(self) -> Mapping[str, str]:
         """Digests of the modules of the user's that its components come from, by name."""
 
@@ -121,6 +117,7 @@ class PolicyTest:
     episodes: CountOrZero = 0
     long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
     long_seconds: Seconds = 60.0  # this long
+    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
 
 
 @dataclass(frozen=True, eq=False)

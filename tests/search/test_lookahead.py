@@ -44,20 +44,6 @@ class Counting:
         return self.cost(x)
 
 
-class Speculating(Counting):
-    """An objective that costs some of the points that it is asked for, as a stream of rollouts does."""
-
-    def __init__(self, shift: float = 0.0, seed: int = 0) -> None:
-        super().__init__(shift)
-        self._rng = np.random.default_rng(seed)
-
-    def speculate(self, points: Array) -> tuple[Array, Array]:
-        known = self._rng.uniform(size=len(points)) < 0.5
-        known[self._rng.integers(len(points))] = True
-        self.calls.append(int(known.sum()))
-        return np.where(known, [self.cost(point) for point in points], np.nan), known
-
-
 def minimize(name: str, objective, limit: int, seed: int, **options: float) -> Optimum:
     config = compose(["tracking=none", f"optimizer={name}"]).config["optimizer"]
     optimizer = construct({**config, "max_evaluations": limit, **options}, Optimizer, "optimizer")
@@ -71,18 +57,10 @@ def minimize(name: str, objective, limit: int, seed: int, **options: float) -> O
 @given(limit=st.integers(1, 300), seed=st.integers(0, 99), shift=st.floats(-1, 1))
 def test_result_is_the_sequential_searchs(name: str, limit: int, seed: int, shift: float) -> None:
     in_turn = minimize(name, Counting(shift).cost, limit, seed)
-    for objective in (Counting(shift), Speculating(shift, seed)):
-        ahead = minimize(name, objective, limit, seed)
-        np.testing.assert_array_equal(ahead.parameters, in_turn.parameters)
-        assert (ahead.cost, ahead.evaluations) == (in_turn.cost, in_turn.evaluations)
-        assert ahead.stopped_by == in_turn.stopped_by
-
-
-def test_where_steps_are_limited_nothing_is_guessed_in_vain() -> None:
-    """What is simulated before a search ends must not depend on the threads."""
-    objective = Speculating()
-    minimize("nlopt_direct", objective, 300, 0, max_steps=100_000)
-    assert max(objective.calls) == MOST
+    ahead = minimize(name, Counting(shift), limit, seed)
+    np.testing.assert_array_equal(ahead.parameters, in_turn.parameters)
+    assert (ahead.cost, ahead.evaluations) == (in_turn.cost, in_turn.evaluations)
+    assert ahead.stopped_by == in_turn.stopped_by
 
 
 @pytest.mark.parametrize(("name", "waste"), [("nlopt_direct", 0.05), ("cma", 0.0)])
@@ -112,20 +90,6 @@ def test_a_search_that_changes_its_mind_is_noticed() -> None:
     evaluations = Evaluations(Counting(), np.zeros(3), np.ones(3), budget)
     with pytest.raises(RuntimeError, match="other points when it is given the same costs"):
         look_ahead(capricious, evaluations)
-
-
-def test_a_search_whose_first_guess_is_never_evaluated_goes_on() -> None:
-    """Costs of later points may be known before those of the first."""
-
-    class Late(Counting):
-        def speculate(self, points: Array) -> tuple[Array, Array]:
-            known = np.arange(len(points)) == len(points) - 1
-            self.calls.append(1)
-            return np.array([self.cost(point) for point in points]), known
-
-    in_turn = minimize("nlopt_direct", Counting().cost, 60, 0)
-    late = minimize("nlopt_direct", Late(), 60, 0)
-    np.testing.assert_array_equal(late.parameters, in_turn.parameters)
 
 
 @pytest.mark.parametrize("name", SEARCHES)

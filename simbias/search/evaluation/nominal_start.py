@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from simbias.core import Cost, Evaluation, Model, Objective, Task
-from simbias.core.records import Array, Flags
+from simbias.core.records import Array
 from simbias.simulation.closed_loop import Worlds, join, simulator
-from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.stream import Stream
 
 
 @dataclass(eq=False)
@@ -35,20 +31,6 @@ class CostOfOneRollout:
         costs, frames = self.simulator.costs(self.cost, thetas, starts, worlds)
         self.steps += int(frames.sum())
         return costs
-
-    @cached_property
-    def speculate(self) -> Callable[[Array], tuple[Array, Flags]] | None:
-        """Some of the costs Z (k,) of thetas (k, p), and of which (k,); None if all rollouts end together."""
-        if not isinstance(self.simulator, CompiledSimulator) or not self.simulator.sums_up(self.cost):
-            return None
-        stream = Stream(self.simulator, self.cost, self.start)
-
-        def speculate(thetas: Array) -> tuple[Array, Flags]:
-            costs, frames = stream.costs(thetas)
-            self.steps += int(frames[frames >= 0].sum())
-            return costs, frames >= 0
-
-        return speculate
 
 
 class NominalStart(Evaluation):

@@ -1,8 +1,8 @@
 """Evaluating a sequential search's points together.
 
 The points that DIRECT asks for next rarely depend on the last few costs. So a search is run on with guessed
-costs until it has asked for some points; they are evaluated together, all of them or some, and the search is
-run again from its start on what is known. Costs before the first guess are true, and judged as they come: so
+costs until it has asked for some points; they are evaluated together, and the search is run again from its
+start on what is known. Costs before the first guess are true, and judged as they come: so
 the last run, which guesses none, is the sequential search, point by point.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field
-from itertools import compress
 
 import numpy as np
 
@@ -33,10 +32,11 @@ def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: E
     It has to ask for the same points when it is given the same costs. An objective that offers `together` is
     asked for several at once; one that does not, in turn.
     """
-    if evaluations.together is None:
+    together = evaluations.together
+    if together is None:
         return search(evaluations.evaluate)
     past = Past()
-    guessed: list[bytes] = []  # points that were not known in the last run, and have been evaluated since
+    guessed: dict[bytes, Array] = {}  # points that the last run guessed, known since
     size = MOST
     while True:
         run = Run(evaluations, past, size)
@@ -50,9 +50,9 @@ def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: E
         if guessed:
             used = sum(point in run.asked for point in guessed)
             size = min(max(2 * used * size // len(guessed), 1), MOST)  # where most were wrong, fewer are made
-        costs, known = evaluations.guess(np.array(list(run.unknown.values())))
-        guessed = list(compress(run.unknown, known))
-        past.known.update(zip(guessed, costs[known].tolist(), strict=True))
+        guessed = run.unknown
+        costs = together(np.array(list(guessed.values())))
+        past.known.update(zip(guessed, costs.tolist(), strict=True))
 
 
 @dataclass
