@@ -13,7 +13,7 @@ from simbias.core.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiler.fused import Composition, compiled_loop, rows
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import parts_of
+from simbias.simulation.compiler.tracing import PolicyKernel, of_cost, parts_of
 from simbias.simulation.numpy_loop import costs_of, record
 
 NOTHING = np.empty((0, LANES))  # kept of earlier rollouts
@@ -26,8 +26,7 @@ class CompiledSimulator:
 
     task: Task
     measure: Kernel
-    output: Kernel
-    policy: Callable[[Array], Kernel]
+    policy: PolicyKernel
     memory: int  # s of the policy
     hidden: int  # s of the nominal model
     nominal: Kernel  # its parameters (w, .) in each world
@@ -45,16 +44,14 @@ class CompiledSimulator:
         if any(part.kernel is None for part in parts):
             return None
         task, sizes = model.task, (model.policy.memory_size, model.nominal.memory_size)
-        measure, output, policy, nominal, bias = (part.kernel for part in parts)
+        measure, policy, nominal, bias = (part.kernel for part in parts)
         rows = 0 if disturbance is None else task.horizon + 1
         noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))
         if disturbance is not None:
             noise[0, :-1, : len(task.inputs)] = disturbance.inputs
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
-        return CompiledSimulator(
-            task, measure, output, policy, *sizes, nominal, bias, noise, (model.nominal,), cost
-        )
+        return CompiledSimulator(task, measure, policy, *sizes, nominal, bias, noise, (model.nominal,), cost)
 
     @staticmethod
     def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
@@ -74,7 +71,7 @@ class CompiledSimulator:
         """Whether their worlds differ in nothing but the nominal parameters' values and the noise's."""
         return (
             self.task is other.task
-            and self.policy == other.policy
+            and self.policy is other.policy
             and self.bias.function is other.bias.function
             and self.bias.parameters is other.bias.parameters
             and self.nominal.function is other.nominal.function
@@ -101,24 +98,27 @@ class CompiledSimulator:
     def costs(
         self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None
     ) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
-        if cost.kernel is None:
+        """Costs and frames (k,) of these rollouts; nothing is recorded if its terms can be traced."""
+        if not self.sums_up(cost):
             return costs_of(cost, self.rollouts(thetas, starts, worlds))
         made = self._run(cost, False, thetas, starts, worlds)
         return made.costs(cost, self.task.horizon), made.frames
 
+    def sums_up(self, cost: Cost) -> bool:
+        """Whether the terms of a cost can be traced."""
+        return of_cost(cost, self.task).kernel is not None
+
     def _run(
         self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, worlds: Indices | None
     ) -> Made:
-        """Rollouts, recorded or not; the cost's kernel sums them up, if it has one."""
+        """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
         k = len(thetas)
         made = Made.of(k, cost, self.task, recorded)
         if recorded:
             made.states[:, 0] = starts
-        policy = self.policy(np.asarray(thetas, dtype=np.float64))
-        loop, _ = self.loop(policy, cost)
+        loop, _ = self.loop(cost)
         each = (
-            np.ascontiguousarray(policy.parameters),
+            self.policy.parameters(np.asarray(thetas, dtype=np.float64)),
             np.zeros(k, np.int64) if worlds is None else worlds,
             np.ascontiguousarray(starts, dtype=np.float64),
             *made.arrays,
@@ -130,45 +130,45 @@ class CompiledSimulator:
         in_threads(run, k)
         return made
 
-    def loop(self, policy: Kernel, cost: Cost | None) -> tuple[Callable[..., None], int]:
+    def loop(self, cost: Cost | None) -> tuple[Callable[..., None], int]:
         """The compiled loop, as a function of what differs between its calls, and the rows of its lanes."""
-        task, composition = self.task, self._composition(policy, cost)
+        task, terms = self.task, of_cost(cost, self.task).kernel if cost else None
+        composition = self._composition(terms, cost)
         compiled = compiled_loop(composition)
         limits = np.array([criterion.limit for criterion in task.criteria])
         noise = self.noise.reshape(-1, len(task.inputs) + len(task.states))
-        weights = cost.kernel.parameters if cost and cost.kernel else np.empty(0)
+        weights = terms.parameters if terms else np.empty(0)
 
         def loop(policies: Array, worlds: Indices, starts: Array, *rest: Any) -> None:
             compiled(
                 task.horizon, task.time_step, limits,
-                self.measure.parameters, self.output.parameters, policies, self.nominal.parameters,
+                self.measure.parameters, self.policy.constants, policies, self.nominal.parameters,
                 self.bias.parameters, weights, noise, worlds, starts, *rest,
             )  # fmt: skip
 
         return loop, rows(composition)
 
-    def _composition(self, policy: Kernel, cost: Cost | None) -> Composition:
+    def _composition(self, terms: Kernel | None, cost: Cost | None) -> Composition:
         """What is compiled."""
-        task, bias, total = self.task, self.bias, cost.kernel if cost else None
+        task, bias, policy = self.task, self.bias, self.policy
         return Composition(
             measure=self.measure.function,
-            output=self.output.function,
             control=policy.function,
             step=self.nominal.function,
             correct=bias.function,
-            total=total.function if total else None,
+            terms=terms.function if terms else None,
             states=len(task.states),
             inputs=len(task.inputs),
             criteria=len(task.criteria),
-            totals=cost.totals if cost else 0,
+            reductions=cost.reductions if cost and terms else (),
             memory=self.memory,
             hidden=self.hidden,
             measure_parameters=len(self.measure.parameters),
-            output_parameters=len(self.output.parameters),
-            policy_parameters=policy.parameters.shape[1],
+            policy_constants=len(policy.constants),
+            policy_parameters=policy.size,
             nominal_parameters=self.nominal.parameters.shape[1],
             bias_parameters=0 if isinstance(bias.parameters, tuple) else len(bias.parameters),
-            cost_parameters=len(total.parameters) if total else 0,
+            cost_parameters=len(terms.parameters) if terms else 0,
             noisy=self.noise.shape[1] > 0,
         )
 
@@ -190,7 +190,7 @@ class Made:
         return Made(
             np.empty((rows, task.horizon + 1, len(task.states))),
             np.empty((rows, task.horizon, len(task.inputs))),
-            np.zeros((k, cost.totals if cost else 0)),
+            np.zeros((k, len(cost.reductions) if cost else 0)),
             np.full(k, -1),
             np.full(k, -1),
         )
@@ -209,5 +209,5 @@ class Made:
         self.totals[some], self.frames[some], self.violated[some] = part.totals, part.frames, part.violated
 
     def costs(self, cost: Cost, horizon: int) -> Array:
-        """Costs (k,), of the totals of a cost's kernel."""
+        """Costs (k,) of the totals."""
         return cost.of_totals(self.totals, np.where(self.violated < 0, 0, horizon - self.frames))

@@ -27,7 +27,7 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.ranges import CountOrZero, Seconds
+from simbias.core.ranges import CountOrZero, Seconds, Seed
 from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
@@ -117,6 +117,7 @@ class PolicyTest:
     episodes: CountOrZero = 0
     long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
     long_seconds: Seconds = 60.0  # this long
+    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +263,10 @@ class Study:
         """The (identified) nominal model, corrected by a fitted bias; g = 0 without one."""
         bias = fitted_bias or self.bias.fit(self.no_data)
         return Model(self.task, self.policy, nominal or self.nominal, bias)
+
+    def first_model(self) -> Model:
+        """The model before any experiment: as declared, or as recordings have identified it."""
+        return self.model(nominal=self.identification.fit(self.nominal, ()))
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""

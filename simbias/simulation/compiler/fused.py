@@ -11,7 +11,6 @@ about a hundred rows it does not ask, and compiles one rollout after the other.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,6 +27,7 @@ from simbias.simulation.compiler.text import assign, indent, tuple_of
 
 # Where the rollout of each lane stands.
 INTEGERS = ("stopping", "criterion", "running", "frame", "rollout", "first_row")
+REDUCTIONS = {"sum": "{} + {}", "max": "max({}, {})"}  # of which the latter leaves out what is no number
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,18 @@ class Composition:
     """Kernels that close a loop, the sizes of what they take, and what is to become of the rollouts."""
 
     measure: Callable
-    output: Callable
     control: Callable
     step: Callable
     correct: Callable
-    total: Callable | None  # of a cost; without one, nothing is summed up
+    terms: Callable | None  # of a cost; without them, nothing is summed up
     states: int  # n
     inputs: int  # m
     criteria: int  # c
-    totals: int  # of the cost
+    reductions: tuple[str, ...]  # of the cost's terms
     memory: int  # s of the policy
     hidden: int  # s of the nominal model
     measure_parameters: int
-    output_parameters: int
+    policy_constants: int
     policy_parameters: int
     nominal_parameters: int
     bias_parameters: int
@@ -58,11 +57,6 @@ class Composition:
     def corrects_all_lanes(self) -> bool:
         """Whether the bias is a kernel for all lanes."""
         return for_all_lanes(self.correct)
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the policy depends on time and memory."""
-        return len(inspect.signature(self.control).parameters) == len(("z", "parameters", "t", "memory"))
 
 
 def source(c: Composition) -> str:
@@ -77,7 +71,7 @@ def source(c: Composition) -> str:
     constants = (
         [] if c.corrects_all_lanes else [f"bias_data = {tuple_of('bias_parameters[{}]', c.bias_parameters)}"]
     )
-    if c.total:
+    if c.terms:
         constants.append(f"cost_data = {tuple_of('cost_parameters[{}]', c.cost_parameters)}")
     if c.noisy:
         seen = tuple_of("x_[{0}] + disturbance[{1}, lane]", n, m)
@@ -89,20 +83,19 @@ def source(c: Composition) -> str:
         **sizes,
         policy=c.policy_parameters,
         nominal=c.nominal_parameters,
-        totals=c.totals,
+        totals=len(c.reductions),
         memory=c.memory,
         rows=indent(_rows(c), 4),
         integers=", ".join(INTEGERS),
         rows_of_integers=", ".join(f"integers[{i}]" for i in range(len(INTEGERS))),
         limits=tuple_of("limits[{}]", c.criteria),
         measure_data=tuple_of("measure_parameters[{}]", c.measure_parameters),
-        output_data=tuple_of("output_parameters[{}]", c.output_parameters),
+        policy_data=tuple_of("policy_constants[{}]", c.policy_constants),
         constants=indent(constants, 4),
         gather=GATHER.format(**sizes) if c.noisy else "",
         x=tuple_of("x[{}, lane]", n),
         judge=indent(judge, 12),
-        seen=seen,
-        control=indent(_controlled(c), 12),
+        control=indent(_controlled(c, seen), 12),
         force=force,
         forget=FORGET.format(hidden=c.hidden) if c.hidden else "",
         advance=indent(_advanced(c), 12),
@@ -122,8 +115,8 @@ def _sizes(c: Composition) -> dict[str, int]:
         "disturbance": c.inputs + c.states,
         "policy": c.policy_parameters,
         "nominal": c.nominal_parameters,
-        "totals": c.totals,
-        "before": c.totals,
+        "totals": len(c.reductions),
+        "before": len(c.reductions),
         "memory": c.memory,
         "hidden": c.hidden,
         "integers": len(INTEGERS),
@@ -146,14 +139,14 @@ def _rows(c: Composition) -> list[str]:
     return [f"lanes = zeros(({ends[-1]}, {LANES}))", *slices, "integers = integers.view(int64)"]
 
 
-def _controlled(c: Composition) -> list[str]:
+def _controlled(c: Composition, seen: str) -> list[str]:
     """What the policy commands."""
-    parameters = tuple_of("policy[{}, lane]", c.policy_parameters)
-    if not c.remembers:
-        return [f"u = control(z, {parameters})"]
-    memory = tuple_of("memory[{}, lane]", c.memory)
+    parameters, memory = (
+        tuple_of("policy[{}, lane]", c.policy_parameters),
+        tuple_of("memory[{}, lane]", c.memory),
+    )
     return [
-        f"u, kept = control(z, {parameters}, frame[lane] * time_step, {memory})",
+        f"u, kept = control({parameters}, {seen}, frame[lane] * time_step, {memory}, policy_data)",
         *assign("memory", "kept", c.memory),
     ]
 
@@ -177,11 +170,13 @@ def _settled(c: Composition) -> list[str]:
     else:
         x_next, command = "y[{0}] + d[{0}]", "u"
     lines = [f"x_new = {tuple_of(x_next, c.states)}", *assign("x", "x_new", c.states)]
-    if c.total:
-        lines.append(f"sums = {tuple_of('totals[{}, lane]', c.totals)}")
-        lines += assign("before", "sums", c.totals)  # a rollout that ends here ends with these
-        lines.append(f"after = total(x_new, {command}, cost_data, sums)")
-        lines += assign("totals", "after", c.totals)
+    if c.terms:
+        frame = "frame[lane]" if c.corrects_all_lanes else "(frame[lane] + 1)"  # of the next state
+        lines.append(f"terms_ = terms(x_new, {command}, {frame} * time_step, cost_data)")
+        lines.append(f"sums = {tuple_of('totals[{}, lane]', len(c.reductions))}")
+        lines += assign("before", "sums", len(c.reductions))  # a rollout that ends here ends with these
+        for i, reduction in enumerate(c.reductions):
+            lines.append(f"totals[{i}, lane] = {REDUCTIONS[reduction].format(f'sums[{i}]', f'terms_[{i}]')}")
     return lines
 
 
@@ -189,8 +184,8 @@ def _settled(c: Composition) -> list[str]:
 def compiled_loop(c: Composition) -> Any:
     """The composition's loop, ready to be called."""
     compilation = Compilation()
-    functions = {"measure": c.measure, "output": c.output, "control": c.control, "step": c.step}
-    functions |= {"total": c.total} if c.total else {}
+    functions = {"measure": c.measure, "control": c.control, "step": c.step}
+    functions |= {"terms": c.terms} if c.terms else {}
     names = {name: compilation.compiled(function) for name, function in functions.items()}
     names["correct"] = compilation.compiled(c.correct, inline=not c.corrects_all_lanes)
     module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64, nan=np.nan)

@@ -12,7 +12,7 @@ to `carried`, if that has any rows; the next call, which begins with a copy of i
 
 TEMPLATE = """\
 def closed_loop(
-    horizon, time_step, limits, measure_parameters, output_parameters, policy_parameters,
+    horizon, time_step, limits, measure_parameters, policy_constants, policy_parameters,
     nominal_parameters, bias_parameters, cost_parameters, noise, worlds, starts,
     states, inputs, final_totals, frames, violated, needed, begun, carried,
 ):
@@ -20,7 +20,7 @@ def closed_loop(
     {integers} = {rows_of_integers}
     limit = {limits}
     measure_data = {measure_data}
-    output_data = {output_data}
+    policy_data = {policy_data}
     {constants}
     recorded = states.shape[0] > 0
     x[:] = nan  # in a lane without a rollout, so that no kernel works for nothing
@@ -59,7 +59,6 @@ def closed_loop(
             failed = -1
             {judge}
             stop = (failed >= 0) | (frame[lane] >= horizon)
-            z = output({seen}, output_data)
             {control}
             u_ = {force}
             {advance}
