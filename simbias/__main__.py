@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simbias import __version__
@@ -49,6 +50,7 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -120,11 +122,17 @@ def _parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
     for each, command in takes_overrides:
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
+    withdraw.add_argument(
+        "file", type=Path, help="of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
+    )
+    withdraw.add_argument("--reason", default="", help="why, for who looks at the trial")
+    withdraw.set_defaults(command=_withdraw)
     new.add_argument("name", help="of a Python module, as my_robot")
     new.set_defaults(command=_new)
     return parser, commands.choices
@@ -151,6 +159,17 @@ def _preview(parsed: argparse.Namespace) -> int:
     from simbias.terminal.preview import preview
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
+    return SUCCEEDED
+
+
+def _withdraw(parsed: argparse.Namespace) -> int:
+    """Take an experiment out of a trial."""
+    from simbias.core.messages import counted
+    from simbias.trial.folder import withdraw
+
+    withdrawal = withdraw(parsed.file, parsed.reason)
+    steps = counted(len(withdrawal.superseded), "step")
+    print(f"{withdrawal}; {steps} after it count no longer. The trial's own command resumes it.")
     return SUCCEEDED
 
 

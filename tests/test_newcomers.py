@@ -184,7 +184,8 @@ def test_a_policy_that_is_tried_again_is_told(point_mass: Study) -> None:
 
 def test_a_sweep_counts_what_was_odd(point_mass: Study) -> None:
     def kinds(study: Study) -> set[str]:
-        return remarks.kinds(run_trial(replace(study, method=_two_iterations())).iterations)
+        made = run_trial(replace(study, method=_two_iterations())).iterations
+        return {remark.kind for remark in remarks.of_trial(made)}
 
     assert kinds(point_mass) == set()
     assert kinds(replace(point_mass, bias=NoBias())) == {"a refuted policy was tried again"}
@@ -214,7 +215,15 @@ def test_an_iteration_without_samples_says_why(point_mass: Study, window: int | 
 
 def test_who_says_nothing_of_what_was_sampled_is_told_so() -> None:
     empty = Selection(Transitions.empty(2, 1), 70, 0, {})
-    assert list(remarks.of_selection(empty)) == ["no samples to learn from: none of 70 frames was sampled"]
+    (remark,) = remarks.of_selection(empty)
+    assert remark.words == "no samples to learn from: none of 70 frames was sampled"
+
+
+def test_a_model_is_cleared_with_the_reason_once(point_mass: Study) -> None:
+    text = shown(replace(point_mass, cost=Always(2.0), method=Algorithm1(max_iterations=3)))
+    reason = "no policy of the corrected simulation costs less than Z_max = 1 (2 at best, of 40 simulated)"
+    assert (text.count(f"model cleared: {reason}"), text.count("model cleared")) == (1, 4)
+    assert text.count("all 40 simulated policies cost the same") == 1
 
 
 @pytest.mark.parametrize(

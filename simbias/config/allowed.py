@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib import invalidate_caches
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from simbias.core.errors import ConfigError
 from simbias.core.messages import quote, words
@@ -19,6 +19,16 @@ from simbias.core.messages import quote, words
 OWN = "simbias"
 FILE = "components.yaml"  # in a folder of configs: `allow: [my_robot]`
 TARGET = "_target_"  # the key that names a component's class
+
+
+class Own(NamedTuple):
+    """The user's own code and files that a config may name."""
+
+    modules: tuple[str, ...] = ()  # of which it may name classes
+    folders: tuple[str, ...] = ()  # of configs, absolute
+
+
+NOTHING = Own()
 
 
 def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
@@ -78,14 +88,15 @@ def _module(name: Any, key: str) -> str:
     return name
 
 
-def beside(config: Any, folders: Sequence[Path]) -> tuple[str, ...]:
-    """The modules and packages that a config names and that lie in, or directly beside, one of the folders.
+def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
+    """What a config may name: modules of the prefixes, and those that lie in, or beside, a folder of configs.
 
     No deeper: an environment with everything that is installed may lie there too.
     """
     homes = {home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())}
     names = {str(target).partition(".")[0] for target in targets(config)} - {OWN}
-    return tuple(sorted(name for name in names if homes and _homes(name) and _homes(name) <= homes))
+    beside = sorted(name for name in names if homes and _homes(name) and _homes(name) <= homes)
+    return Own((*prefixes, *beside), tuple(str(folder.absolute()) for folder in folders))
 
 
 def targets(config: Any) -> Iterator[Any]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import PositiveFloat
 
+from simbias.config.allowed import Own
 from simbias.config.components import construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
@@ -48,11 +49,11 @@ def build(composition: Composition) -> Study:
             raise ConfigError(key, "missing")
     values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
     timeout = values.pop("experiment_timeout", None)
-    allowed = composition.allowed
-    task = construct(config["task"], Task, "task", allowed)
+    own = composition.own
+    task = construct(config["task"], Task, "task", own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
     components = {
-        group: construct(config[group], contract, group, allowed, task=task)
+        group: construct(config[group], contract, group, own, task=task)
         for group, contract in contracts.items()
         if group != "task"
     }
@@ -61,12 +62,12 @@ def build(composition: Composition) -> Study:
         **components,
         **values,
         composition=composition,
-        hardware_of=partial(_hardware, config[HARDWARE], allowed),
+        hardware_of=partial(_hardware, config[HARDWARE], own),
         conditions=conditions(whole, task, timeout),
     )
 
 
-def _hardware(config: Any, allowed: Sequence[str], task: Task) -> Hardware:
+def _hardware(config: Any, own: Own, task: Task) -> Hardware:
     """The hardware for a task; errors as of `construct`."""
-    hardware: Hardware = construct(config, Hardware, HARDWARE, allowed, task=task)
+    hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task)
     return hardware

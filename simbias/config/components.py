@@ -12,30 +12,31 @@ from typing import Any, NotRequired, Required, get_type_hints
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
-from simbias.config.allowed import TARGET, check_allowed
+from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
 from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
+from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
 
 
-def construct(config: Any, contract: type, key: str, allowed: Sequence[str] = (), **provided: Any) -> Any:
+def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
     """Construct what `_target_` names; `provided` are arguments that it gets if it has them.
 
-    `allowed` are prefixes of modules that may be imported beside simbias's own.
+    Its module is simbias's or of `own.modules`; files that it names are looked for in `own.folders`.
 
     Raises
     ------
     ConfigError
         Naming `key` and the argument.
     """
-    component = component_class(config, key, allowed)
+    component = component_class(config, key, own.modules)
     if not issubclass(component, contract):
         raise ConfigError(f"{key}.{TARGET}", f"{config[TARGET]} is not a {contract.__name__}")
     parameters = constructor_parameters(component)
     for name in provided:
         if name in config:
             raise ConfigError(f"{key}.{name}", "is provided, not configured")
-    arguments = constructor_arguments(component, config, key, frozenset(provided))
+    arguments = constructor_arguments(component, config, key, frozenset(provided), own.folders)
     try:
         return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
     except KeyboardInterrupt:
@@ -74,9 +75,15 @@ def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
 
 
 def constructor_arguments(
-    component: Any, config: Mapping[str, Any], key: str, provided: frozenset[str] = frozenset()
+    component: Any,
+    config: Mapping[str, Any],
+    key: str,
+    provided: frozenset[str] = frozenset(),
+    folders: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The config's values, converted to the types that the constructor asks for.
+
+    Relative files are replaced by those of the folders of configs, where these have them.
 
     Raises
     ------
@@ -89,7 +96,7 @@ def constructor_arguments(
     except Exception as error:  # of annotations that name what is imported for type checkers alone, say
         problem = f"the annotations of {component.__name__}'s constructor cannot be read ({with_type(error)})"
         raise ConfigError(key, problem) from error
-    return _converted(given, schema, key)
+    return _converted(given, schema, key, folders)
 
 
 @cache
@@ -130,10 +137,12 @@ def validate(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dic
     return _converted(values, _adapter(fields), key)
 
 
-def _converted(values: Mapping[str, Any], adapter: TypeAdapter, key: str) -> dict[str, Any]:
+def _converted(
+    values: Mapping[str, Any], adapter: TypeAdapter, key: str, folders: Sequence[str] = ()
+) -> dict[str, Any]:
     """The values as the adapter converts them."""
     try:
-        converted = dict(adapter.validate_python(values))
+        converted = dict(adapter.validate_python(values, context={FOLDERS: folders}))
     except ValidationError as error:
         raise _in_one_line(error, key) from error
     except Exception as error:  # of the system, where a path cannot even be asked for

@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from simbias.config.allowed import beside, prefixes
+from simbias.config.allowed import NOTHING, Own, own, prefixes
 from simbias.config.renamed import unknown
 from simbias.config.resources import check_no_primary, register_sweep, resource_folder, state
 from simbias.core.errors import ConfigError, reason
@@ -30,14 +30,14 @@ class Composition:
 
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
-    allowed: tuple[str, ...] = field(default=(), compare=False)  # modules of which it may name classes
+    own: Own = field(default=NOTHING, compare=False)  # what it may name of the user's
 
     @cached_property
     def identity_fields(self) -> Mapping[str, Any]:
         """The config as far as it affects a trial's result (`simbias.config.identity`)."""
         from simbias.config.identity import identity_fields  # lazily: --help needs no components
 
-        return identity_fields(self.config, NOT_HASHED, self.allowed)
+        return identity_fields(self.config, NOT_HASHED, self.own.modules)
 
     @property
     def code(self) -> Mapping[str, str]:
@@ -136,7 +136,7 @@ class Variations:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self.overrides), reason(error)) from error
-        return Composition(plain, dict(composed.choices), (*self._allowed, *beside(plain, self._folders)))
+        return Composition(plain, dict(composed.choices), own(plain, self._folders, self._allowed))
 
     def _compose(self, options: tuple[str, ...]) -> _Composed:
         """Hydra's work: once for each choice of options, while no file changes."""

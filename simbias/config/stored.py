@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from simbias.config.allowed import beside, prefixes
+from simbias.config.allowed import own, prefixes
 from simbias.config.build import build
 from simbias.config.composition import Composition
 from simbias.core.errors import ConfigError
@@ -29,7 +29,7 @@ def read_folder(folder: Path, config_dir: Path | str | None = None, allow: Seque
     folders = [] if config_dir is None else [Path(config_dir)]
     try:
         config, choices = description["config"], description["choices"]
-        composition = Composition(config, choices, (*prefixes(folders, allow), *beside(config, folders)))
+        composition = Composition(config, choices, own(config, folders, prefixes(folders, allow)))
         return read_trial(build(composition), folder)
     except ConfigError:
         raise

@@ -23,7 +23,7 @@ same numbers but for rounding; a component may offer a `kernel` in their place
 """
 
 from simbias.core.kernel import Kernel, SlowWarning
-from simbias.core.model import Bias, FittedBias, Identification, Nominal, Samples
+from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
 from simbias.core.policy import Controller, Law, Policy
 from simbias.core.robot import (
     NOT_A_NUMBER,
@@ -35,7 +35,7 @@ from simbias.core.robot import (
     Waiting,
     failure_name,
 )
-from simbias.core.search import Cost, Evaluation, Model, Objective, Optimizer, Simulator
+from simbias.core.search import Cost, Evaluation, Objective, Optimizer, Simulator
 
 __all__ = [
     "NOT_A_NUMBER",

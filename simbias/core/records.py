@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from simbias.core.model import FittedBias, Nominal
-    from simbias.core.parameters import Estimate
+    from simbias.core.model import Model
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -93,15 +92,10 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A policy search in simulation, and what it was made on (lines 4 and 5 of Algorithm 1)."""
+    """A policy search in simulation (lines 4 and 5 of Algorithm 1)."""
 
     optimum: Optimum
     predicted_cost: float  # Z_g
-    fitted_bias: FittedBias | None  # g; None once the record came from a worker
-    diagnostics: Mapping[str, float] = field(default_factory=dict)  # what the learner says of g
-    nominal: Nominal | None = None  # as far as identified; None likewise
-    estimates: Sequence[Estimate] = ()  # of its parameters
-    identification: Mapping[str, float] = field(default_factory=dict)  # what is said of that fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +118,7 @@ class Iteration:
     hardware_cost: float  # Z_r of that policy: the maximum over its experiments
     succeeded: bool  # line 10
     total_experiments: int  # hardware experiments of the trial so far
+    model: Model | None = None  # the simulation that its policy was made on, by a search or without
     search: Search | None = None
     learning: Learning | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)  # wall time of each phase

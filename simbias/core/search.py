@@ -4,27 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from simbias.core.evaluations import Budget, Evaluations
 from simbias.core.kernel import Kernel
-from simbias.core.model import FittedBias, Nominal
-from simbias.core.policy import Policy
+from simbias.core.model import Model
 from simbias.core.records import Array, Indices, Optimum, Rollout
-from simbias.core.robot import Task
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """The corrected simulation model of Eq. 7, and the task and policy that close its loop."""
-
-    task: Task
-    policy: Policy
-    nominal: Nominal
-    bias: FittedBias
 
 
 class Simulator(Protocol):

@@ -21,11 +21,12 @@ class Engine(ABC):
 
     @abstractmethod
     def run(
-        self, function: Callable[[T], R], tasks: Sequence[T]
+        self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
     ) -> Iterator[tuple[int, R | WorkerLostError]]:
         """Yield (index of a task, function(task)) as tasks end, in any order, every task once.
 
         `function` is one of a module's and raises nothing. A task whose worker died runs again; one whose
-        workers die each time yields a WorkerLostError. Tasks are plain containers. Closing the iterator stops
-        the workers.
+        workers die each time yields a WorkerLostError. Tasks can be pickled. `code` packs the user's own code
+        and files, for workers that share no disk; empty if there is none. Closing the iterator stops the
+        workers.
         """

@@ -8,7 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from simbias.core.errors import ConfigError
@@ -43,35 +43,48 @@ class Dask(Engine):
         self.n_jobs = n_jobs
 
     def run(
-        self, function: Callable[[T], R], tasks: Sequence[T]
+        self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
     ) -> Iterator[tuple[int, R | WorkerLostError]]:
-        """Yield indices and results as tasks end.
+        """Yield indices and results as tasks end; a cluster at an address is sent the `code`.
 
-        Dask blames a dead worker on all tasks that waited there. So a task that lost its workers runs alone
-        at the end, before it is to blame.
+        Two tasks for each worker are with Dask at a time: one that runs, and one that waits to. Dask blames a
+        dead worker on all tasks that waited there. So a task that lost its workers runs alone at the end,
+        before it is to blame.
         """
-        from distributed import KilledWorker
-
-        losses: Counter[int] = Counter()
-        indices, suspects = deque(range(len(tasks))), deque[int]()
         if not tasks:
             return
-        with self._client() as client:
-            for index, result in self._outcomes(client, function, tasks, indices):
-                if not isinstance(result, KilledWorker):
-                    yield index, result
-                    continue
-                losses[index] += result.allowed_failures + 1
-                (indices if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
-            for suspect in suspects:
-                for index, result in self._outcomes(client, function, tasks, deque([suspect])):
-                    if isinstance(result, KilledWorker):
-                        count = losses[index] + result.allowed_failures + 1
-                        result = WorkerLostError(f"its worker died {count} times")
-                    yield index, result
+        from distributed import KilledWorker, as_completed
+
+        losses: Counter[int] = Counter()
+        waiting, suspects = deque(range(len(tasks))), deque[int]()
+        futures: dict[Future, int] = {}
+        with self._client(code) as client, self._scheduler_in_reach():
+            # With with_results=True it would wait for ever for a result that is lost with its worker.
+            ended = as_completed([], loop=client.loop)
+            while waiting or suspects or futures:
+                if not waiting and not futures:
+                    waiting.append(suspects.popleft())
+                while waiting and len(futures) < 2 * _count_workers(client):
+                    index = waiting.popleft()
+                    # a partial, as Dask looks for keys and calls in arguments
+                    future = client.submit(partial(function, tasks[index]), pure=False)
+                    futures[future] = index
+                    ended.add(future)
+                future = next(ended)
+                index = futures.pop(future)
+                try:
+                    result = future.result()  # of a task, which raises nothing
+                except KilledWorker as error:
+                    alone = losses[index] >= MOST_LOSSES - 1
+                    losses[index] += error.allowed_failures + 1
+                    if not alone:
+                        (waiting if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
+                        continue
+                    result = WorkerLostError(f"its worker died {losses[index]} times")
+                yield index, result
 
     @contextmanager
-    def _client(self) -> Iterator[Client]:
+    def _client(self, code: Callable[[], bytes]) -> Iterator[Client]:
         """A client of the cluster. When it is closed, Dask drops its tasks; a local cluster ends with it."""
         from distributed import Client
 
@@ -84,38 +97,23 @@ class Dask(Engine):
         except Exception as error:  # also of an address that is none
             raise ConfigError("engine.address", f"{self._address}: no scheduler answers") from error
         try:
+            if packed := code():
+                from simbias.engine.sent_code import SentCode
+
+                client.register_plugin(SentCode(packed))
             yield client
         finally:
             with suppress(Exception):  # of a scheduler that is gone: would hide the reason
                 client.close()
 
-    def _outcomes(
-        self, client: Client, function: Callable, tasks: Sequence, indices: deque[int]
-    ) -> Iterator[tuple[int, Any]]:
-        """Results of the tasks of these indices, more of which may be added meanwhile, or a KilledWorker.
-
-        Two tasks for each worker are with Dask at a time: one that runs, and one that waits to.
-        """
-        from distributed import KilledWorker, as_completed
-
-        futures: dict[Future, int] = {}
-        # With with_results=True it would wait for ever for a result that is lost with its worker.
-        ended = as_completed([], loop=client.loop)
-        while indices or futures:
-            try:
-                while indices and len(futures) < 2 * _count_workers(client):
-                    index = indices.popleft()
-                    future = client.submit(partial(_run_alone, function, tasks[index]), pure=False)
-                    futures[future] = index
-                    ended.add(future)
-                future = next(ended)
-                result = future.result()  # of a task, which raises nothing
-            except KilledWorker as error:
-                result = error
-            except (CancelledError, OSError) as error:
-                problem = f"{self._address or 'local'}: the scheduler is gone"
-                raise ConfigError("engine.address", problem) from error
-            yield futures.pop(future), result
+    @contextmanager
+    def _scheduler_in_reach(self) -> Iterator[None]:
+        """Say so if the scheduler ends."""
+        try:
+            yield
+        except (CancelledError, OSError) as error:
+            problem = f"{self._address or 'local'}: the scheduler is gone"
+            raise ConfigError("engine.address", problem) from error
 
 
 def _count_workers(client: Client) -> int:
@@ -126,20 +124,6 @@ def _count_workers(client: Client) -> int:
             problem = f"{worker} has {count} threads; start workers with --nthreads 1"
             raise ConfigError("engine.address", problem)
     return max(1, len(threads))
-
-
-def _run_alone(function: Callable[[T], R], task: T) -> R:
-    """Run a task, its worker's libraries on one thread each."""
-    _limit_threads()
-    return function(task)
-
-
-@cache
-def _limit_threads() -> None:
-    """Once in a worker, whose environment may be another's."""
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(1)
 
 
 def dask_setup(worker: object) -> None:

@@ -47,7 +47,7 @@ class Loky(Engine):
         self.n_jobs = n_jobs
 
     def run(
-        self, function: Callable[[T], R], tasks: Sequence[T]
+        self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
     ) -> Iterator[tuple[int, R | WorkerLostError]]:
         """Yield indices and results as tasks end."""
         return run_rounds(partial(self._round, function), tasks)

@@ -11,7 +11,7 @@ class Sequential(Engine):
     """One task after the other, in this process: to debug, and to compare with."""
 
     def run(
-        self, function: Callable[[T], R], tasks: Sequence[T]
+        self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
     ) -> Iterator[tuple[int, R | WorkerLostError]]:
         """Yield each task's index and result, in order."""
         for index, task in enumerate(tasks):

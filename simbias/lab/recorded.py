@@ -10,7 +10,9 @@ from typing import final
 import numpy as np
 
 from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.files import ConfigFile
 from simbias.core.records import Array, Rollout
+from simbias.lab.checked_hardware import place_of
 from simbias.lab.table import read_table
 
 ENDS = "recording_ends"
@@ -39,7 +41,7 @@ class Recorded(Hardware):
     def __init__(
         self,
         task: Task,
-        folder: str,
+        folder: ConfigFile,
         files: list[str] | None = None,
         columns: Mapping[str, str] | None = None,
     ) -> None:
@@ -55,8 +57,7 @@ class Recorded(Hardware):
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """The next recording, numbered by the generator, which was spawned from the trial's."""
         files = self.files
-        spawned = getattr(rng.bit_generator.seed_seq, "spawn_key", ())
-        return self.rollout(files[(spawned[-1] if spawned else 0) % len(files)])
+        return self.rollout(files[([0, *place_of(rng)][-1]) % len(files)])
 
     @property
     def files(self) -> list[str]:

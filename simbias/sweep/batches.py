@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -22,9 +20,7 @@ COLUMNS = ("costs", "frames", "failures", "successes")  # of the outcomes that a
 class Batch:
     """Experiments with one policy on one hardware, the i-th from the i-th start; the seed is of the noise."""
 
-    config: Mapping[str, Any]  # of the study whose hardware it is
-    choices: Mapping[str, str]
-    allowed: tuple[str, ...]  # modules of which the config may name classes
+    composition: Composition  # of the study whose hardware it is
     parameters: tuple[float, ...]  # theta (p,)
     starts: tuple[tuple[float, ...], ...]  # (k, n)
     seed: int
@@ -32,13 +28,7 @@ class Batch:
     @staticmethod
     def of(study: Composition, parameters: Array, starts: Array, seed: int) -> Batch:
         """Experiments with theta (p,) from starts (k, n) on a study's hardware."""
-        plain = tuple(tuple(start) for start in starts.tolist())
-        return Batch(study.config, study.choices, study.allowed, tuple(parameters.tolist()), plain, seed)
-
-    @property
-    def composition(self) -> Composition:
-        """The composition of the study."""
-        return Composition(self.config, self.choices, self.allowed)
+        return Batch(study, tuple(parameters.tolist()), tuple(map(tuple, starts.tolist())), seed)
 
     @property
     def hash(self) -> str:

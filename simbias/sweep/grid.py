@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, NotRequired, Required
 from pydantic import Field
 
 from simbias.config import Composition, ConfigError, Variations
+from simbias.config.allowed import Own
 from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED, overridden
 from simbias.core import Task
@@ -145,7 +146,7 @@ def expanded(variations: Variations) -> Sweep:
         repetitions=values["trials"],
         dry_run=values.get("dry_run", False),
         report=_report(values.get("report", {}), axes),
-        figures=dict(_figures(values.get("figures", FIGURES if axes else {}), cells, base.allowed)),
+        figures=dict(_figures(values.get("figures", FIGURES if axes else {}), cells, base.own)),
         figures_to=values.get("figures_to"),
     )
 
@@ -263,14 +264,12 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
     return Report(columns, tuple(measures), paper)
 
 
-def _figures(
-    specs: Mapping[str, Any], cells: Sequence[Cell], allowed: Sequence[str]
-) -> Iterator[tuple[str, SweepFigure]]:
+def _figures(specs: Mapping[str, Any], cells: Sequence[Cell], own: Own) -> Iterator[tuple[str, SweepFigure]]:
     """The figures, by the name of their files; arguments named `task` and `cells` are provided."""
     first = cells[0].composition
-    task = construct(first.config["task"], Task, "task", first.allowed)
+    task = construct(first.config["task"], Task, "task", first.own)
     for name, spec in specs.items():
-        yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", allowed, task=task, cells=cells)
+        yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", own, task=task, cells=cells)
 
 
 def _flat(tree: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:

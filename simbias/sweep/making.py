@@ -5,9 +5,11 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simbias.config.sent_code import packed
 from simbias.core import HardwareError, Waiting
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import temporary_folder
@@ -86,9 +88,10 @@ def _outcomes(
     missing = [identity for identity in batch_of if identity not in outcomes]
     if missing:
         tasks = [batch_of[identity] for identity in missing]
+        code = partial(packed, [task.composition for task in tasks])
         with (
             observer.working(f"{name}: batches of experiments", len(batch_of), len(outcomes)) as advance,
-            stopping_workers(engine.run(run_batch, tasks)) as results,
+            stopping_workers(engine.run(run_batch, tasks, code)) as results,
         ):
             for index, result in results:
                 if isinstance(result, WorkerLostError) or result.error:

@@ -16,7 +16,7 @@ from pandas import DataFrame
 
 from simbias.config import ConfigError, Variations
 from simbias.config.build import build
-from simbias.config.stored import read_folder
+from simbias.config.sent_code import packed
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
@@ -30,6 +30,7 @@ from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, locked
 from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.origin import changed_code, provenance
+from simbias.trial.run import TrialRecord, read_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
@@ -224,15 +225,13 @@ class SweepState:
         """What a worker needs of a trial."""
         folder, composition = self._store.trial_folder(trial.hash), trial.composition
         if folder is None:
-            return Plan(composition.config, composition.choices, allowed=composition.allowed)
+            return Plan(composition)
         return Plan(
-            composition.config,
-            composition.choices,
+            composition,
             str(folder.absolute()),
             self._marker,
             pack(folder) if TrialFolder(folder).steps() else b"",
             _pictures(trial.repetition, self._store),
-            composition.allowed,
         )
 
     def keep(self, trial: Trial, result: Result) -> None:
@@ -268,9 +267,11 @@ class SweepState:
 
     def swept(self) -> SweptTrials:
         """The trials for figures; each can be read back in full."""
-        allowed = sorted({name for cell in self._sweep.cells for name in cell.composition.allowed})
-        trials = self._store.folder or Path()
-        load = partial(_read, trials, allowed)
+        trials, folder = {trial.hash: trial for trial in self._sweep.trials}, self._store.folder or Path()
+
+        def load(identity: str) -> TrialRecord:
+            return read_trial(build(trials[identity].composition), folder / identity)
+
         return SweptTrials(self._sweep, self.results(), load)
 
     def outcomes(self, batches: Sequence[str]) -> dict[str, Any]:
@@ -332,16 +333,12 @@ def _warn(damaged: ConfigError) -> None:
     logging.getLogger(__name__).warning(DAMAGED, damaged)
 
 
-def _read(trials: Path, allowed: Sequence[str], identity: str) -> Any:
-    """A trial, read back."""
-    return read_folder(trials / identity, allow=allowed)
-
-
 def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
     """Trials with their results, as they end."""
     trials = state.missing
-    plans = [state.plan(trial) for trial in trials]
-    with stopping_workers(trials_engine.run(run_plan, plans)) as ended:
+    plans, cells = [state.plan(trial) for trial in trials], {trial.cell.identity: trial for trial in trials}
+    code = partial(packed, [trial.composition for trial in cells.values()])
+    with stopping_workers(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
 

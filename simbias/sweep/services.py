@@ -19,7 +19,7 @@ def engine(composition: Composition) -> Engine:
     ConfigError
         As `build` does.
     """
-    return construct(_group(composition, "engine"), Engine, "engine", composition.allowed)
+    return construct(_group(composition, "engine"), Engine, "engine", composition.own)
 
 
 def tracking(composition: Composition) -> Tracking:
@@ -30,7 +30,7 @@ def tracking(composition: Composition) -> Tracking:
     ConfigError
         As `build` does.
     """
-    return construct(_group(composition, "tracking"), Tracking, "tracking", composition.allowed)
+    return construct(_group(composition, "tracking"), Tracking, "tracking", composition.own)
 
 
 def _group(composition: Composition, group: str) -> Any:

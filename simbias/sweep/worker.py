@@ -1,4 +1,4 @@
-"""The work of a sweep's worker: a plain config in, a trial's summary out."""
+"""The work of a sweep's worker: a composition in, a trial's summary out."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import io
 import time
 import warnings
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from socket import gethostname
+from typing import NamedTuple
 
 from simbias.config import Composition
 from simbias.config.build import build
@@ -21,15 +21,13 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 
 class Plan(NamedTuple):
-    """A trial, in plain containers."""
+    """A trial that is to be run."""
 
-    config: Mapping[str, Any]
-    choices: Mapping[str, str]
+    composition: Composition
     folder: str | None = None  # in which it is kept
     marker: str = ""  # a file beside it: seen only by workers that share the disk
     kept: bytes = b""  # what the folder holds so far, for the others
     pictures: tuple[str, ...] = ()  # to draw at its end
-    allowed: tuple[str, ...] = ()  # modules of which the config may name classes
 
 
 class Result(NamedTuple):
@@ -49,7 +47,7 @@ def run_plan(plan: Plan) -> Result:
         try:
             if folder is not None and apart and plan.kept:
                 unpack(plan.kept, folder)
-            study = build(Composition(plan.config, plan.choices, plan.allowed))
+            study = build(plan.composition)
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:
                 from simbias.pictures.trial.gallery import illustrate  # lazily: most trials have none
@@ -58,7 +56,8 @@ def run_plan(plan: Plan) -> Result:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            return lost(with_type(error))
+            where = f" (on {gethostname()}, in {Path.cwd()}; its PYTHONPATH finds modules)" if apart else ""
+            return lost(f"{with_type(error)}{where}")
     packed = pack(folder) if folder is not None and apart else b""
     return Result(record.summary, "" if folder else record.traceback, packed)
 

@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from simbias.core import Model
 from simbias.core.messages import brief, counted
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
 from simbias.terminal.lines import say, temporary_traceback
-from simbias.trial import diagnostics as remarks
+from simbias.trial import diagnostics
+from simbias.trial.diagnostics import Remark
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.model_selection import WINDOW
 from simbias.trial.origin import changed_code
@@ -48,7 +50,8 @@ class TrialConsole(Observer):
         self._bar = self._progress.add_task("", total=study.optimizer.max_evaluations, best="", visible=False)
         self._experiments = 0
         self._iterations: list[Iteration] = []
-        self._search: Search | None = None
+        self._model: Model | None = None
+        self._said: set[str] = set()  # kinds of remarks
         self._width = 18 * (study.method.max_experiments // study.method.max_iterations)
 
     def __enter__(self) -> TrialConsole:
@@ -73,15 +76,17 @@ class TrialConsole(Observer):
             visible=True,
         )
 
-    def searched(self, search: Search) -> None:
-        """Say what is odd about a search's policy, before hardware is spent on it."""
-        self._remark(remarks.of_search(search, self._iterations))
-        self._search = search
+    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
+        """Say what is odd about a policy, before hardware is spent on it."""
+        self._remark(diagnostics.of_policy(theta, search, self._iterations))
+        self._model = model
 
-    def _remark(self, lines: Iterable[str]) -> None:
-        """Lines between those of the iterations."""
-        for line in lines:
-            say(self._console, f"     {brief(line)}", "yellow")
+    def _remark(self, remarks: Iterable[Remark]) -> None:
+        """Lines between those of the iterations, one of each kind."""
+        for remark in remarks:
+            if remark.kind not in self._said:
+                say(self._console, f"     {brief(remark.words)}", "yellow")
+            self._said.add(remark.kind)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
@@ -93,8 +98,8 @@ class TrialConsole(Observer):
         from simbias.terminal.preview import describe
 
         self._progress.stop()
-        search, study = self._search, self._study
-        bias, nominal = (search.fitted_bias, search.nominal) if search else (None, None)
+        study, model = self._study, self._model
+        bias, nominal = (model.bias, model.nominal) if model else (None, None)
         bounds = study.conditions.safety.bounds(study.task)
         for line in describe(study, predict(study, theta, start, bias, nominal), bounds):
             say(self._console, line)
@@ -124,8 +129,9 @@ class TrialConsole(Observer):
         say(self._console, f"{line}  {sum(iteration.seconds.values()):>7.1f}{notes}", markup=True)
         if learning and learning.log_likelihoods:
             say(self._console, f"     {likelihoods_text(learning.log_likelihoods)}")
+        self._remark(diagnostics.of_reset(iteration, self._study.cost.max_cost))
         if learning and not iteration.succeeded:
-            self._remark(remarks.of_selection(learning.selection))
+            self._remark(diagnostics.of_selection(learning.selection))
         self._iterations.append(iteration)
 
     def _experiment_text(self, rollout: Rollout) -> str:

@@ -3,29 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core.records import Iteration, Search, Selection
+from simbias.core.records import Array, Iteration, Search, Selection
 
 
-def of_search(search: Search, earlier: Sequence[Iteration]) -> Iterator[str]:
-    """What is odd about the policy that a search found, after earlier iterations."""
-    optimum = search.optimum
-    if optimum.flat:
-        yield (
+class Remark(NamedTuple):
+    """Something odd about a trial."""
+
+    kind: str  # in few words, the same whenever it happens
+    words: str  # in one line, with its numbers
+
+
+def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration]) -> Iterator[Remark]:
+    """What is odd about a policy theta (p,), searched or not, that was made after earlier iterations."""
+    if search is not None and search.optimum.flat:
+        optimum = search.optimum
+        yield Remark(
+            "all simulated policies cost the same",
             f"all {optimum.evaluations} simulated policies cost the same ({optimum.cost:g}), so this one is "
-            f"arbitrary; does every simulation fail at once, or start at rest in an equilibrium?"
+            f"arbitrary; does every simulation fail at once, or start at rest in an equilibrium?",
         )
-    same = [each.index for each in earlier if np.array_equal(each.parameters, optimum.parameters)]
+    same = [each.index for each in earlier if np.array_equal(each.parameters, theta)]
     if same:
-        yield (
+        yield Remark(
+            "a refuted policy was tried again",
             f"this is the policy of iteration {same[0]} again, which the hardware has refuted: what was "
-            "learned since has changed nothing in the search"
+            "learned since has changed nothing",
         )
 
 
-def of_selection(selection: Selection) -> Iterator[str]:
+def of_reset(iteration: Iteration, max_cost: float) -> Iterator[Remark]:
+    """Why the model was cleared after an iteration's search, if it was (line 7 of Algorithm 1)."""
+    search = iteration.search
+    if search is not None and iteration.learning is not None and iteration.learning.reset:
+        yield Remark(
+            "model cleared",
+            f"model cleared: no policy of the corrected simulation costs less than Z_max = {max_cost:g} "
+            f"({search.predicted_cost:.3g} at best, of {search.optimum.evaluations} simulated); is the task "
+            "possible within its limits and horizon?",
+        )
+
+
+def of_selection(selection: Selection) -> Iterator[Remark]:
     """Why nothing could be learned from an iteration's experiments, if so."""
     if len(selection.transitions):
         return
@@ -34,26 +56,17 @@ def of_selection(selection: Selection) -> Iterator[str]:
         why = f"all {selection.sampled} were rejected: {rejected or 'nobody says why'}"
     else:
         why = selection.note or f"none of {selection.frames} frames was sampled"
-    yield f"no samples to learn from: {why}"
+    yield Remark("experiments without a sample to learn from", f"no samples to learn from: {why}")
 
 
-def kinds(iterations: Sequence[Iteration]) -> set[str]:
-    """What is odd about a trial that has ended, in few words each."""
-    found = set()
-    for index, iteration in enumerate(iterations):
-        if iteration.search is not None and iteration.search.optimum.flat:
-            found.add("all simulated policies cost the same")
-        if any(np.array_equal(each.parameters, iteration.parameters) for each in iterations[:index]):
-            found.add("a refuted policy was tried again")
-        learning = iteration.learning
-        if learning is not None and not iteration.succeeded and not len(learning.selection.transitions):
-            found.add("experiments without a sample to learn from")
-    return found
-
-
-def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[str]:
-    """All remarks on an iteration that has ended."""
-    found = [] if iteration.search is None else list(of_search(iteration.search, earlier))
+def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[Remark]:
+    """Everything odd about an iteration that has ended, but that the model was cleared, which is no fault."""
+    found = list(of_policy(iteration.parameters, iteration.search, earlier))
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found
+
+
+def of_trial(iterations: Sequence[Iteration]) -> list[Remark]:
+    """Everything odd about the iterations of a trial."""
+    return [remark for i, each in enumerate(iterations) for remark in of_iteration(each, iterations[:i])]

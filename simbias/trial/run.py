@@ -10,14 +10,15 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core import Waiting, platform
+from simbias.core import Model, Waiting, platform
 from simbias.core.error_origin import told
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.trial import diagnostics
-from simbias.trial.folder import FolderRecord
+from simbias.trial.folder import Withdrawal
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
+from simbias.trial.record import FolderRecord
 from simbias.trial.replay import EndOfRecord
 from simbias.trial.study import Observer, Study
 from simbias.trial.summary import Outcome, TrialSummary
@@ -33,6 +34,7 @@ class TrialRecord:
     unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that has not
     policy_test: PolicyTestResult | None = None  # of the last policy, if one was asked for
     traceback: str = ""
+    withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
 
     @property
     def outcome(self) -> Outcome:
@@ -117,9 +119,9 @@ class _Run(Observer):
         """Whether the last iteration's policy passed on the hardware."""
         return bool(self._iterations) and self._iterations[-1].succeeded
 
-    def searched(self, search: Search) -> None:
+    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Pass it on."""
-        self._observer.searched(search)
+        self._observer.designed(theta, model, search)
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Pass it on."""
@@ -168,8 +170,7 @@ class _Run(Observer):
             test_words=test.words if test else "",
             platforms=tuple(dict.fromkeys([*(before.platforms() if before else ()), platform.kind()])),
             processor=platform.processor(),
-            diagnostics=tuple(sorted(diagnostics.kinds(self._iterations))),
+            diagnostics=tuple(sorted({remark.kind for remark in diagnostics.of_trial(self._iterations)})),
         )
-        return TrialRecord(
-            self._study, summary, tuple(self._iterations), tuple(self._unfinished), test, traceback
-        )
+        made_of = tuple(self._iterations), tuple(self._unfinished), test, traceback
+        return TrialRecord(self._study, summary, *made_of, tuple(before.withdrawals()) if before else ())

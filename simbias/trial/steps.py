@@ -55,12 +55,8 @@ def search(
             evaluations=sum(one.evaluations for one, _ in searches),
             stopped_by=f"{optimum.stopped_by}, in search {best + 1} of {len(searches)}",
         )
-    nominal = model.nominal
-    found = Search(
-        *(optimum, predicted_cost, model.bias, model.bias.diagnostics),
-        *(nominal, nominal.estimates, dict(nominal.diagnostics)),
-    )
-    observer.searched(found)
+    found = Search(optimum, predicted_cost)
+    observer.designed(optimum.parameters, model, found)
     return found
 
 
@@ -173,13 +169,17 @@ def iteration_record(
     succeeded: bool,
     total_experiments: int,
     clock: Stopwatch,
+    model: Model | None = None,
     search: Search | None = None,
     learning: Learning | None = None,
 ) -> Iteration:
-    """The record of an iteration; its hardware cost Z_r is the largest of its experiments' (line 9)."""
+    """The record of an iteration; its hardware cost Z_r is the largest of its experiments' (line 9).
+
+    `model` is the simulation that its policy was made on.
+    """
     cost = max(rollout.cost for rollout in experiments)
-    counts = succeeded, total_experiments
-    return Iteration(index, theta, experiments, cost, *counts, search, learning, clock.seconds)
+    made = model, search, learning, clock.seconds
+    return Iteration(index, theta, experiments, cost, succeeded, total_experiments, *made)
 
 
 class Stopwatch:

@@ -44,8 +44,8 @@ class Observer:
     def searching(self, evaluations: int, best_cost: float) -> None:
         """A policy search has simulated this number of policies, a few in vain if it looks ahead."""
 
-    def searched(self, search: Search) -> None:
-        """A policy search has ended."""
+    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
+        """A policy theta (p,) was made: on this model, if on any, and by this search, if by one."""
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """A hardware experiment with theta (p,) from start (n,) begins."""
@@ -84,10 +84,6 @@ class Origin(Protocol):
     @property
     def choices(self) -> Mapping[str, str]:
         """The chosen option of every group."""
-
-    @property
-    def allowed(self) -> tuple[str, ...]:
-        """Modules of which the config may name classes."""
 
     @property
     def code(self) -> Mapping[str, str]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from itertools import chain
 from math import isfinite, nan
 from typing import Any
 
 from pydantic import TypeAdapter
 
+from simbias.core import Model
 from simbias.core.messages import counted
 from simbias.core.records import Iteration, Learning, Search
 from simbias.trial import diagnostics
@@ -118,8 +120,8 @@ def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iter
     }
     if search is not None:
         summary |= {"predicted_cost": search.predicted_cost, "stopped_by": search.optimum.stopped_by}
-        if search.estimates:
-            summary["estimates"] = [estimate._asdict() for estimate in search.estimates]
+    if iteration.model is not None and (estimates := iteration.model.nominal.estimates):
+        summary["estimates"] = [estimate._asdict() for estimate in estimates]
     return summary
 
 
@@ -129,9 +131,11 @@ def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) ->
     if failures:
         causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
         yield f"{len(failures)} of {counted(len(iteration.experiments), 'experiment')} failed: {causes}"
-    if iteration.learning and iteration.learning.reset:
-        yield "model cleared"
-    yield from diagnostics.of_iteration(iteration, earlier)
+    said = {remark.kind for remark in diagnostics.of_trial(earlier)}
+    said |= {"model cleared" for each in earlier if each.learning and each.learning.reset}
+    resets = diagnostics.of_reset(iteration, study.cost.max_cost)
+    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier)):  # in full once
+        yield remark.kind if remark.kind in said else remark.words
 
 
 def metrics(iteration: Iteration) -> dict[str, float]:
@@ -146,6 +150,7 @@ def metrics(iteration: Iteration) -> dict[str, float]:
         "experiments/frames_min": min((rollout.frames for rollout in experiments), default=0),
         "experiments/succeeded": iteration.succeeded,
         **(_search_metrics(iteration.search) if iteration.search else {}),
+        **(_model_metrics(iteration.model) if iteration.model else {}),
         **(_learning_metrics(iteration.learning) if iteration.learning else {}),
         **{f"seconds/{phase}": seconds for phase, seconds in iteration.seconds.items()},
     }
@@ -157,8 +162,14 @@ def _search_metrics(search: Search) -> dict[str, float]:
     return {
         "cost/predicted": search.predicted_cost,
         "search/evaluations": search.optimum.evaluations,
-        **{f"bias/{name}": value for name, value in search.diagnostics.items()},
-        **{f"identification/{name}": value for name, value in search.identification.items()},
+    }
+
+
+def _model_metrics(model: Model) -> dict[str, float]:
+    """What the learners say of a policy's model, in numbers."""
+    return {
+        **{f"bias/{name}": value for name, value in model.bias.diagnostics.items()},
+        **{f"identification/{name}": value for name, value in model.nominal.diagnostics.items()},
     }
 
 

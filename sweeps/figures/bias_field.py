@@ -17,7 +17,6 @@ from simbias.core import Task
 from simbias.core.ranges import Count
 from simbias.core.records import Array, Selection, Transitions
 from simbias.pictures.elements.style import HARDWARE, SMALL, label, plain, symbol
-from simbias.pictures.trial.comparison import search_bias
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
@@ -95,9 +94,10 @@ class BiasField(SweepFigure):
 
     def _validate(self, trial: TrialRecord) -> Validation:
         """Experiments that the trial did not make, and what its bias predicts of them."""
-        study, bias = trial.study, search_bias(trial.iterations[-1])
-        if bias is None:
+        study, model = trial.study, trial.iterations[-1].model
+        if model is None:
             raise FigureError("the trial's last policy was not searched in a simulation with a bias")
+        bias = model.bias
         rng = np.random.default_rng([study.seed, HELD_OUT])
         rollouts = [
             study.experiment(iteration.parameters, experiment_rng)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from conftest import OWN_CONF, POINT_MASS
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError, compose
+from simbias.config.allowed import NOTHING
 from simbias.config.build import build
 from simbias.sweep.grid import expand
 from simbias.sweep.worker import Plan, run_plan
@@ -114,22 +116,22 @@ def test_a_bad_file_is_named(project: Path) -> None:
 def test_workers_are_told(project: Path) -> None:
     short = ["task.horizon=5", "optimizer.max_evaluations=2", "tracking=none"]
     trial = compose(["bias=beside", *short], "conf").trial
-    assert trial.allowed == ("beside",)
-    assert run_plan(Plan(trial.config, trial.choices, allowed=trial.allowed)).summary.outcome.final
-    assert "--allow beside" in run_plan(Plan(trial.config, trial.choices)).summary.reason
+    assert trial.own == (("beside",), (str(project / "conf"),))
+    assert run_plan(Plan(trial)).summary.outcome.final
+    assert "--allow beside" in run_plan(Plan(replace(trial, own=NOTHING))).summary.reason
 
 
 def test_an_axis_may_name_what_lies_beside(project: Path) -> None:
     sweep = expand(["+sweep={trials: 1, axes: {bias: [none, beside, part]}}"], "conf")
-    assert [cell.composition.allowed for cell in sweep.cells] == [(), ("beside",), ("package",)]
+    assert [cell.composition.own.modules for cell in sweep.cells] == [(), ("beside",), ("package",)]
 
 
 def test_what_is_allowed_is_no_part_of_a_trials_identity() -> None:
     one, other = (compose([*POINT_MASS], OWN_CONF, allow) for allow in ([], ["elsewhere"]))
     assert one == other
     assert one.hash == other.hash
-    assert one.trial.allowed == ("point_mass",)
-    assert other.allowed == ("elsewhere", "point_mass")
+    assert one.trial.own.modules == ("point_mass",)
+    assert other.own.modules == ("elsewhere", "point_mass")
 
 
 EXITS = "raise SystemExit(7)"

@@ -21,7 +21,6 @@ from simbias.sweep.services import engine
 
 pytestmark = pytest.mark.slow
 
-dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
 
@@ -115,20 +114,6 @@ def test_strangers_are_kept_out_of_the_local_cluster() -> None:
     assert encrypted >= 3
     assert set(codes) <= {404}
     assert len(list(results)) == 2
-
-
-def test_a_tls_address_takes_the_certificates_of_dasks_configuration(tmp_path: Path) -> None:
-    security = distributed.Security.temporary()
-    (tmp_path / "ca.pem").write_text(security.tls_ca_file)
-    (tmp_path / "cert.pem").write_text(f"{security.tls_client_key}\n{security.tls_client_cert}")
-    tls = {"ca-file": str(tmp_path / "ca.pem"), "client.cert": str(tmp_path / "cert.pem")}
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, security=security, dashboard_address=":0"
-    ) as cluster:
-        with dask.config.set({f"distributed.comm.tls.{key}": file for key, file in tls.items()}):
-            assert dict(Dask(cluster.scheduler_address).run(double, [1])) == {0: 2}
-        with pytest.raises(ConfigError, match=r"engine\.address: tls://.*: no scheduler answers"):
-            list(Dask(cluster.scheduler_address).run(double, [1]))
 
 
 def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -196,7 +196,7 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
     assert len(iteration.learning.data) > 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert run_plan(Plan(trial.config, trial.choices)).summary.outcome.final
+        assert run_plan(Plan(trial)).summary.outcome.final
 
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])

@@ -37,7 +37,8 @@ def trial(short: Study) -> list[Iteration]:
                 hardware_cost=hardware_cost,
                 succeeded=all(map(short.cost.passes, experiments)),
                 total_experiments=2 * (index + 1),
-                search=Search(Optimum(theta, 3.0, 1000, "the test"), short.simulate(theta, bias).cost, bias),
+                model=short.model(bias),
+                search=Search(Optimum(theta, 3.0, 1000, "the test"), short.simulate(theta, bias).cost),
                 learning=Learning(selection, data),
             )
         )

@@ -15,7 +15,7 @@ from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, png, symbol
-from simbias.pictures.trial.comparison import search_bias, simulated, worst_experiment
+from simbias.pictures.trial.comparison import simulated, worst_experiment
 from simbias.pictures.trial.errors import prediction_error, windows
 from simbias.pictures.trial.phases import phase_pairs, state_bounds
 from simbias.robots.bongoboard.task import Start
@@ -152,7 +152,7 @@ def test_without_bias_the_error_is_the_residual(short: Study, trial: list[Iterat
 def test_what_was_learned_predicts_otherwise(short: Study, trial: list[Iteration]) -> None:
     pieces, zero = windows(short, trial[-1], 10), short.bias.fit(short.no_data)
     corrected, nominal = (
-        prediction_error(short, bias, pieces, [1, 10]) for bias in (search_bias(trial[-1]), zero)
+        prediction_error(short, bias, pieces, [1, 10]) for bias in (trial[-1].model.bias, zero)
     )
     assert np.abs(corrected - nominal).max() > 1e-5
 
@@ -160,9 +160,7 @@ def test_what_was_learned_predicts_otherwise(short: Study, trial: list[Iteration
 def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
     figure, zero = prediction_errors(short, trial, [1, 20]), short.bias.fit(short.no_data)
     marks = [(iteration, zero, NOMINAL, "s", iteration.index) for iteration in trial]
-    marks.append(
-        (trial[1], search_bias(trial[1]), SIMULATION, "o", 0)
-    )  # nothing was learned before the first
+    marks.append((trial[1], trial[1].model.bias, SIMULATION, "o", 0))  # nothing was learned before the first
     for iteration, bias, color, marker, number in marks:
         errors = prediction_error(short, bias, windows(short, iteration, 20), [1, 20])
         for row, states in enumerate((slice(0, 3), slice(3, 6))):
@@ -206,7 +204,7 @@ def test_forecast_shows_the_experiment_and_its_predictions(
 ) -> None:
     last = trial[-1]
     measured = worst_experiment(last)
-    corrected = short.simulate(last.parameters, last.search.fitted_bias, measured.states[0])
+    corrected = short.simulate(last.parameters, last.model.bias, measured.states[0])
     nominal = short.simulate(last.parameters, None, measured.states[0])
     for i, axes in enumerate(forecasted.axes):
         for color, rollout in ((HARDWARE, measured), (SIMULATION, corrected), (NOMINAL, nominal)):
@@ -259,7 +257,7 @@ def test_a_method_without_search_shows_what_hardware_did(short: Study, on_hardwa
 def test_costs_of_several_policies_are_simulated_each_with_its_own(
     short: Study, trial: list[Iteration], on_hardware: list[Iteration]
 ) -> None:
-    iteration = replace(on_hardware[0], search=trial[0].search)
+    iteration = replace(on_hardware[0], model=trial[0].model, search=trial[0].search)
     _, pairs = costs(short, [iteration, on_hardware[1]]).axes
     models = [short.simulate(r.parameters, None, r.states[0]).cost for r in iteration.experiments]
     (data,) = lines(pairs, HARDWARE, "o")

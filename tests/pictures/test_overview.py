@@ -53,7 +53,7 @@ def test_it_compares_from_the_same_starts(short: Study, trial: list[Iteration], 
     fallen = max(trial[0].experiments, key=lambda rollout: rollout.cost)
     index = next(i for i, c in enumerate(short.task.criteria) if c.name == fallen.failure)
     first = next(axes for axes in figure.axes if axes.get_xlabel() == "time (s)")
-    bias = trial[0].search.fitted_bias
+    bias = trial[0].model.bias
     for color, rollout in (
         (HARDWARE, fallen),
         (SIMULATION, short.simulate(fallen.parameters, bias, fallen.states[0])),
@@ -66,9 +66,7 @@ def test_it_compares_from_the_same_starts(short: Study, trial: list[Iteration], 
     np.testing.assert_array_equal(measured[:, 0], [1, 2, 3, 4])
     np.testing.assert_array_equal(measured[:, 1], [r.cost for i in trial for r in i.experiments])
     expected = [
-        short.simulate(r.parameters, i.search.fitted_bias, r.states[0]).cost
-        for i in trial
-        for r in i.experiments
+        short.simulate(r.parameters, i.model.bias, r.states[0]).cost for i in trial for r in i.experiments
     ]
     np.testing.assert_allclose(np.concatenate(lines(costs, SIMULATION, "o"))[:, 1], expected)
 

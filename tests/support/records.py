@@ -12,7 +12,7 @@ import numpy as np
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import TrialRecord
 
-DERIVED = ("fitted_bias", "nominal", "study", "traceback")  # follow from the rest
+DERIVED = ("model", "study", "traceback")  # follow from the rest
 
 
 def assert_equal(a: Any, b: Any, where: str = "") -> None:

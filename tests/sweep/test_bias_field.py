@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 import simbias
-from simbias.core import FittedBias, Hardware
-from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search
+from simbias.core import Hardware
+from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.bias_field import BiasField
 from simbias.sweep.grid import expand
@@ -45,10 +45,6 @@ class Noting(Hardware):
         return self._hardware.run(policy, theta, start, rng)
 
 
-def search(bias: FittedBias) -> Search:
-    return Search(Optimum(FALLING, 1.0, 1, "the test"), 1.0, bias)
-
-
 def trial_of(*overrides: str, replaced: Callable[[Study], Study] = lambda study: study) -> Trial:
     """A trial of two iterations: one to learn from, one with what was learned."""
     study = replaced(simbias.load(["task.horizon=1500", *overrides]))
@@ -62,10 +58,10 @@ def trial_of(*overrides: str, replaced: Callable[[Study], Study] = lambda study:
         hardware_cost=300.0,
         succeeded=False,
         total_experiments=4,
-        search=search(study.bias.fit(study.no_data)),
+        model=study.model(study.bias.fit(study.no_data)),
         learning=Learning(selection, data),
     )
-    last = replace(first, index=1, total_experiments=8, search=search(study.bias.fit(data)))
+    last = replace(first, index=1, total_experiments=8, model=study.model(study.bias.fit(data)))
     return Trial(study, (first, last))
 
 
@@ -126,6 +122,6 @@ def test_without_any_sample() -> None:
 
 
 def test_without_a_search(trial: Trial) -> None:
-    iterations = tuple(replace(iteration, search=None) for iteration in trial.iterations)
+    iterations = tuple(replace(iteration, model=None) for iteration in trial.iterations)
     with pytest.raises(FigureError, match="not searched"):
         picture_of(trial._replace(iterations=iterations))

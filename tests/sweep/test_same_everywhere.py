@@ -37,7 +37,7 @@ ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Pa
 def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
     """Of every trial's folder, in the order of TRIALS."""
     trials = [compose([*SHORT, *trial, f"seed={seed}"]).trial for seed, trial in enumerate(TRIALS)]
-    plans = [Plan(each.config, each.choices, str(folder / str(i))) for i, each in enumerate(trials)]
+    plans = [Plan(each, str(folder / str(i))) for i, each in enumerate(trials)]
     for _, result in engine.run(run_plan, plans[::-1] if backwards else plans):
         assert result.summary.outcome.final, result.summary.reason  # type: ignore[union-attr]
     return [hashlib.sha256(repr(content(Path(str(plan.folder)))).encode()).hexdigest() for plan in plans]

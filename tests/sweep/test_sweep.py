@@ -315,7 +315,7 @@ def test_live_view_fills() -> None:
     console = SweepConsole(Console(file=out, force_terminal=True, width=100))
     console.begun(sweep, pd.DataFrame(columns=["outcome"]), keeps=False)
     for trial in sweep.trials:
-        console.ended(trial, run_plan(Plan(trial.composition.config, trial.composition.choices)))
+        console.ended(trial, run_plan(Plan(trial.composition)))
     console.all_ended()
     assert "4/4" in out.getvalue()
     assert "2/2   2.0" in out.getvalue()

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ from simbias.sweep.worker import Plan, run_plan
 
 quick = ["task.horizon=100", "optimizer=cma", "optimizer.max_evaluations=20", "method.max_iterations=1"]
 trial, folder = compose(quick).trial, sys.argv[1]
-result = run_plan(Plan(trial.config, trial.choices, folder, pictures=tuple(sys.argv[2:])))
+result = run_plan(Plan(trial, folder, pictures=tuple(sys.argv[2:])))
 assert not result.summary.reason and result.summary.iterations, result
 assert [file.stem for file in Path(folder, "pictures").glob("*")] == sys.argv[2:]
 heavy = {"pandas", "pyarrow", "mlflow", "rich", "sklearn", "matplotlib.pyplot"}
@@ -47,14 +48,14 @@ def trial() -> Composition:
 @pytest.fixture
 def plan(trial: Composition, tmp_path: Path) -> Plan:
     """A trial in a folder."""
-    return Plan(trial.config, trial.choices, str(tmp_path / "trial"))
+    return Plan(trial, str(tmp_path / "trial"))
 
 
 @pytest.fixture(scope="module")
 def whole(trial: Composition, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the trial, ended."""
     folder = tmp_path_factory.mktemp("whole") / "trial"
-    result = run_plan(Plan(trial.config, trial.choices, str(folder)))
+    result = run_plan(Plan(trial, str(folder)))
     assert (result.summary.outcome, result.packed) == (Outcome.NOT_SUCCEEDED, b"")
     return folder
 
@@ -112,9 +113,13 @@ def test_an_outcome_that_somebody_damaged_follows_from_the_steps(whole: Path, pl
         assert content(folder) == content(whole)
 
 
+def with_bias(plan: Plan, target: str) -> Plan:
+    config = {**plan.composition.config, "bias": {"_target_": target}}
+    return plan._replace(composition=replace(plan.composition, config=config))
+
+
 def test_a_trial_that_cannot_begin_is_a_result_too(plan: Plan, tmp_path: Path) -> None:
-    bad = {**plan.config, "bias": {"_target_": "simbias.learning.bias.gp.Nothing"}}
-    summary = run_plan(plan._replace(config=bad)).summary
+    summary = run_plan(with_bias(plan, "simbias.learning.bias.gp.Nothing")).summary
     assert (summary.outcome, summary.experiments) == (Outcome.ERROR, 0)
     assert summary.reason.startswith("ConfigError: bias._target_: cannot import")
     (tmp_path / "file").touch()
@@ -130,8 +135,8 @@ def test_a_component_that_ends_the_process_as_it_is_built_ends_its_trial_only(
         raise SystemExit("no licence")
 
     monkeypatch.setattr("simbias.learning.bias.gp.GaussianProcess.__init__", leave)
-    config = {**plan.config, "bias": {"_target_": "simbias.learning.bias.gp.GaussianProcess"}}
-    assert run_plan(plan._replace(config=config)).summary.reason == "ConfigError: bias: no licence"
+    plan = with_bias(plan, "simbias.learning.bias.gp.GaussianProcess")
+    assert run_plan(plan).summary.reason == "ConfigError: bias: no licence"
 
 
 def test_no_line_for_each_slow_fit_of_each_trial(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,8 +68,8 @@ def test_data_accumulates(point_mass: Study) -> None:
     assert [len(inputs) for inputs in learned] == [10, 20, 20]  # success learns no more (line 11)
     np.testing.assert_array_equal(learned[1][:10], learned[0])
     np.testing.assert_array_equal(learned[1][10:], second.learning.selection.transitions.inputs)
-    assert not predicts_something(first.search.fitted_bias)
-    assert predicts_something(second.search.fitted_bias)
+    assert not predicts_something(first.model.bias)
+    assert predicts_something(second.model.bias)
 
 
 def test_a_bad_search_clears_the_model(point_mass: Study) -> None:

@@ -15,6 +15,7 @@ import simbias
 from simbias.core import Policy
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.pictures.trial.comparison import in_simulation
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search.lqr import lqr_policies
 from simbias.testing.conformance import verdicts
@@ -24,7 +25,7 @@ from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
 from simbias.trial.steps import experiment
 from simbias.trial.study import Method, Observer, Study
-from simbias.trial.summary import Outcome
+from simbias.trial.summary import Outcome, iteration_summary
 
 
 class Guessing(Method):
@@ -101,6 +102,16 @@ def test_lqr_of_the_nominal_model_is_one_design(point_mass: Study) -> None:
     (only,) = study.run()
     np.testing.assert_array_equal(only.parameters, lqr_policies(study.model(), [1000.0])[0])
     assert (only.search, only.learning, len(only.experiments)) == (None, None, 2)
+    assert only.model.nominal is study.nominal
+
+
+def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study) -> None:
+    """Where nothing can be identified, each design is the first one."""
+    method = Lqr(input_weight=1000.0, identified=True, max_iterations=2)
+    calm = replace(point_mass, policy=OutputFeedback(point_mass.task), method=method)
+    record = run_trial(calm)
+    assert [each.succeeded for each in record.iterations] == [False, False]
+    assert record.summary.diagnostics == ("a refuted policy was tried again",)
 
 
 def test_lqr_needs_a_policy_that_imitates_it(point_mass: Study) -> None:
@@ -116,6 +127,12 @@ def test_lqr_of_the_identified_model_is_designed_again(tmp_path: Path) -> None:
     first, again = (run_trial(study, tmp_path / study.hash) for _ in range(2))
     assert first.outcome is Outcome.SUCCEEDED
     assert [iteration.succeeded for iteration in first.iterations] == [False, True]
+    declared, identified = (iteration_summary(study, each, ()) for each in first.iterations)
+    assert "estimates" not in declared
+    assert identified["estimates"]
+    assert {"identification/windows", "identification/share"} <= identified["metrics"].keys()
+    names = [in_simulation(study, first.iterations, each, each.experiments[0]) for each in first.iterations]
+    assert [each.name for each in names] == ["simulation: nominal model", "simulation: identified model"]
     for one, other in zip(first.iterations, again.iterations, strict=True):
         np.testing.assert_array_equal(one.parameters, other.parameters)
         np.testing.assert_array_equal(one.experiments[0].states, other.experiments[0].states)

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from simbias.core import FittedBias, Nominal
+from simbias.core import Model
 from simbias.core.messages import counted
 from simbias.core.records import Iteration, Rollout
 from simbias.pictures.elements.drawing import NoPictureError
@@ -26,13 +26,13 @@ class NamedRollout(NamedTuple):
 
 
 def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]) -> list[Rollout]:
-    """Experiments of an iteration in the simulation of its search, from the same starts; [] without one."""
-    bias = search_bias(iteration)
-    if bias is None or not experiments:
+    """Experiments of an iteration in its policy's simulation, from the same starts; [] without one."""
+    model = iteration.model
+    if model is None or not experiments:
         return []
     thetas = np.array([rollout.parameters for rollout in experiments])
     starts = np.array([rollout.states[0] for rollout in experiments])
-    rollouts = study.simulator(bias, search_nominal(iteration)).rollouts(thetas, starts)
+    rollouts = study.simulator(model.bias, model.nominal).rollouts(thetas, starts)
     return [replace(rollout, cost=study.cost.of(rollout)) for rollout in rollouts]
 
 
@@ -45,27 +45,17 @@ def on_nominal(study: Study, experiment: Rollout) -> NamedRollout:
 def in_simulation(
     study: Study, iterations: Sequence[Iteration], iteration: Iteration, experiment: Rollout
 ) -> NamedRollout | None:
-    """An experiment in the simulation of its iteration's search, from the same start; None without one."""
-    bias = search_bias(iteration)
-    if bias is None:
+    """An experiment in its policy's simulation, from the same start; None without one."""
+    model = iteration.model
+    if model is None:
         return None
-    rollout = study.simulate(experiment.parameters, bias, experiment.states[0], search_nominal(iteration))
-    name = simulation_words(study, search_samples(iterations, iteration))
+    rollout = study.simulate(experiment.parameters, model.bias, experiment.states[0], model.nominal)
+    name = simulation_words(study, model, samples_before(iterations, iteration))
     return NamedRollout(name, rollout, SIMULATION, "--")
 
 
-def search_bias(iteration: Iteration) -> FittedBias | None:
-    """The bias of the simulation that an iteration's policy was searched in; None without such a search."""
-    return None if iteration.search is None else iteration.search.fitted_bias
-
-
-def search_nominal(iteration: Iteration) -> Nominal | None:
-    """The nominal model of that simulation, as far as it was identified; None without such a search."""
-    return None if iteration.search is None else iteration.search.nominal
-
-
-def search_samples(iterations: Sequence[Iteration], iteration: Iteration) -> int:
-    """The number of samples that the search's bias was learned from: D after the iterations before."""
+def samples_before(iterations: Sequence[Iteration], iteration: Iteration) -> int:
+    """The number of samples that its policy's bias was learned from: D after the iterations before."""
     sizes = [
         len(earlier.learning.data)
         for earlier in iterations
@@ -75,8 +65,11 @@ def search_samples(iterations: Sequence[Iteration], iteration: Iteration) -> int
 
 
 def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
-    """Whether an iteration's policy was searched in a simulation that had learned from experiments."""
-    return search_bias(iteration) is not None and search_samples(iterations, iteration) > 0
+    """Whether an iteration's policy was made in a simulation that had learned from experiments."""
+    model = iteration.model
+    if model is None:
+        return False
+    return bool(model.nominal.estimates) or samples_before(iterations, iteration) > 0
 
 
 def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
@@ -112,24 +105,18 @@ def worst_experiment(iteration: Iteration) -> Rollout:
 def policy_words(iteration: Iteration) -> str:
     """A policy, named by the experiments that it rests on."""
     before = iteration.total_experiments - len(iteration.experiments)
-    if iteration.search is None:
+    if iteration.model is None:
         return f"Policy of iteration {iteration.index}"
     if before == 0:
         return "Policy from simulation alone"
     return f"Policy after {counted(before, 'hardware experiment')}"
 
 
-def simulation_words(study: Study, samples: int) -> str:
-    """The simulation whose bias was learned from `samples` samples."""
+def simulation_words(study: Study, model: Model, samples: int) -> str:
+    """A simulation, whose bias was learned from `samples` samples."""
     learns = samples and study.choices["bias"] != "none"
     bias = f" + learned bias ({study.choices['bias']})" if learns else ""
-    identified = "identified" if samples and study.nominal.parameters and identifies(study) else "nominal"
-    return f"simulation: {identified} model{bias}"
-
-
-def identifies(study: Study) -> bool:
-    """Whether parameters of the nominal model are identified."""
-    return study.choices.get("identification", "none") != "none"
+    return f"simulation: {'identified' if model.nominal.estimates else 'nominal'} model{bias}"
 
 
 def hardware_words(study: Study) -> str:

@@ -23,7 +23,7 @@ from simbias.pictures.elements.style import (
     shade_beyond,
     whole_numbers,
 )
-from simbias.pictures.trial.comparison import search_bias, simulated
+from simbias.pictures.trial.comparison import simulated
 from simbias.trial.study import Study
 
 HEIGHT = 2.6  # in, of a panel
@@ -48,9 +48,9 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     Raises
     ------
     NoPictureError
-        If no policy was searched in simulation.
+        If no policy was made in simulation.
     """
-    if all(search_bias(iteration) is None for iteration in iterations):
+    if all(iteration.model is None for iteration in iterations):
         raise NoPictureError("no policy was searched in simulation")
     figure, grid = panels(1, 2, HEIGHT)
     (by_iteration, pairs), limit = grid[0], study.cost.max_cost

@@ -27,7 +27,7 @@ from simbias.pictures.elements.style import (
     symbol,
     whole_numbers,
 )
-from simbias.pictures.trial.comparison import learned_before, search_bias, search_nominal
+from simbias.pictures.trial.comparison import learned_before
 from simbias.trial.study import Study
 
 HORIZONS = (1, 5, 20, 100)  # frames
@@ -105,9 +105,9 @@ def _models(
     models: dict[str, tuple[FittedBias, Nominal | None]] = {
         NOMINAL_ALONE: (study.bias.fit(study.no_data), None)
     }
-    bias = search_bias(iteration)
-    if bias is not None and learned_before(iterations, iteration):
-        models[CORRECTED] = bias, search_nominal(iteration)
+    model = iteration.model
+    if model is not None and learned_before(iterations, iteration):
+        models[CORRECTED] = model.bias, model.nominal
     return models
 
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from threadpoolctl import threadpool_limits
 
-from simbias.core import FittedBias, Nominal
+from simbias.core import Model
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import SIMULATION, label, plain
@@ -23,8 +23,6 @@ from simbias.pictures.trial.comparison import (
     learned_before,
     on_hardware,
     on_nominal,
-    search_bias,
-    search_nominal,
     worst_experiment,
 )
 from simbias.trial.study import Study
@@ -54,12 +52,12 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
     task, iteration = study.task, on_hardware(iterations)[-1]
     experiment = worst_experiment(iteration)
     curves, draws = [NamedRollout("hardware", experiment)], None
-    bias, model = search_bias(iteration), search_nominal(iteration)
-    if bias is not None and learned_before(iterations, iteration):
+    model = iteration.model
+    if model is not None and learned_before(iterations, iteration):
         learned = in_simulation(study, iterations, iteration, experiment)
         assert learned is not None
         curves.append(learned)
-        draws = _draws(study, bias, experiment, model)
+        draws = _draws(study, model, experiment)
     curves.append(on_nominal(study, experiment))
     columns = min(COLUMNS, len(task.states))
     figure, grid = panels(-(-len(task.states) // columns), columns, HEIGHT)
@@ -82,18 +80,18 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _draws(study: Study, bias: FittedBias, experiment: Rollout, nominal: Nominal | None) -> Array | None:
+def _draws(study: Study, model: Model, experiment: Rollout) -> Array | None:
     """States (`DRAWS`, T+1, n) of an experiment with models drawn from the posterior, nan after failures.
 
     None where a learner does not draw.
     """
     rng = np.random.default_rng(SEED)
-    identified = nominal is not None and bool(nominal.estimates)
-    if bias.draw(rng) is bias and not identified:
+    nominal, bias = model.nominal, model.bias
+    if bias.draw(rng) is bias and not nominal.estimates:
         return None
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
-        drawn = nominal.draw(rng) if nominal is not None and identified else nominal
+        drawn = nominal.draw(rng) if nominal.estimates else nominal
         rollout = study.simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
         states[: len(rollout.states)] = rollout.states
     return draws

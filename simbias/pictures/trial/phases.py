@@ -21,7 +21,6 @@ from simbias.pictures.trial.comparison import (
     first_and_last,
     on_hardware,
     policy_experiments,
-    search_bias,
     simulated,
 )
 from simbias.trial.study import Study
@@ -63,7 +62,7 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     bounds = state_bounds(task)
     for index, pair in enumerate(pairs):
         _share_view(list(blocks[:, index]), bounds[list(pair)])
-    legend(figure, _entries(any(search_bias(iteration) is not None for iteration in both)))
+    legend(figure, _entries(any(iteration.model is not None for iteration in both)))
     return figure
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from simbias.core import Task
+from simbias.core.files import ConfigFile
 from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
@@ -20,7 +21,7 @@ from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
 class FigureFile:
     """Where a drawing comes from: a file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it."""
 
-    file: str
+    file: ConfigFile
     joints: list[str] | None = None
     actuators: list[str] | None = None
     view: View | None = None  # the plane that is seen; None: the one in which the robot moves

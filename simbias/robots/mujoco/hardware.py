@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.files import ConfigFile
 from simbias.core.records import Array, Rollout
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import Factors, Values, changes, mujoco
@@ -39,7 +40,7 @@ class Mujoco(Hardware):
     def __init__(
         self,
         task: Task,
-        file: str,
+        file: ConfigFile,
         joints: list[str] | None = None,
         actuators: list[str] | None = None,
         values: Values | None = None,

@@ -41,7 +41,7 @@ class Algorithm1(Method):
             clock = Stopwatch()
             with clock("search"):
                 found = search(study, model, search_rng, observer)  # 4, 5
-            theta = found.optimum.parameters
+            theta, simulation = found.optimum.parameters, model
             reset = found.predicted_cost > study.cost.max_cost  # 6
             if reset:
                 data, learned_from = study.no_data, []  # 7
@@ -55,6 +55,7 @@ class Algorithm1(Method):
                     model, data = learn(study, experiments, learned_from)  # 13, 14
                 selection = study.samples.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset)
-            yield iteration_record(i, theta, rollouts, succeeded, len(experiments), clock, found, learning)
+            counts = succeeded, len(experiments)
+            yield iteration_record(i, theta, rollouts, *counts, clock, simulation, found, learning)
             if succeeded:  # 11
                 return

@@ -51,22 +51,23 @@ class Lqr(Method):
         ConfigError
             If the model has no LQR, or the policy cannot imitate it.
         """
-        nominal, experiments = study.nominal, list[Rollout]()
+        model, experiments = study.model(), list[Rollout]()
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("learning"):
                 if experiments:
-                    nominal = study.identification.fit(study.nominal, experiments)
+                    model = study.model(None, study.identification.fit(study.nominal, experiments))
             with clock("design"):
-                policies = lqr_policies(study.model(None, nominal), (self._input_weight,))
+                policies = lqr_policies(model, (self._input_weight,))
             if not policies:
                 problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
                 raise ConfigError("method", problem)
             (theta,) = policies
+            observer.designed(theta, model)
             with clock("experiments"):
                 rollouts = experiment(study, theta, rng, observer, self._experiments)
             experiments += rollouts
             succeeded = all(map(study.cost.passes, rollouts))
-            yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock)
+            yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock, model)
             if succeeded:
                 return

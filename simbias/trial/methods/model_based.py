@@ -88,13 +88,13 @@ class ModelBased(Method):
                 candidates = LqrCandidates(model, self._lqr_candidates)
                 retries = self._retry_search, self._target_cost, self._posterior_scale
                 found = search(study, model, search_rng, observer, candidates, *retries)
-            theta = found.optimum.parameters
+            theta, simulation = found.optimum.parameters, model
             reset = found.predicted_cost > study.cost.max_cost and not self._keep_data
             if reset:
                 data, learned_from = study.no_data, []
             with clock("experiments"):
-                counts = self._passes, self._before_stop
-                rollouts = experiment(study, theta, hardware_rng, observer, *counts)
+                limits = self._passes, self._before_stop
+                rollouts = experiment(study, theta, hardware_rng, observer, *limits)
             experiments += rollouts
             succeeded = all(map(study.cost.passes, rollouts))
             likelihoods: dict[str, float] = {}
@@ -105,8 +105,7 @@ class ModelBased(Method):
                     model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
                 selection = study.samples.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset, likelihoods)
-            yield iteration_record(
-                index, theta, rollouts, succeeded, len(experiments), clock, found, learning
-            )
+            counts = succeeded, len(experiments)
+            yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)
             if succeeded:
                 return

@@ -1,0 +1,80 @@
+"""The user's own code and files, packed for workers on other machines."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from simbias.config.allowed import OWN
+from simbias.config.composition import NOT_HASHED, Composition
+from simbias.core.errors import ConfigError
+
+MOST_BYTES = 64 * 2**20
+
+
+def packed(compositions: Iterable[Composition]) -> bytes:
+    """Folders of configs, and what lies beside them: modules, loaded packages, files that configs name.
+
+    A zip file, laid out as they are: unpacked into a folder of `sys.path`, `simbias.core.files.find` and
+    imports find all of it. Empty where there is nothing to send.
+
+    Raises
+    ------
+    ConfigError
+        If that is more than 64 MiB.
+    """
+    files = {file: name for each in compositions for file, name in _needed(each)}
+    if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:
+        problem = f"{size / 2**20:.0f} MiB are too much to send to workers; let them share the disk"
+        raise ConfigError("--config-dir", problem)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file, name in sorted(files.items()):
+            archive.write(file, name)
+    return stream.getvalue() if files else b""
+
+
+def _needed(composition: Composition) -> Iterator[tuple[Path, str]]:
+    """The files that a trial may need, each with its name in the zip file."""
+    loaded = {name.partition(".")[0] for name in sys.modules} - {OWN}
+    for folder in map(Path, composition.own.folders):
+        home = folder.parent
+        named = {Path(name).parts[0] for name in _texts(composition.config) if _is_in(home, name)}
+        for each in home.iterdir():
+            package = each.is_dir() and each.name in loaded
+            if each == folder or each.suffix == ".py" or package or each.name in named:
+                yield from ((file, str(file.relative_to(home))) for file in _files(each))
+
+
+def _is_in(home: Path, name: str) -> bool:
+    """Whether a text is the relative name of a file or folder in this one."""
+    path = Path(name)
+    try:
+        return bool(path.parts) and not {"..", path.anchor} & set(path.parts) and (home / path).exists()
+    except (OSError, ValueError):  # of what no file system takes as a name
+        return False
+
+
+def _texts(config: Any) -> Iterator[str]:
+    """The texts in a config's components."""
+    if isinstance(config, str):
+        yield config
+    elif isinstance(config, Mapping | list):
+        values = config.items() if isinstance(config, Mapping) else enumerate(config)
+        for key, value in values:
+            if key not in NOT_HASHED:
+                yield from _texts(value)
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """A file, or those in a folder and below it that are neither hidden nor compiled."""
+    if path.is_file():
+        yield path
+    for root, inner, names in os.walk(path):
+        inner[:] = [name for name in inner if not name.startswith((".", "__pycache__"))]
+        yield from (Path(root, name) for name in names if not name.startswith("."))
