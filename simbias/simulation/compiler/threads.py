@@ -22,9 +22,12 @@ def in_threads(run: Callable[[int, int, Array], object], count: int) -> None:
     An exception in this thread, as of Ctrl-C, sets `interrupted` (1,), and the loops end. This thread only
     waits, since Python handles signals between two of its instructions.
     """
-    threads = max(1, min(get_num_threads(), math.ceil(count / LANES)))
-    cuts = [count * part // threads for part in range(threads + 1)]
     interrupted = np.zeros(1, np.int64)
+    if count <= LANES:  # too short to wait for another thread
+        run(0, count, interrupted)
+        return
+    threads = min(get_num_threads(), math.ceil(count / LANES))
+    cuts = [count * part // threads for part in range(threads + 1)]
     calls: list[Future] = []
     run(0, 0, interrupted)  # compiles it, here where a signal is handled
     try:
