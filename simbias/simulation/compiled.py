@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +13,7 @@ from simbias.core.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiler.closed_loop import Composition, closed_loop
 from simbias.simulation.compiler.loop import Function
 from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import parts_of
+from simbias.simulation.compiler.tracing import PolicyKernel, of_cost, parts_of
 from simbias.simulation.numpy_loop import costs_of, record
 
 RECORDED = 256  # rollouts recorded at once: their records take memory
@@ -25,8 +25,7 @@ class CompiledSimulator:
 
     task: Task
     measure: Kernel
-    output: Kernel
-    policy: Callable[[Array], Kernel]
+    policy: PolicyKernel
     n_policy_state: int
     n_model_state: int
     nominal: Kernel  # its parameters (w, .) in each scenario
@@ -44,16 +43,14 @@ class CompiledSimulator:
         if any(part.kernel is None for part in parts):
             return None
         task, sizes = model.task, (model.policy.memory_size, model.nominal.memory_size)
-        measure, output, policy, nominal, bias = (part.kernel for part in parts)
+        measure, policy, nominal, bias = (part.kernel for part in parts)
         rows = 0 if disturbance is None else task.horizon + 1
         noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))
         if disturbance is not None:
             noise[0, :-1, : len(task.inputs)] = disturbance.inputs
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
-        return CompiledSimulator(
-            task, measure, output, policy, *sizes, nominal, bias, noise, (model.nominal,), cost
-        )
+        return CompiledSimulator(task, measure, policy, *sizes, nominal, bias, noise, (model.nominal,), cost)
 
     @staticmethod
     def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
@@ -73,7 +70,7 @@ class CompiledSimulator:
         """Whether their scenarios differ in nothing but the nominal parameters' values and the noise's."""
         return (
             self.task is other.task
-            and self.policy == other.policy
+            and self.policy is other.policy
             and self.bias.function is other.bias.function
             and self.bias.parameters is other.bias.parameters
             and self.nominal.function is other.nominal.function
@@ -102,53 +99,55 @@ class CompiledSimulator:
     def costs(
         self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices | None = None
     ) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
-        if cost.kernel is None:
+        """Costs and frames (k,) of these rollouts; nothing is recorded if its terms can be traced."""
+        if not self.sums_up(cost):
             return costs_of(cost, self.rollouts(thetas, starts, scenarios))
         batch = self._run(cost, False, thetas, starts, scenarios)
         return batch.costs(cost, self.task.horizon), batch.frames
 
+    def sums_up(self, cost: Cost) -> bool:
+        """Whether the terms of a cost can be traced."""
+        return of_cost(cost, self.task).kernel is not None
+
     def _run(
         self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, scenarios: Indices | None
     ) -> RolloutBatch:
-        """Rollouts, recorded or not; the cost's kernel sums them up, if it has one."""
+        """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
         k, task = len(thetas), self.task
         batch = RolloutBatch.of(k, cost, task, recorded)
         if recorded:
             batch.states[:, 0] = starts
-        policy = self.policy(np.asarray(thetas, dtype=np.float64))
-        loop = closed_loop(self._composition(policy, cost))
-        arguments = (
-            task.horizon,
-            task.time_step,
-            np.array([criterion.limit for criterion in task.criteria]),
-            self.measure.parameters,
-            self.output.parameters,
-            np.ascontiguousarray(policy.parameters),
-            self.nominal.parameters,
-            self.bias.parameters,
-            cost.kernel.parameters if cost and cost.kernel else np.empty(0),
+        terms = of_cost(cost, task).kernel if cost else None
+        loop = partial(
+            closed_loop(self._composition(terms, cost)),
+            *(task.horizon, task.time_step, np.array([criterion.limit for criterion in task.criteria])),
+            *(self.measure.parameters, self.policy.constants),
+            self.policy.parameters(np.asarray(thetas, dtype=np.float64)),
+            *(self.nominal.parameters, self.bias.parameters, terms.parameters if terms else np.empty(0)),
             self.noise.reshape(-1, len(task.inputs) + len(task.states)),
             np.zeros(k, np.int64) if scenarios is None else scenarios,
             np.ascontiguousarray(starts, dtype=np.float64),
-            *(batch.states, batch.inputs, batch.terms, batch.frames, batch.violated),
+            *(batch.states, batch.inputs, batch.totals, batch.frames, batch.violated),
         )
-        in_threads(partial(loop, *arguments), k)
+        in_threads(loop, k)
         return batch
 
-    def _composition(self, policy: Kernel, cost: Cost | None) -> Composition:
+    def _composition(self, terms: Kernel | None, cost: Cost | None) -> Composition:
         """What is compiled."""
-        task, total = self.task, cost.kernel if cost else None
-        kernels = self.measure, self.output, policy, self.nominal, self.bias
+        task, policy = self.task, self.policy
         return Composition(
-            *map(Function.of, kernels),
-            total=Function.of(total) if total else None,
+            measure=Function.of(self.measure),
+            control=Function(policy.function, len(policy.constants)),
+            step=Function.of(self.nominal),
+            correct=Function.of(self.bias),
+            terms=Function.of(terms) if terms else None,
             n=len(task.states),
             m=len(task.inputs),
             criteria=len(task.criteria),
+            policy_parameters=policy.size,
             n_policy_state=self.n_policy_state,
             n_model_state=self.n_model_state,
-            n_cost_terms=cost.totals if cost else 0,
+            reductions=cost.reductions if cost and terms else (),
             noisy=self.noise.shape[1] > 0,
         )
 
@@ -159,7 +158,7 @@ class RolloutBatch:
 
     states: Array  # (k, T+1, n), or nothing if they are not recorded
     inputs: Array  # (k, T, m), likewise
-    terms: Array  # (k, s) of the cost
+    totals: Array  # (k, s) of the cost's terms
     frames: Indices  # (k,)
     violated: Indices  # (k,) criterion that ended it, -1 at the horizon
 
@@ -170,11 +169,11 @@ class RolloutBatch:
         return RolloutBatch(
             np.empty((rows, task.horizon + 1, len(task.states))),
             np.empty((rows, task.horizon, len(task.inputs))),
-            np.zeros((k, cost.totals if cost else 0)),
+            np.zeros((k, len(cost.reductions) if cost else 0)),
             np.full(k, -1),
             np.full(k, -1),
         )
 
     def costs(self, cost: Cost, horizon: int) -> Array:
-        """Costs (k,), of the terms of a cost's kernel."""
-        return cost.of_totals(self.terms, np.where(self.violated < 0, 0, horizon - self.frames))
+        """Costs (k,) of the totals."""
+        return cost.of_totals(self.totals, np.where(self.violated < 0, 0, horizon - self.frames))

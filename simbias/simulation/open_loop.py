@@ -15,7 +15,7 @@ import numpy as np
 
 from simbias.core import FittedBias, Kernel, Nominal
 from simbias.core.records import Array, Indices, Rollout
-from simbias.simulation.compiler.loop import Function, takes_all_lanes, zero
+from simbias.simulation.compiler.loop import Function, zero
 from simbias.simulation.compiler.open_loop import open_loop
 from simbias.simulation.compiler.points import Points
 from simbias.simulation.compiler.threads import in_threads
@@ -136,7 +136,7 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
 
     It is what a model whose steps are zero predicts, of k experiments of one frame.
     """
-    if bias.kernel is None or not takes_all_lanes(bias.kernel.function):
+    if bias.kernel is None or not Function.of(bias.kernel).takes_all_lanes:
         return bias.correction(x, u)
     k, n = x.shape
     once, rows = np.ones(k, np.int64), np.arange(k)

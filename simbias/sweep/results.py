@@ -5,6 +5,7 @@ It has a row for each trial, with a column for each of the sweep's axes and `has
 without success all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise), `seconds`
 (wall time), `hardware_seconds` (duration of its experiments) and `raised` (its error). Where its last policy
 was tested, `test_episodes` has a 1 for each episode in which it succeeds and a 0 for each other,
+`lasting_episodes` a 1 for each that lasts to its own end,
 `long_success_rate` is the share of long episodes in which it lasts to the end, and `long_seconds` how long it
 does on average.
 """
@@ -27,8 +28,8 @@ from simbias.trial.summary import Outcome, TrialSummary
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
-EPISODES = "test_episodes"
-LATER = ("hardware_seconds", EPISODES, "long_success_rate", "long_seconds")  # that some results lack
+EPISODES = ("test_episodes", "lasting_episodes")
+LATER = ("hardware_seconds", *EPISODES, "long_success_rate", "long_seconds")  # that some results lack
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, "raised")
 
 
@@ -69,7 +70,8 @@ def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
         "iterations": summary.iterations_until_success,
         "seconds": summary.seconds,
         "hardware_seconds": summary.hardware_seconds,
-        EPISODES: summary.test_episodes,
+        "test_episodes": summary.test_episodes,
+        "lasting_episodes": summary.lasting_episodes,
         "long_success_rate": summary.long_success_rate,
         "long_seconds": summary.long_seconds,
         "raised": summary.reason,
@@ -93,12 +95,12 @@ def published(sweep: Sweep) -> pd.DataFrame:
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")
-    numbers = (*COUNTS, "seconds", *(name for name in LATER if name != EPISODES))
-    types = {**dict.fromkeys((*names, EPISODES), str), **dict.fromkeys(numbers, float)}
+    numbers = (*COUNTS, "seconds", *(name for name in LATER if name not in EPISODES))
+    types = {**dict.fromkeys((*names, *EPISODES), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
     for name in set(LATER) - set(trials):
-        trials[name] = "" if name == EPISODES else nan
+        trials[name] = "" if name in EPISODES else nan
     lacking = {*names, *COLUMNS} - set(trials)
     if lacking:
         raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")

@@ -164,6 +164,7 @@ class _Run(Observer):
             seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
             hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in made),
             test_episodes=test.successes if test else "",
+            lasting_episodes=test.lasting if test else "",
             success_rate=test.success_rate if test else nan,
             long_success_rate=test.long_success_rate if test else nan,
             long_seconds=test.long_seconds if test else nan,

@@ -27,7 +27,7 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.ranges import CountOrZero, Seconds
+from simbias.core.ranges import CountOrZero, Seconds, Seed
 from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
@@ -117,6 +117,7 @@ class PolicyTest:
     episodes: CountOrZero = 0
     long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
     long_seconds: Seconds = 60.0  # this long
+    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,9 +85,15 @@ class Function(NamedTuple):
         parameters = kernel.parameters
         return Function(kernel.function, 0 if isinstance(parameters, tuple) else parameters.shape[-1])
 
-    def read(self, name: str) -> str:
+    @property
+    def takes_all_lanes(self) -> bool:
+        """Whether it is the kernel of a bias that works on all lanes."""
+        return len(inspect.signature(self.function).parameters) == len(("x", "u", "data", "correction"))
+
+    def read(self, name: str, array: str = "") -> str:
         """A line that reads the parameters that all lanes share."""
-        return f"{name}_data = {tuple_of(f'{name}_parameters[{{}}]', self.parameters)}"
+        array = array or f"{name}_parameters"
+        return f"{name}_data = {tuple_of(f'{array}[{{}}]', self.parameters)}"
 
     def own(self, rows: str) -> str:
         """Parameters of which each lane has its own, in these rows."""
@@ -135,7 +141,7 @@ class Loop:
     @property
     def _corrects_all_lanes(self) -> bool:
         """Whether the bias is a kernel for all lanes, called between two loops over them."""
-        return takes_all_lanes(self.functions["correct"].function)
+        return self.functions["correct"].takes_all_lanes
 
     @property
     def source(self) -> str:
@@ -206,11 +212,6 @@ class Loop:
             "integers = integers.view(int64)",
             *(f"{name} = integers[{row}]" for row, name in enumerate(integers)),
         ]
-
-
-def takes_all_lanes(correct: Callable) -> bool:
-    """Whether the kernel of a bias works on all lanes."""
-    return len(inspect.signature(correct).parameters) == len(("x", "u", "data", "correction"))
 
 
 def fill(template: str, **blocks: Sequence[str]) -> str:
