@@ -17,7 +17,7 @@ import simbias
 from simbias.core import FittedBias, Kernel, Model, Nominal
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
-from simbias.learning.identification.posterior import Identified
+from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler.points import Points
