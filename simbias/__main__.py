@@ -1,4 +1,4 @@
-"""The command line: `python -m simbias [run | check | new | preview] [override ...]`."""
+"""The command line: `python -m simbias [run | check | identify | new | preview] [override ...]`."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
@@ -122,12 +123,23 @@ def _parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    identify = commands.add_parser(
+        "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
+    )
     withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
     for each, command in takes_overrides:
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
+    identify.add_argument("words", nargs="+", metavar="recording|override", help="files, folders, overrides")
+    identify.add_argument(
+        "--held-out", nargs="+", default=[], metavar="FILE", help="predicted, never fitted to"
+    )
+    identify.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
+    identify.add_argument("--into", default="identified", metavar="DIR", help="where results go")
+    identify.add_argument("--attach", action="store_true", help="start a trial with what was identified")
+    identify.set_defaults(command=_identify)
     withdraw.add_argument(
         "file", type=Path, help="of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
     )
@@ -160,6 +172,23 @@ def _preview(parsed: argparse.Namespace) -> int:
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
     return SUCCEEDED
+
+
+def _identify(parsed: argparse.Namespace) -> int:
+    """Identify a model from recordings, and start a trial with it if that is asked for."""
+    from simbias.recordings.reading import columns
+    from simbias.terminal.identify import Request, identify
+
+    places = [word for word in parsed.words if "=" not in word or os.path.exists(word)]
+    overrides = [word for word in parsed.words if word not in places]
+    named = columns(parsed.columns) if parsed.columns else None
+    folder = Path(parsed.into)
+    request = Request(places, parsed.held_out, overrides, named, folder, parsed.config_dir, parsed.allow)
+    better = identify(request)
+    if not parsed.attach or not better:
+        return SUCCEEDED if better else FAILED
+    parsed.overrides, parsed.config_dir = request.again, str(request.configs)
+    return _run_or_show(parsed)
 
 
 def _withdraw(parsed: argparse.Namespace) -> int:

@@ -25,6 +25,7 @@ STOREYS = (  # from the ground; folders of one line do not know each other
     ("testing", "pictures/elements"),
     ("pictures/trial",),
     ("pictures",),
+    ("recordings",),
     ("sweep",),
     ("sweep/figures",),
     ("mlflow",),

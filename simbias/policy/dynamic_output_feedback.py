@@ -147,7 +147,7 @@ class DynamicOutputFeedback(Policy):
 
     def _parameters(self, theta: Array) -> _Parameters:
         """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""
-        h, rest = np.split(np.asarray(theta, dtype=np.float64), [self._m * self._q], axis=-1)
+        h, rest = np.split(theta, [self._m * self._q], axis=-1)
         leading, dt = h.shape[:-1], self._task.time_step
         smoothing, gathering = np.ones((*leading, self._q)), np.zeros((*leading, self._q))
         g = u_0 = np.zeros((*leading, self._m))

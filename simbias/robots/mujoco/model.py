@@ -98,6 +98,10 @@ class Mujoco(Nominal):
             )
         return robot.states(after[:, -1])
 
+    def mjcf(self) -> str:
+        """The model as an MJCF file's text, to six digits."""
+        return self._robot.text()
+
     def with_parameters(self, values: Array) -> Mujoco:
         """The model with other values (k,) of its parameters."""
         names = [parameter.name for parameter in self.parameters]
