@@ -16,7 +16,7 @@ STOREYS = (  # from the ground; folders of one line do not know each other
     ("simulation",),
     ("policy", "cost", "learning", "search"),
     ("learning/bias", "learning/identification", "learning/samples", "search/optimizer", "search/evaluation"),
-    ("robots/mujoco",),
+    ("robots/mujoco", "robots/drawing"),
     ("robots/bongoboard", "robots/declared", "robots"),
     ("lab",),
     ("lab/requests",),
