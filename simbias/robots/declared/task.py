@@ -14,7 +14,7 @@ from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, TimeStep
 from simbias.core.records import Array
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
-from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.simulation.compiler import Expression, Expressions
 
 
 @dataclass(frozen=True)
