@@ -11,8 +11,7 @@ from pydantic import Field
 from simbias.core import Controller, Kernel, Policy, Task
 from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
-from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.text import sum_of
+from simbias.simulation.compiler import function_of, sum_of
 
 RATE = "/s"  # what the units of rates end with
 
@@ -147,7 +146,7 @@ class DynamicOutputFeedback(Policy):
 
     def _parameters(self, theta: Array) -> _Parameters:
         """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""
-        h, rest = np.split(np.asarray(theta, dtype=np.float64), [self._m * self._q], axis=-1)
+        h, rest = np.split(theta, [self._m * self._q], axis=-1)
         leading, dt = h.shape[:-1], self._task.time_step
         smoothing, gathering = np.ones((*leading, self._q)), np.zeros((*leading, self._q))
         g = u_0 = np.zeros((*leading, self._m))

@@ -308,6 +308,10 @@ class Study:
         bias = fitted_bias or self.bias.fit(self.no_data)
         return Model(self.task, self.policy, nominal or self.nominal, bias)
 
+    def first_model(self) -> Model:
+        """The model before any experiment: as declared, or as recordings have identified it."""
+        return self.model(nominal=self.identification.fit(self.nominal, ()))
+
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
         theta, rng = np.clip(0.0, *self.policy.bounds), np.random.default_rng(0)

@@ -177,10 +177,23 @@ sine, cosine, square_root, floor = (
     _operation("sqrt"),
     _operation("floor"),
 )
-lesser, greater, negative = _operation("minimum"), _operation("maximum"), _operation("negative")
+negative = _operation("negative")
 less, less_equal = _operation("less", True), _operation("less_equal", True)
 equal, unequal = _operation("equal", True), _operation("not_equal", True)
 both, either, neither = _of_conditions("and"), _of_conditions("or"), _of_conditions("not")
+
+
+def _extreme(name: str, of_known: str) -> Callable[[Symbol, Symbol], Symbol]:
+    """The lesser or the greater; one that is known is a number, so that less has to be asked."""
+
+    def extreme(a: Symbol, b: Symbol) -> Symbol:
+        a, b = (b, a) if a.name == "number" else (a, b)
+        return a.trace.operation(of_known if b.name == "number" else name, numeric(a), numeric(b))
+
+    return extreme
+
+
+lesser, greater = _extreme("minimum", "at_most"), _extreme("maximum", "at_least")
 
 
 def divide(a: Symbol, b: Symbol) -> Symbol:

@@ -8,12 +8,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from simbias.core.records import Array
-from simbias.simulation.compiler.choices import chosen, greater, lesser
+from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.symbols import OF_NUMPY, Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos
 
-NAMES = {"np": np, "sincos": sincos, "arctan": arctan, "lesser": lesser, "greater": greater, "chosen": chosen}
+NAMES = {
+    "np": np,
+    "sincos": sincos,
+    "arctan": arctan,
+    "lesser": lesser,
+    "greater": greater,
+    "at_most": at_most,
+    "at_least": at_least,
+    "chosen": chosen,
+}
 
 # What is written of each operation, for numbers and for NumPy's arrays; sine and cosine are written together.
 TEXTS: Mapping[str, str] = {
@@ -34,6 +43,8 @@ TEXTS: Mapping[str, str] = {
     "arctan": "arctan({})",
     "minimum": "lesser({}, {})",
     "maximum": "greater({}, {})",
+    "at_most": "at_most({}, {})",
+    "at_least": "at_least({}, {})",
     "chosen": "chosen({}, {}, {})",
     "indicator": "chosen({}, 1.0, 0.0)",
     "is_true": "{} != 0.0",
@@ -60,8 +71,9 @@ def written(
     results: Sequence[Sequence[Symbol]],
     arguments: str,
     before: Sequence[Symbol] = (),
+    numbers_name: str = "p",
 ) -> Written:
-    """The function that gives these vectors; its parameters p are what is computed before, then the numbers.
+    """The function that gives these vectors; p is what is computed before, and the numbers have a name too.
 
     Of the same operations it is the same function.
     """
@@ -75,7 +87,7 @@ def written(
             names[symbol.index] = symbol.value
             continue
         if symbol.name == "number":
-            names[symbol.index] = f"p[{len(before) + len(numbers)}]"
+            names[symbol.index] = f"{numbers_name}[{len(numbers)}]"
             numbers.append(symbol.value)
             continue
         if symbol.name in ("sin", "cos"):
@@ -103,7 +115,7 @@ def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[
 
 
 def columns(function: Callable, *arguments: Any) -> tuple[Any, ...]:
-    """What the function gives (..., r) for rows of vectors (k, n): its columns; numbers go as they are."""
-    given = [tuple(each.T) if isinstance(each, np.ndarray) else each for each in arguments]
+    """What the function gives (..., r) for rows of vectors (k, n), numbers of each row (k,) and others."""
+    given = [tuple(each.T) if isinstance(each, np.ndarray) and each.ndim > 1 else each for each in arguments]
     with np.errstate(all="ignore"):
         return function(*given)

@@ -56,7 +56,7 @@ class Lqr(Method):
         ConfigError
             If the model has no LQR, or the policy cannot imitate it.
         """
-        model, experiments = study.model(), list[Rollout]()
+        model, experiments = study.first_model(), list[Rollout]()
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("learning"):
