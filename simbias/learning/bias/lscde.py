@@ -13,7 +13,7 @@ from simbias.core.records import Array, Indices, Transitions
 from simbias.learning.bias.covariance import correlation, hyperparameters, output_scale
 from simbias.learning.bias.gp_kernel import correlations, means, pack
 from simbias.learning.bias.none import ZeroBias
-from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler import LANES
 
 Candidates = Annotated[list[Positive], Field(min_length=1)]
 SEED = 0  # of centres and folds: the same data give the same bias
