@@ -108,6 +108,17 @@ def test_a_folder_imports_lower_storeys_only() -> None:
     assert not upwards
 
 
+def test_the_compiler_has_one_door() -> None:
+    """Who uses it imports from `simbias.simulation.compiler`, from no module within."""
+    inner = "simbias.simulation.compiler."
+    assert not {
+        f"{name} -> {found}"
+        for name in MODULES
+        for found in imports(name)
+        if found.startswith(inner) and not name.startswith(inner.removesuffix("."))
+    }
+
+
 def test_few_files_lie_on_top_of_the_package() -> None:
     assert len(list(PACKAGE.glob("*.py"))) <= MOST_LOOSE
 

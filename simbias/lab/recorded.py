@@ -67,6 +67,12 @@ class Recorded(Hardware):
             raise HardwareError(f"no recording (.csv, .csv.gz) is in {self._folder}")
         return files
 
+    @property
+    def source_files(self) -> list[Path]:
+        """The recordings that are there, as files."""
+        named = self._files or [path.name for path in self._folder.glob("*.csv*")]
+        return [self._folder / name for name in sorted(named) if (self._folder / name).is_file()]
+
     def rollout(self, file: str) -> Rollout:
         """A recording in the task's frames, up to its horizon."""
         whole, horizon = self.read(self._folder / file), self._task.horizon

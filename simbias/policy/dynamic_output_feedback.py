@@ -11,8 +11,7 @@ from pydantic import Field
 from simbias.core import Controller, Kernel, Policy, Task
 from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
-from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.text import sum_of
+from simbias.simulation.compiler import function_of, sum_of
 
 RATE = "/s"  # what the units of rates end with
 

@@ -9,9 +9,10 @@ from functools import cached_property
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Rollout
+from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
-from simbias.recordings.findings import Direction, Finding, findings, undetermined
+from simbias.recordings.findings import Finding, findings
 from simbias.recordings.horizons import Prediction, overall, predictions
 from simbias.recordings.parts import Part, others, parts
 from simbias.trial.study import Study

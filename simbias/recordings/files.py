@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from simbias.core import Task
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
@@ -48,7 +49,7 @@ def write(
     option.parent.mkdir(parents=True, exist_ok=True)
     option.write_text("\n".join(_config(assessment.identified, identification)) + "\n")
     if excitation is not None:
-        trajectory(assessment, excitation.rollout).to_csv(
+        trajectory(assessment.task, excitation.rollout).to_csv(
             folder / "excitation.csv", index=False, float_format="%.6g"
         )
     if isinstance(model := assessment.identified.model, Mujoco):
@@ -99,9 +100,8 @@ def draws(identified: Identified) -> pd.DataFrame:
     return pd.DataFrame(values_at(identified.parameters, identified.mode + e), columns=names)
 
 
-def trajectory(assessment: Assessment, rollout: Rollout) -> pd.DataFrame:
+def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:
     """Inputs frame by frame, and the states that the model predicts."""
-    task = assessment.task
     table = {"time": task.time_step * np.arange(rollout.frames)}
     table |= {state.name: rollout.states[:-1, i] for i, state in enumerate(task.states)}
     return pd.DataFrame(table | {u.name: rollout.inputs[:, i] for i, u in enumerate(task.inputs)})

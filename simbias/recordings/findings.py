@@ -13,11 +13,9 @@ from simbias.learning.identification.identified import Identified
 
 CORRELATED = 0.9
 DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is told, and below which it is not
-OPEN = 0.5  # prior standard deviations that a direction keeps, from which on it is not determined
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
 DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
-SHOWN = 0.3  # least weight of a parameter in a direction that is told
 
 
 @dataclass(frozen=True)
@@ -47,18 +45,6 @@ class Finding:
     def at_bound(self) -> bool:
         """Whether the most probable value lies at an end of the prior."""
         return at_bound(self.prior, self.estimate.value)
-
-
-@dataclass(frozen=True)
-class Direction:
-    """A combination of parameters' coordinates that the data do not determine."""
-
-    deviation: float  # of the posterior along it, in standard deviations of the prior
-    weights: Mapping[str, float]  # those of parameters that matter, of a unit vector
-
-    def __str__(self) -> str:
-        text = " ".join(f"{weight:+.1f} {name}" for name, weight in self.weights.items())
-        return text.removeprefix("+").replace(" +", " + ").replace(" -", " - ")
 
 
 def findings(
@@ -101,29 +87,11 @@ def correlations(fitted: Identified) -> Array:
     return fitted.covariance / np.outer(deviations, deviations)
 
 
-def undetermined(fitted: Identified) -> list[Direction]:
-    """Orthogonal directions along which the posterior keeps half of the prior's deviation, widest first."""
-    variances, vectors = np.linalg.eigh(fitted.covariance)
-    names = [parameter.name for parameter in fitted.parameters]
-    return [
-        Direction(float(np.sqrt(variance)), _weights(names, vector))
-        for variance, vector in zip(variances[::-1], vectors.T[::-1], strict=True)
-        if variance > OPEN**2
-    ]
-
-
 def at_bound(parameter: Parameter, value: float) -> bool:
     """Whether a value lies at an end of the prior, if it has one."""
     ends = {"half_normal": [0.0], "uniform": [0.0, parameter.spread]}.get(parameter.prior, [])
     width = parameter.spread * (1.0 if parameter.prior == "half_normal" else 12**-0.5)
     return any(abs(value - parameter.value - end) < AT_BOUND * width for end in ends)
-
-
-def _weights(names: Sequence[str], vector: Array) -> dict[str, float]:
-    """The weights that matter, the largest first and positive."""
-    vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-    order = np.argsort(-np.abs(vector))
-    return {names[i]: float(vector[i]) for i in order if abs(vector[i]) >= SHOWN}
 
 
 def _of_shrinkage(shrinkage: float) -> str:

@@ -10,10 +10,15 @@ import numpy as np
 
 from simbias.core import Cost, Kernel, Model, Nominal, Task
 from simbias.core.records import Array, Disturbance, Indices, Rollout
-from simbias.simulation.compiler.closed_loop import Composition, closed_loop
-from simbias.simulation.compiler.loop import Function
-from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import PolicyKernel, of_cost, parts_of
+from simbias.simulation.compiler import (
+    Composition,
+    Function,
+    PolicyKernel,
+    compile_closed_loop,
+    in_threads,
+    of_cost,
+    parts_of,
+)
 from simbias.simulation.numpy_loop import costs_of, record
 
 RECORDED = 256  # rollouts recorded at once: their records take memory
@@ -119,7 +124,7 @@ class CompiledSimulator:
             batch.states[:, 0] = starts
         terms = of_cost(cost, task).kernel if cost else None
         loop = partial(
-            closed_loop(self._composition(terms, cost)),
+            compile_closed_loop(self._composition(terms, cost)),
             *(task.horizon, task.time_step, np.array([criterion.limit for criterion in task.criteria])),
             *(self.measure.parameters, self.policy.constants),
             self.policy.parameters(np.asarray(thetas, dtype=np.float64)),

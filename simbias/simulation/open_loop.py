@@ -15,11 +15,15 @@ import numpy as np
 
 from simbias.core import FittedBias, Kernel, Nominal
 from simbias.core.records import Array, Indices, Rollout
-from simbias.simulation.compiler.loop import Function, zero
-from simbias.simulation.compiler.open_loop import open_loop
-from simbias.simulation.compiler.points import Points
-from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import of_bias, of_nominal
+from simbias.simulation.compiler import (
+    Function,
+    Points,
+    compile_open_loop,
+    in_threads,
+    of_bias,
+    of_nominal,
+    zero,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +126,7 @@ def _compiled(
     chunks = windows.frames // windows.chunk
     means = np.empty((len(weights), chunks.sum(), n))
     loop = partial(
-        open_loop(Function.of(step), Function.of(correct), n, m, n_model_state),
+        compile_open_loop(Function.of(step), Function.of(correct), n, m, n_model_state),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, weights, offsets),
         *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
         *(windows.states, windows.inputs, means),

@@ -383,8 +383,9 @@ def changed_trials(sweep: Sweep, store: Tracking) -> str:
         folder = TrialFolder(store.folder / trial.hash)
         if folder.ended:
             finished += 1
-            study = studies.setdefault(trial.cell.identity, build(trial.composition))
-            if study.composition.code and (modules := changed_code(folder.description(), study)):
+            if trial.cell.identity not in studies:
+                studies[trial.cell.identity] = build(trial.composition)
+            if modules := changed_code(folder.description(), studies[trial.cell.identity]):
                 found.append(modules)
     if not found:
         return ""

@@ -67,6 +67,8 @@ def identify(request: Request) -> bool:
         with preparing():
             study = build(request.composition)
         recordings = read(study, request.recordings, request.columns)
+        if not recordings:
+            raise ConfigError("identify", "needs recordings: files or folders")
         held_out = read(study, request.held_out, request.columns)
         with console.status("") as status:
             assessment = assess(study, recordings, held_out, lambda each: status.update(f"fitting {each}"))
@@ -90,16 +92,16 @@ def next_excitation(study: Study, assessment: Assessment) -> Excitation | None:
 
 def tell(console: Console, assessment: Assessment, excitation: Excitation | None) -> None:
     """Print the tables and sentences."""
-    _print(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
+    table(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
     for line in words.undetermined_lines(assessment):
         say(console, f"Not determined: {line}")
-    _print(console, words.error_names(assessment), list(words.error_rows(assessment)))
+    table(console, words.error_names(assessment), list(words.error_rows(assessment)))
     for line in words.advice(assessment, excitation):
         say(console, f"Next: {line}")
     say(console, words.verdict(assessment))
 
 
-def _print(console: Console, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def table(console: Console, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """A table, its first and last column aligned at the left."""
     widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
     for row in (names, *rows):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simbias.simulation.compiler.trigonometry import sincos
+from simbias.simulation.compiler import sincos
 
 
 class UntraceableError(ValueError):

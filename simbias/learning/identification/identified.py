@@ -73,10 +73,13 @@ class Identified(Nominal):
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
         return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
 
+    def at(self, coordinates: Array) -> Nominal:
+        """The model with its parameters at coordinates (p,)."""
+        return self._prior.with_parameters(values_at(self._prior.parameters, coordinates))
+
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model with parameters drawn from the posterior."""
-        e = self.spread @ rng.standard_normal(len(self.mode))
-        return self._prior.with_parameters(values_at(self._prior.parameters, self.mode + e))
+        return self.at(self.mode + self.spread @ rng.standard_normal(len(self.mode)))
 
 
 @final

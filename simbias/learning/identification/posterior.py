@@ -13,6 +13,7 @@ from simbias.core import Identification, Nominal, Task
 from simbias.core.parameters import values_at
 from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
+from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
@@ -125,8 +126,14 @@ class Posterior(Identification):
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        diagnostics = {"windows": len(windows), "share": problem.errors.independent_share}
-        return Identified(nominal, z, problem.spread(z), diagnostics, problem.errors)
+        fitted = Identified(nominal, z, problem.spread(z), {}, problem.errors)
+        share = problem.errors.independent_share
+        fitted.diagnostics = {
+            "windows": len(windows),
+            "share": share,
+            "undetermined": len(undetermined(fitted)),
+        }
+        return fitted
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
         """The likeliest coordinates (p,) among the prior's median and draws from it."""

@@ -26,7 +26,7 @@ from simbias.robots.bongoboard.uncertainty import (
     priors,
 )
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
-from simbias.simulation.compiler.kernels import elementwise
+from simbias.simulation.compiler import elementwise
 
 _CERTAIN = Uncertainty()
 

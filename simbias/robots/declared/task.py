@@ -15,7 +15,7 @@ from simbias.core.records import Array
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors
-from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.simulation.compiler import Expression, Expressions
 
 
 @dataclass(frozen=True)
@@ -158,6 +158,9 @@ class Declared(Task):
         if not self._sensors:
             self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
         self._figure = None if figure is None else Figure(self, figure)
+        self.source_files = [
+            file for part in (self._figure, self._sensors) if part for file in part.source_files
+        ]
         self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
         self._points = self.expressions(
             {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from math import prod
 from pathlib import Path
@@ -17,6 +18,13 @@ from simbias.robots.mujoco.parameters import mujoco
 # Limits within which a file is read in seconds.
 MOST_COPIES = 10_000  # of an element, by replicate, composite and flexcomp
 MOST_CELLS = 10**8  # of a height field or a texture
+
+FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes that name folders,
+NAMING = (
+    "file",
+    "filename",
+    *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")),
+)  # files
 
 
 def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
@@ -44,6 +52,25 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
         return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
         raise ValueError(f"{file}: {words(error)}") from error
+
+
+def source_files(file: str) -> list[Path]:
+    """A file, and all that it names: includes, attached models, meshes, textures, height fields."""
+    found: list[Path] = []
+    homes, folders, names = {_path(file).parent}, {""}, {_path(file).name}
+    while new := [
+        path
+        for path in {home / folder / name for home in homes for folder in folders for name in names}
+        if path not in found and path.is_file()
+    ]:
+        for path in new:
+            with suppress(ElementTree.ParseError):  # which is no XML
+                for element in ElementTree.parse(path).iter():
+                    folders |= {element.attrib[name] for name in FOLDERS if name in element.attrib}
+                    names |= {element.attrib[name] for name in NAMING if name in element.attrib}
+                homes.add(path.parent)
+        found += new
+    return sorted(found)
 
 
 def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core import Task
 from simbias.core.messages import quote
 from simbias.core.records import Array
-from simbias.robots.mujoco.files import mjcf, read_model
+from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
 
 MOST_STEPS = 10_000  # of the engine in a frame
@@ -54,6 +54,7 @@ class Mechanism:
         engine = mujoco()
         self._file, self._added = file, actuators or ()
         model = self.model = read_model(file, self._added)
+        self.source_files = source_files(file)
         known = names_of(model, "joint")
         joints = known if joints is None else list(joints)
         actuators = names_of(model, "actuator") if actuators is None else list(actuators)

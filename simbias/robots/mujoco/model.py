@@ -57,6 +57,7 @@ class Mujoco(Nominal):
         uncertainty: dict[str, NonNegative] | None = None,
     ) -> None:
         robot = Mechanism(task, file, joints, actuators)
+        self.source_files = robot.source_files
         if robot.hidden:
             raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))

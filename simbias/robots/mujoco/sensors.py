@@ -46,6 +46,7 @@ class Sensors:
     def __init__(self, task: Task, source: SensorFile) -> None:
         engine = mujoco()
         self._robot = Mechanism(task, source.file, source.joints, source.actuators)
+        self.source_files = self._robot.source_files
         model = self._robot.model
         self._data: Any = engine.MjData(model)
         known = {model.sensor(i).name: model.sensor(i) for i in range(model.nsensor)}

@@ -82,7 +82,7 @@ class Composition:
 
 
 @lru_cache(maxsize=64)
-def closed_loop(c: Composition) -> Any:
+def compile_closed_loop(c: Composition) -> Any:
     """The composition's loop, ready to be called."""
     sizes = {"n": c.n, "m": c.m, "policy": c.policy_parameters, "n_policy_state": c.n_policy_state}
     sizes |= {"n_cost_terms": len(c.reductions)}

@@ -47,7 +47,7 @@ for lane in range({LANES}):
 
 
 @lru_cache(maxsize=64)
-def open_loop(step: Function, correct: Function, n: int, m: int, n_model_state: int) -> Any:
+def compile_open_loop(step: Function, correct: Function, n: int, m: int, n_model_state: int) -> Any:
     """The loop of these kernels, ready to be called."""
     return Loop(
         ARGUMENTS,

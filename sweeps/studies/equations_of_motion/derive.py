@@ -62,7 +62,7 @@ import numpy as np
 
 from simbias.core.records import Array
 from simbias.robots.bongoboard.task import Robot
-from simbias.simulation.compiler.trigonometry import sincos
+from simbias.simulation.compiler import sincos
 
 
 def coefficients(robot: Robot, foot_mass: float{more}) -> Array:
