@@ -152,7 +152,7 @@ def lqr_gains(linear: Linear, R: Array) -> Array | None:
 
 
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Of each K (m, l): states (k, T, n) and inputs (k, T, m) of the linear model that it regulates.
+    """Records of the linear model under each K (m, l): states (k, T, n) and inputs (k, T, m).
 
     The model begins at the task's starts, and random inputs excite it.
     """

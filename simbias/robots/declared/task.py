@@ -40,7 +40,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """What a policy may feed back."""
+    """A quantity that a policy may feed back."""
 
     value: Expression
     unit: str = ""
@@ -72,7 +72,7 @@ _Value = TypeVar("_Value")
 
 
 def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
-    """What a mapping holds, so that its order counts in a trial's identity."""
+    """Items of a mapping, so that their order counts in a trial's identity."""
     return tuple(values.items())
 
 
@@ -197,7 +197,7 @@ class Declared(Task):
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
-        """How MuJoCo renders the state x (n,); None if the drawing is of parts."""
+        """Image of the state x (n,) as MuJoCo renders it; None if the drawing is of parts."""
         return self._figure.image(x) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
