@@ -1,4 +1,4 @@
-"""The command line: `python -m simbias [run | check | new | preview] [override ...]`."""
+"""The command line: `python -m simbias [run | check | identify | new | preview] [override ...]`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from simbias.core.commands import add_own_components, python
 
 if TYPE_CHECKING:
     from simbias.sweep.tracking import Tracking
+    from simbias.terminal.identify import Request
     from simbias.trial.study import Study
 
 PROGRAM = "python -m simbias"
@@ -50,6 +51,7 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
@@ -122,12 +124,29 @@ def _parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    identify = commands.add_parser(
+        "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
+    )
+    excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
     withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
     for each, command in takes_overrides:
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
+    for each, into, command in ((identify, "identified", _identify), (excite, "excitation.csv", _excite)):
+        each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
+        each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
+        each.add_argument("--into", default=into, metavar="PATH", help=f"where results go: {into}")
+        each.set_defaults(command=command, held_out=[])
+    identify.add_argument(
+        "--held-out", nargs="+", default=[], metavar="FILE", help="predicted, never fitted to"
+    )
+    identify.add_argument("--attach", action="store_true", help="start a trial with what was identified")
+    identify.add_argument(
+        "--recover", action="store_true", help="simulate such recordings: which parameters would come back?"
+    )
+    excite.add_argument("--seconds", type=float, default=5.0, help="duration: 5")
     withdraw.add_argument(
         "file", type=Path, help="of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
     )
@@ -160,6 +179,41 @@ def _preview(parsed: argparse.Namespace) -> int:
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
     return SUCCEEDED
+
+
+def _identify(parsed: argparse.Namespace) -> int:
+    """Identify a model from recordings, and start a trial with it if that is asked for."""
+    from simbias.terminal.excite import recovery
+    from simbias.terminal.identify import identify
+
+    request = _of_recordings(parsed)
+    if parsed.recover:
+        return SUCCEEDED if recovery(request) else FAILED
+    better = identify(request)
+    if not parsed.attach or not better:
+        return SUCCEEDED if better else FAILED
+    parsed.overrides, parsed.config_dir = request.again, str(request.configs)
+    return _run_or_show(parsed)
+
+
+def _excite(parsed: argparse.Namespace) -> int:
+    """Write inputs whose recordings tell most."""
+    from simbias.terminal.excite import excite
+
+    excite(_of_recordings(parsed), parsed.seconds, Path(parsed.into))
+    return SUCCEEDED
+
+
+def _of_recordings(parsed: argparse.Namespace) -> Request:
+    """What is asked of recordings."""
+    from simbias.recordings.reading import columns
+    from simbias.terminal.identify import Request
+
+    places = [word for word in parsed.words if "=" not in word or os.path.exists(word)]
+    overrides = [word for word in parsed.words if word not in places]
+    named = columns(parsed.columns) if parsed.columns else None
+    folder = Path(parsed.into)
+    return Request(places, parsed.held_out, overrides, named, folder, parsed.config_dir, parsed.allow)
 
 
 def _withdraw(parsed: argparse.Namespace) -> int:

@@ -47,6 +47,10 @@ class Policy(ABC):
         """
         return None
 
+    def integrated(self, x: Array) -> Array:
+        """What the policy integrates over time: (..., i) at states x (..., n); nothing, if not overridden."""
+        return x[..., :0]
+
     def law(self, theta: Array) -> Law:
         """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
         return Law(f"u = {type(self).__name__}.act(theta, x, t, memory)", {"theta": theta})

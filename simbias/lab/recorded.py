@@ -67,20 +67,39 @@ class Recorded(Hardware):
             raise HardwareError(f"no recording (.csv, .csv.gz) is in {self._folder}")
         return files
 
+    @property
+    def source_files(self) -> list[Path]:
+        """The recordings that are there, as files."""
+        named = self._files or [path.name for path in self._folder.glob("*.csv*")]
+        return [self._folder / name for name in sorted(named) if (self._folder / name).is_file()]
+
     def rollout(self, file: str) -> Rollout:
-        """A recording in the task's frames."""
-        columns = self._read(self._folder / file)
+        """A recording in the task's frames, up to its horizon."""
+        whole, horizon = self.read(self._folder / file), self._task.horizon
+        if whole.frames < horizon:
+            return replace(whole, failed_at=whole.frames, failure=ENDS)
+        states = whole.states[: horizon + 1]
+        return replace(whole, states=states, inputs=whole.inputs[:horizon], measured=states)
+
+    def read(self, path: Path) -> Rollout:
+        """A whole recording in the task's frames.
+
+        Raises
+        ------
+        HardwareError
+            If the file cannot be read, or its times do not increase.
+        """
+        columns = self._read(path)
         time, n = columns[0], len(self._task.states)
         if len(time) < 2 or not (np.diff(time) > 0).all():
-            raise HardwareError(f"{self._folder / file}: its times do not increase")
-        frames = min(int((time[-1] - time[0]) / self._task.time_step + 1e-9), self._task.horizon)
+            raise HardwareError(f"{path}: its times do not increase")
+        frames = int((time[-1] - time[0]) / self._task.time_step + 1e-9)
         at = time[0] + self._task.time_step * np.arange(frames + 1)
         states, inputs = (
             np.array([np.interp(at, time, column) for column in some]).T
             for some in (columns[1 : n + 1], columns[n + 1 :])
         )
-        rollout = Rollout(states, inputs[:-1], measured=states, sensed=True)
-        return rollout if frames == self._task.horizon else replace(rollout, failed_at=frames, failure=ENDS)
+        return Rollout(states, inputs[:-1], measured=states, sensed=True)
 
     def _read(self, path: Path) -> Array:
         """The columns (1 + n + m, r) of time, states and inputs."""

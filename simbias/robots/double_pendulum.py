@@ -24,8 +24,7 @@ from simbias.core.ranges import (
     TimeStep,
 )
 from simbias.core.records import Array
-from simbias.simulation.compiler.kernels import elementwise
-from simbias.simulation.compiler.trigonometry import arctan, sincos
+from simbias.simulation.compiler import arctan, elementwise, sincos
 
 SHARPNESS = 100.0  # s/rad, of Coulomb friction where the velocity changes its sign
 Driven = Literal["both", "second"]  # joints

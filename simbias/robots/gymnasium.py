@@ -13,7 +13,7 @@ from simbias.core.extras import library
 from simbias.core.messages import quote, words
 from simbias.core.records import Array, Rollout
 from simbias.robots.mujoco.parameters import Factors, Values, changes, put_values
-from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.simulation.compiler import Expression, Expressions
 from simbias.simulation.control_loop import Record, Robot, experiment
 from simbias.simulation.noise import QUIET, Noise, Variances
 

@@ -24,7 +24,7 @@ from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.services import engine, tracking
-from simbias.sweep.tracking import SweepExport, Tracking
+from simbias.sweep.tracking import Export, Tracking
 from simbias.sweep.worker import Plan, Result, lost, pack, run_plan, unpack
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, locked
@@ -206,9 +206,9 @@ class SweepState:
             Path(self._marker).touch()
 
     @cached_property
-    def export(self) -> SweepExport:
+    def export(self) -> Export:
         """Shows the sweep elsewhere."""
-        return self._store.export_sweep(self.folder) if self.folder else SweepExport()
+        return self._store.export_sweep(self.folder) if self.folder else Export()
 
     def begin(self) -> None:
         """Note that trials or figures are about to be made; a finished sweep stays so."""
@@ -383,8 +383,9 @@ def changed_trials(sweep: Sweep, store: Tracking) -> str:
         folder = TrialFolder(store.folder / trial.hash)
         if folder.ended:
             finished += 1
-            study = studies.setdefault(trial.cell.identity, build(trial.composition))
-            if study.composition.code and (modules := changed_code(folder.description(), study)):
+            if trial.cell.identity not in studies:
+                studies[trial.cell.identity] = build(trial.composition)
+            if modules := changed_code(folder.description(), studies[trial.cell.identity]):
                 found.append(modules)
     if not found:
         return ""

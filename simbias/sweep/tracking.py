@@ -12,14 +12,16 @@ from simbias.trial.study import Observer
 class Export(Observer):
     """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing."""
 
-    where: str = ""  # one line that tells a person how to look at it
+    def __init__(self, where: str = "") -> None:
+        self._where = where
+
+    @property
+    def where(self) -> str:
+        """How a person looks at it, in one line."""
+        return self._where
 
     def update(self, final: bool = False) -> None:
         """Bring it up to date with the folder; `final` tells that nothing more comes."""
-
-
-class SweepExport(Export):
-    """Shows a sweep elsewhere; this one shows nothing."""
 
     def trial_ended(self, folder: Path) -> None:
         """A trial of the sweep has ended or stopped."""
@@ -50,7 +52,7 @@ class Tracking(ABC):
         """
 
     @abstractmethod
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> Export:
         """Show a sweep elsewhere.
 
         Raises
@@ -77,15 +79,11 @@ class Folders(Tracking):
 
     def export_trial(self, folder: Path) -> Export:
         """Show nothing but the folder."""
-        export = Export()
-        export.where = str(folder)
-        return export
+        return Export(str(folder))
 
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> Export:
         """Show nothing but the folder."""
-        export = SweepExport()
-        export.where = str(folder.path)
-        return export
+        return Export(str(folder.path))
 
 
 class NoTracking(Tracking):
@@ -97,6 +95,6 @@ class NoTracking(Tracking):
         """Show nothing."""
         return Export()
 
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> Export:
         """Show nothing."""
-        return SweepExport()
+        return Export()

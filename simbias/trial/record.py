@@ -214,7 +214,8 @@ def another(rng: np.random.Generator, times: int) -> np.random.Generator:
     seed = rng.bit_generator.seed_seq
     if not times or not isinstance(seed, np.random.SeedSequence):
         return rng
-    return np.random.default_rng(np.random.SeedSequence([times, seed.entropy], spawn_key=seed.spawn_key))
+    entropy = [times, *seed.generate_state(4).tolist()]
+    return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=seed.spawn_key))
 
 
 def changed(path: Path) -> ConfigError:

@@ -23,7 +23,7 @@ from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.verification import difference
 from simbias.lab.safety import Bounds
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
-from simbias.simulation.compiler.tracing import formulas_of
+from simbias.simulation.compiler import formulas_of
 from simbias.trial.study import Study
 
 COMPILER = shutil.which("cc")

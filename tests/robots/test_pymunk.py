@@ -27,7 +27,7 @@ import simbias
 from simbias.core import HardwareError
 from simbias.core.records import Array
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.robots.bongoboard.bodies import contact, inertias, places
+from simbias.robots.bongoboard.bodies import Assembly, contact
 from simbias.robots.bongoboard.gaps import Gaps
 from simbias.robots.bongoboard.model import LagrangianBongoboard
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
@@ -168,9 +168,10 @@ def test_inertia_error_scales_every_mass_and_moment(feet: Any) -> None:
 
 @pytest.mark.parametrize("feet", FEET)
 def test_masses_are_the_robots(feet: Any) -> None:
-    robot = build_task().robot
+    assembly = Assembly(build_task(), feet=feet)
+    robot = assembly.task.robot
     masses = (robot.wheel_mass, robot.board_mass, robot.foot_mass, 2 * robot.leg_mass, robot.pelvis_mass)
-    assert sum(mass for mass, _ in inertias(robot, feet).values()) == pytest.approx(sum(masses))
+    assert sum(mass for mass, _ in assembly.inertias().values()) == pytest.approx(sum(masses))
 
 
 def test_separate_feet_are_the_plate_cut_in_two() -> None:
@@ -194,7 +195,7 @@ def test_bodies_start_in_the_tasks_pose_and_motion(feet: Any, x: Array) -> None:
         "board": (*pose.board, pose.board_angle),
         "pelvis": (*pose.pelvis, pose.board_angle),
     }
-    ahead, behind = (places(task, x[:3] + step * x[3:], feet) for step in (h, -h))
+    ahead, behind = (Assembly(task, feet=feet).places(x[:3] + step * x[3:]) for step in (h, -h))
     for name, body in world.bodies.items():
         place, velocity = (*body.position, body.angle), (*body.velocity, body.angular_velocity)
         np.testing.assert_allclose(velocity, (ahead[name] - behind[name]) / (2 * h), rtol=0, atol=1e-8)
@@ -217,7 +218,7 @@ def test_rolling_and_joints_hold(feet: Any) -> None:
     for _ in range(300):
         x = np.array(world.state())
         world.step(float(controller(x)[0]))
-    expected = places(task, np.array(world.state()[:3]), feet)
+    expected = Assembly(task, feet=feet).places(np.array(world.state()[:3]))
     for name, body in world.bodies.items():
         np.testing.assert_allclose((*body.position, body.angle), expected[name], rtol=0, atol=5e-4)
 

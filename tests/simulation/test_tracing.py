@@ -17,10 +17,10 @@ import simbias
 from simbias.core import FittedBias, Kernel, Model, Nominal
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
-from simbias.learning.identification.posterior import Identified
+from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.compiler.points import Points
+from simbias.simulation.compiler import Points
 from simbias.simulation.compiler.symbolic_arrays import Symbols
 from simbias.simulation.compiler.symbols import MOST, TraceError
 from simbias.simulation.compiler.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy

@@ -10,8 +10,7 @@ from omegaconf import OmegaConf
 
 from simbias.core import Policy
 from simbias.core.records import Array, Rollout
-from simbias.robots.bongoboard.pymunk import PymunkBongoboard
-from simbias.robots.bongoboard.pymunk_world import World
+from simbias.robots.bongoboard.pymunk import PymunkBongoboard, World
 from simbias.robots.bongoboard.task import Bongoboard, Limits, Robot, Start
 
 CONF = Path(__file__).parents[2] / "conf"

@@ -13,7 +13,7 @@ import numpy as np
 from simbias.core import Quantity, Task
 from simbias.core.records import Array
 from simbias.lab.safety import Bounds
-from simbias.simulation.compiler.written import NUMPY, C, Formulas
+from simbias.simulation.compiler import NUMPY, C, Formulas
 
 HARMLESS = " .,:;+-*/^%()[]<>=|_'°"  # besides letters and digits, in the comments of generated code
 
@@ -23,7 +23,7 @@ HEADER = """\
  * Call simbias_start before an experiment, then simbias_control once a frame, every {time_step!r} s.
  *   x: {states}
  *   u: {inputs}
- * It returns 0, or 1 if a limit is exceeded or something is no number. From then on u is zero and it returns 1
+ * It returns 0, or 1 if a limit is exceeded or something is no number. Then u is zero, and it returns 1
  * until simbias_start is called again: abort the experiment.
  */
 #ifndef SIMBIAS_CONTROLLER_H

@@ -16,8 +16,7 @@ from simbias.core.records import Array
 from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
 from simbias.lab.safety import Bounds, SafetyLimitedPolicy
-from simbias.simulation.compiler.tracing import formulas_of
-from simbias.simulation.compiler.written import Formulas
+from simbias.simulation.compiler import Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
 DIGITS = 12  # hexadecimal, of a request's name

@@ -14,8 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.core.records import Array
-from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, load, store
+from simbias.simulation.compiler import LANES, broadcast, everywhere, exp, fma, load, store
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 

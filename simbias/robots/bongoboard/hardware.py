@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -32,7 +32,7 @@ class World(Protocol):
     def step(self, torque: float) -> None:
         """One frame under an ankle torque (N m), half on each leg."""
 
-    def state(self) -> Sequence[float] | Array:
+    def state(self) -> list[float]:
         """The task's state (6,), of the bodies' angles and rates."""
 
     def wheel_and_board(self) -> tuple[Place, Place]:

@@ -14,7 +14,7 @@ from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, TimeStep
 from simbias.core.records import Array
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
-from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.simulation.compiler import Expression, Expressions
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,7 @@ class Declared(Task):
         self._output = self.expressions({name: output.value for name, output in given.items()})
         self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
         self._figure = None if figure is None else Figure(self, figure)
+        self.source_files = self._figure.source_files if self._figure else []
         self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
         self._points = self.expressions(
             {

@@ -41,6 +41,7 @@ class Figure:
 
     def __init__(self, task: Task, source: FigureFile) -> None:
         self._robot = Mechanism(task, source.file, source.joints, source.actuators)
+        self.source_files = self._robot.source_files
         view = source.view or view_of(self._robot.model)
         self._view = axes_of(view)
         self._data: Any = mujoco().MjData(self._robot.model)

@@ -25,7 +25,7 @@ from simbias.core import Kernel
 from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
-from simbias.simulation.compiler.compilation import compiled_as, function_of
+from simbias.simulation.compiler import compiled_as, function_of
 
 ABSURD = 1e4  # m, rad, m/s, rad/s: what gets there has blown up, and the engine would write files about it
 FREE, TAKEN = 0, 1

@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core import Task
 from simbias.core.messages import quote
 from simbias.core.records import Array
-from simbias.robots.mujoco.files import read_model
+from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
 
 MOST_STEPS = 10_000  # of the engine in a frame
@@ -52,7 +52,9 @@ class Mechanism:
         actuators: Sequence[str] | None = None,
     ) -> None:
         engine = mujoco()
-        model = self.model = read_model(file, actuators or ())
+        self._file, self._added = file, actuators or ()
+        model = self.model = read_model(file, self._added)
+        self.source_files = source_files(file)
         known = names_of(model, "joint")
         joints = known if joints is None else list(joints)
         actuators = names_of(model, "actuator") if actuators is None else list(actuators)
@@ -105,6 +107,10 @@ class Mechanism:
         changed.model = copy.copy(self.model)
         put_values(changed.model, values)
         return changed
+
+    def text(self) -> str:
+        """The mechanism as MJCF."""
+        return mjcf(self._file, self._added, self.model)
 
     def physics(self, x: Array) -> Array:
         """MuJoCo's full states (k, .) at states x (k, n)."""
