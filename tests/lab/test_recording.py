@@ -180,9 +180,7 @@ def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path, stora
     (piece,) = found.pieces
     assert piece.frames in (997, 998)
     np.testing.assert_allclose(piece.states, rollout.states[: piece.frames + 1], atol=1e-5)
-    with pytest.raises(
-        HardwareError, match="expected a column /joint_state, got none; did you"
-    ):
+    with pytest.raises(HardwareError, match="expected a column /joint_state, got none; did you"):
         Reader(study.task, columns | {"pos1": "/joint_state.position[0]"}).read(path)
     with pytest.raises(HardwareError, match=r"no such number in a message"):
         Reader(study.task, columns | {"pos1": "/joint_states.position[knee]"}).read(path)
