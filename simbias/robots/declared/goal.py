@@ -111,11 +111,11 @@ class Success:
         self._frames = frames
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
-        """Whether an episode of states (T+1, n) at times (T+1,), with errors (T+1, g), succeeds."""
+        """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
         rows = np.concatenate([states, times[:, None], errors], axis=1)[-self._frames :]
         return bool((self._measures(rows) <= self._limits).all())
 
 
-def success_names(states: Sequence[Quantity], goals: Sequence[str]) -> list[str]:
+def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:
     """The variables of success' expressions, in the order of `Success.holds`."""
-    return [*(state.name for state in states), TIME, *(f"{name}_error" for name in goals)]
+    return [*states, TIME, *(f"{goal.name}_error" for goal in goals)]

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from simbias.core import Criterion, Kernel, Push, Quantity, Task
+from simbias.core import Criterion, Push, Quantity, Task
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, Seconds, TimeStep
 from simbias.core.records import Array
@@ -17,6 +17,7 @@ from simbias.robots.declared.goal import Reference, Success, check_within, succe
 from simbias.robots.declared.starts import Starts
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
+from simbias.robots.mujoco.sensors import SensorFile, Sensors
 from simbias.simulation.compiler import Expression, Expressions
 
 Range = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
@@ -47,7 +48,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """What a policy may feed back."""
+    """A quantity that a policy may feed back."""
 
     value: Expression
     unit: str = ""
@@ -88,7 +89,7 @@ _Value = TypeVar("_Value")
 
 
 def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
-    """What a mapping holds, so that its order counts in a trial's identity."""
+    """Items of a mapping, so that their order counts in a trial's identity."""
     return tuple(values.items())
 
 
@@ -138,10 +139,10 @@ class Declared(Task):
         Parts by name, from back to front, all lengths in one unit, y upwards.
     figure
         In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
+    sensors
+        The file of a MuJoCo model, whose sensors and sites' positions expressions may use too: a number by
+        its name, a vector as `tip[0]`. They are the engine's, so that rollouts are simulated in NumPy.
     """
-
-    measure_kernel: Kernel
-    output_kernel: Kernel
 
     def __init__(
         self,
@@ -161,6 +162,7 @@ class Declared(Task):
         hold: Seconds | None = None,
         starts: Annotated[list[list[Coordinate]], Field(min_length=1)] | None = None,
         pushes: Named[Pulses] | None = None,
+        sensors: SensorFile | None = None,
     ) -> None:
         states, inputs, failure = dict(states), dict(inputs), dict(failure or {})
         for name, some in (("states", states), ("inputs", inputs)):
@@ -180,8 +182,9 @@ class Declared(Task):
         self._input_bounds, self.input_limit = (lower, upper), np.maximum(-lower, upper)
         self._starts = Starts(states, starts)
         self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
+        self._sensors = None if sensors is None else Sensors(self, sensors)
         self._known: dict[str, Any] = {
-            "variables": tuple(states),
+            "variables": (*states, *(self._sensors.names if self._sensors else ())),
             "constants": dict(constants or {}),
             "where": dict(where or {}),
         }
@@ -192,12 +195,15 @@ class Declared(Task):
             {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
         )
         self._output = self.expressions({name: output.value for name, output in given.items()})
-        self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
+        if not self._sensors:
+            self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
         self.pushes = tuple(_push(name, each, tuple(inputs)) for name, each in dict(pushes or {}).items())
         self._figure = None if figure is None else Figure(self, figure)
-        self.source_files = self._figure.source_files if self._figure else []
+        self.source_files = [
+            file for part in (self._figure, self._sensors) if part for file in part.source_files
+        ]
         self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
         self._points = self.expressions(
             {
@@ -236,7 +242,7 @@ class Declared(Task):
             raise ValueError(
                 f"hold is {hold:g} s, and an episode {self.horizon * self.time_step:g} s: none can succeed"
             )
-        names = success_names(self.states, [quantity.name for quantity in self._goals])
+        names = success_names(self._known["variables"], self._goals)
         texts = {f"success.{name}": _measure(f"success.{name}", each) for name, each in success.items()}
         measures = Expressions(texts, **{**self._known, "variables": names})
         criteria = [_criterion(name, each, ()) for name, each in success.items()]
@@ -249,11 +255,15 @@ class Declared(Task):
 
     def measure(self, x: Array) -> Array:
         """Measures (..., c) of the failure criteria at states x (..., n)."""
-        return self._measure(x) if self.criteria else x[..., :0]
+        return self._measure(self._seen(x)) if self.criteria else x[..., :0]
 
     def output(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
-        return self._output(x)
+        return self._output(self._seen(x))
+
+    def _seen(self, x: Array) -> Array:
+        """States (..., n), followed by what sensors say of them."""
+        return np.concatenate([x, self._sensors(x)], axis=-1) if self._sensors else x
 
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,)."""
@@ -268,7 +278,7 @@ class Declared(Task):
         """The goal's quantities (..., g) at states x (..., n)."""
         if self._goals is self.states:
             return x
-        return np.concatenate([x, self._output(x)], axis=-1)[..., self._aimed]
+        return np.concatenate([x, self.output(x)], axis=-1)[..., self._aimed]
 
     def reference(self, t: Any) -> Array:
         """Where they are to be, (..., g) or (g,), at times t (...) in s."""
@@ -279,18 +289,18 @@ class Declared(Task):
         if self._success is None:
             return None
         times = self.time_step * np.arange(len(states))
-        return self._success.holds(states, times, self.error(states, times))
+        return self._success.holds(self._seen(states), times, self.error(states, times))
 
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
         if self._figure:
             return self._figure.points(x)
-        points = self._points(x).reshape(-1, 2)
+        points = self._points(self._seen(x)).reshape(-1, 2)
         ends = np.cumsum([len(part.points) for part in self.drawing.values()])
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
-        """How MuJoCo renders the state x (n,); None if the drawing is of parts."""
+        """Image of the state x (n,) as MuJoCo renders it; None if the drawing is of parts."""
         return self._figure.image(x) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
