@@ -106,14 +106,14 @@ class Success:
     """
 
     def __init__(self, criteria: Sequence[Criterion], measures: Expressions, frames: int) -> None:
-        self._limits = np.array([criterion.limit for criterion in criteria])
+        self._limits = np.array([criterion.limit for criterion in criteria])  # which measures are above
         self._measures = measures
         self._frames = frames
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
         rows = np.concatenate([states, times[:, None], errors], axis=1)[-self._frames :]
-        return bool((self._measures(rows) <= self._limits).all())
+        return bool((self._measures(rows) > self._limits).all())
 
 
 def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:
