@@ -94,7 +94,7 @@ class DynamicOutputFeedback(Policy):
             lower, upper = [*lower, *least.tolist()], [*upper, *most_input.tolist()]
         self.bounds = np.array(lower), np.array(upper)
         self.n_parameters = len(lower)
-        self.memory_size = 2 * q + self._delay * m
+        self.state_size = 2 * q + self._delay * m
         self._control = _law(m, q, self._delay)
         self.kernel = self._compiled
 
@@ -180,7 +180,7 @@ class _Loop(Controller):
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the state x (n,)."""
-        u, self._memory = self._ask(self._parameters, x, self._memory)
+        u, self._state = self._ask(self._parameters, x, self._state)
         return u
 
 

@@ -20,17 +20,17 @@ from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
-MEMORY_WEIGHT = 1e-9  # Q of what the model's memory holds
+MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
 NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
 STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
 RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
 EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
-SETTLED = 1000  # frames, after which a memory is that of a steady input
+SETTLED = 1000  # frames, after which a model state is that of a steady input
 
 
 class Linear(NamedTuple):
-    """A model around a rest: s' - s_0 = A (s - s_0) + B (u - u_0), s the states, then the memory."""
+    """A model around a rest: s' - s_0 = A (s - s_0) + B (u - u_0), s the states, then the model state."""
 
     A: Array  # (l, l)
     B: Array  # (l, m)
@@ -97,16 +97,16 @@ def rest(model: Model) -> tuple[Array, Array]:
 
 
 def linearised(model: Model) -> Linear:
-    """The corrected model with its memory, by central differences."""
+    """The corrected model with its state, by central differences."""
     x, u = rest(model)
-    n, size, limit = len(x), model.nominal.memory_size, model.task.input_limit
-    memory = model.nominal.memories(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
-    point = np.concatenate([x, memory, u])
+    n, size, limit = len(x), model.nominal.state_size, model.task.input_limit
+    model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
+    point = np.concatenate([x, model_state, u])
     steps = STEP * np.diag(np.concatenate([np.ones(n + size), limit]))
 
     def following(points: Array) -> Array:
-        states, memories, inputs = np.split(points, [n, n + size], axis=-1)
-        after, kept = model.nominal.advance(states, inputs, memories)
+        states, model_states, inputs = np.split(points, [n, n + size], axis=-1)
+        after, kept = model.nominal.advance(states, inputs, model_states)
         return np.concatenate([after + model.bias.correction(states, inputs), kept], axis=-1)
 
     slopes = (following(point + steps) - following(point - steps)) / (2 * np.diag(steps)[:, None])
@@ -116,7 +116,7 @@ def linearised(model: Model) -> Linear:
 def lqr_gains(linear: Linear, R: Array) -> Array | None:
     """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u; None without one."""
     A, B = linear.A, linear.B
-    Q = np.diag(np.where(np.arange(len(A)) < linear.states, 1.0, MEMORY_WEIGHT))
+    Q = np.diag(np.where(np.arange(len(A)) < linear.states, 1.0, MODEL_STATE_WEIGHT))
     try:
         S = solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError):

@@ -87,7 +87,10 @@ class PlainSimulator:
         """The next states (k, n) and model states (k, s) by each scenario's model and bias (Eq. 7)."""
         x_next, kept, g = np.empty_like(x), np.empty_like(model_state), np.empty_like(x)
         for nominal, rows in _rows_of([model.nominal for model in self.models], scenarios):
-            x_next[rows], kept[rows] = nominal.advance(x[rows], u[rows], model_state[rows])
+            if nominal.state_size:
+                x_next[rows], kept[rows] = nominal.advance(x[rows], u[rows], model_state[rows])
+            else:
+                x_next[rows] = nominal.step(x[rows], u[rows])
         for bias, rows in _rows_of([model.bias for model in self.models], scenarios):
             g[rows] = self.correct(bias, x[rows], u[rows])
         return x_next + g, kept

@@ -35,7 +35,7 @@ def _integral(z, parameters, t, memory):
 
 class Integral(Policy):
     n_parameters = 1
-    memory_size = 1
+    state_size = 1
     bounds = (np.zeros(1), np.ones(1))
 
     def __init__(self, task: Task) -> None:
@@ -65,7 +65,7 @@ def in_c(order: ExperimentRequest, states: Array, folder: Path) -> Array:
     """What the header gives for states (k, n): whether to abort, then the inputs (k, 1 + m)."""
     law = derive(order.task, order.policy, order.theta)
     (folder / "controller.h").write_text(c_header(order.task, law, "a test", order.bounds))
-    n, m, s = len(order.task.states), len(order.task.inputs), order.policy.memory_size
+    n, m, s = len(order.task.states), len(order.task.inputs), order.policy.state_size
     more, declared = (", t, memory", f"double memory[{s}] = {{0}};") if s else ("", "")
     (folder / "main.c").write_text(
         f"""#include <stdio.h>
@@ -151,7 +151,7 @@ def test_a_policy_that_is_no_formula_says_why() -> None:
     own = simbias.core.Policy
     with pytest.raises(UntraceableError, match="has no kernel"):
         derive(task, type("Plain", (Integral,), {"__init__": lambda self, task: None})(task), np.zeros(1))
-    assert own.law(Integral(task), np.ones(1)).words == "u = Integral.act(theta, x, t, memory)"
+    assert own.law(Integral(task), np.ones(1)).words == "u = Integral.act(theta, x, t, policy_state)"
 
 
 def test_limits_are_in_the_order_and_held_by_its_controller(order: ExperimentRequest, study: Study) -> None:

@@ -91,8 +91,8 @@ def derive(task: Task, policy: Policy, theta: Array) -> Formulas:
     seen, numbers = _outputs(task)
     own = np.asarray(kernel.parameters, dtype=np.float64)[0]
     p = vector("P", len(own))
-    if policy.memory_size:
-        memory = vector("memory", policy.memory_size)
+    if policy.state_size:
+        memory = vector("memory", policy.state_size)
         u, kept = formulas(kernel.function, seen.outputs, p, scalar("t"), memory)
     else:
         u, kept = formulas(kernel.function, seen.outputs, p), ()

@@ -36,7 +36,7 @@ has failed. Such a function also takes arrays in place of numbers, as long as it
 branches: so the plain method can be `elementwise(_step, x, u, parameters=...)`.
 
     Task.measure_kernel      (x, parameters) -> measures
-    Nominal.kernel           (x, u, parameters) -> x_next               parameters may differ between worlds
+    Nominal.kernel           (x, u, parameters) -> x_next               parameters differ between scenarios
                              (x, u, parameters, memory) -> x_next, memory
     FittedBias.kernel        (x, u, parameters) -> correction
                              (x (n, LANES), u (m, LANES), data, correction (n, LANES)) -> None
@@ -57,7 +57,7 @@ import numpy as np
 
 from simbias.core.records import Array
 
-LANES = 16  # rollouts that run in step: as many single-precision numbers fill the widest vector registers
+LANES = 16  # rollouts that run in lockstep: as many single-precision numbers fill the widest vector registers
 
 
 def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array:

@@ -74,7 +74,7 @@ def of_cost(cost: Cost, task: Task) -> Part:
 
 def of_nominal(nominal: Nominal, points: Points) -> Part:
     """A step of the nominal model."""
-    s = nominal.memory_size
+    s = nominal.state_size
 
     def given() -> Given:
         vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
@@ -155,7 +155,7 @@ class PolicyKernel(NamedTuple):
 
 def of_policy(policy: Policy, task: Task, points: Points) -> Part:
     """The kernel of a policy's `act`."""
-    p, n, m, s = policy.n_parameters, len(task.states), len(task.inputs), policy.memory_size
+    p, n, m, s = policy.n_parameters, len(task.states), len(task.inputs), policy.state_size
 
     def trace(subject: Callable) -> PolicyKernel:
         trace = Trace()
