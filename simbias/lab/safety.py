@@ -163,7 +163,7 @@ class SafetyLimitedPolicy(Policy):
         self.safety_bounds = safety_bounds
         self._task = task
         self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
-        self.state_size, self.kernel = policy.state_size, policy.kernel
+        self.state_size = policy.state_size
         self._last: _SafetyLimitedController | None = None
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:

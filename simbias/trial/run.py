@@ -158,7 +158,7 @@ class _Run(Observer):
             reason=reason,
             experiments=len(made),
             iterations=len(self._iterations),
-            max_experiments=method.max_experiments,
+            max_experiments=self._study.max_experiments,
             max_iterations=method.max_iterations,
             ended=time.time(),
             seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),

@@ -76,7 +76,8 @@ def test_its_result_in_numbers_and_words() -> None:
     assert result.successes == "110"
     numbers = (result.success_rate, result.long_success_rate, result.long_seconds)
     assert numbers == pytest.approx((2 / 3, 0.5, 33.5))
-    assert "2 of 3 test episodes of 5 s, and in 1 of 2 of 60 s (they last 34 s on average)" in result.words
+    assert "2 of 3 (21% to 94%) test episodes of 5 s, and in 1 of 2 (9% to 91%) of 60 s (" in result.words
+    assert "they last 34 s on average" in result.words
     rows = episodes_csv(result, study().task).splitlines()
     assert rows[0].endswith("asked_seconds,lasted_seconds,failure")
     assert [row.split(",", 2)[2] for row in rows[1:]] == ["60,60,", "60,7,distance", "5,3,distance"]

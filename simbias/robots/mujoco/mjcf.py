@@ -138,12 +138,12 @@ def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key:
 
 
 def _places(addresses: Array, count: int, joint: int) -> Array:
-    """Where a joint's numbers lie among so many: from its own address on, up to the next joint's."""
+    """Indices of a joint's numbers among `count`: from its own address up to that of the next joint."""
     return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 
 
 def _unit(engine: Any, model: Any, i: int) -> float:
-    """What a control of 1 gives, in the unit of the input: the force of a motor, else 1."""
+    """Input that a control of 1 gives: the force or torque of a motor, else 1."""
     motor = (
         model.actuator_gaintype[i] == engine.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[i] == engine.mjtBias.mjBIAS_NONE

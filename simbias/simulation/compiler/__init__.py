@@ -8,6 +8,7 @@ Everything that others use of it is imported from here.
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
 | kernels of a model, its policy and cost | `tracing`, `points` |
+| a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """
 
@@ -21,14 +22,25 @@ from simbias.simulation.compiler.open_loop import compile_open_loop
 from simbias.simulation.compiler.points import Points
 from simbias.simulation.compiler.text import sum_of
 from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import PolicyKernel, of_bias, of_cost, of_nominal, parts_of
+from simbias.simulation.compiler.tracing import (
+    PolicyKernel,
+    formulas_of,
+    of_bias,
+    of_cost,
+    of_nominal,
+    parts_of,
+)
 from simbias.simulation.compiler.trigonometry import arctan, sincos
+from simbias.simulation.compiler.written import NUMPY, C, Formulas
 
 __all__ = [
     "LANES",
+    "NUMPY",
+    "C",
     "Composition",
     "Expression",
     "Expressions",
+    "Formulas",
     "Function",
     "Points",
     "PolicyKernel",
@@ -41,6 +53,7 @@ __all__ = [
     "everywhere",
     "exp",
     "fma",
+    "formulas_of",
     "function_of",
     "in_threads",
     "load",

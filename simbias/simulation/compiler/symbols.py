@@ -171,12 +171,7 @@ def _of_bits(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
 
 add, subtract, multiply = _operation("add"), _operation("subtract"), _operation("multiply")
 quotient, power, absolute = _operation("divide"), _operation("power"), _operation("abs")
-sine, cosine, square_root, floor = (
-    _operation("sin"),
-    _operation("cos"),
-    _operation("sqrt"),
-    _operation("floor"),
-)
+square_root, floor = _operation("sqrt"), _operation("floor")
 negative = _operation("negative")
 less, less_equal = _operation("less", True), _operation("less_equal", True)
 equal, unequal = _operation("equal", True), _operation("not_equal", True)
@@ -194,6 +189,16 @@ def _extreme(name: str, of_known: str) -> Callable[[Symbol, Symbol], Symbol]:
 
 
 lesser, greater = _extreme("minimum", "at_most"), _extreme("maximum", "at_least")
+
+
+def sine(a: Symbol) -> Symbol:
+    """A sine, which shares what it needs of the angle with the cosine."""
+    return a.trace.operation("sin", a.trace.operation("angle", numeric(a)))
+
+
+def cosine(a: Symbol) -> Symbol:
+    """A cosine; see `sine`."""
+    return a.trace.operation("cos", a.trace.operation("angle", numeric(a)))
 
 
 def divide(a: Symbol, b: Symbol) -> Symbol:

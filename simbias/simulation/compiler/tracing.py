@@ -28,9 +28,10 @@ from simbias.core.records import Array
 from simbias.simulation.compiler.points import ROWS, Points
 from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
 from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError
-from simbias.simulation.compiler.written import Written, columns, needed, written
+from simbias.simulation.compiler.written import Formulas, Written, columns, needed, written
 
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
+FRAMES = 100  # over which a policy with a state is held against its kernel
 
 
 class Part(NamedTuple):
@@ -80,8 +81,8 @@ def of_nominal(nominal: Nominal, points: Points) -> Part:
         vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
         if not s:
             return vectors, sizes
-        memory = np.random.default_rng(1).standard_normal((ROWS, s))
-        return {**vectors, "memory": memory}, [*sizes, s]
+        state = np.random.default_rng(1).standard_normal((ROWS, s))
+        return {**vectors, "model_state": state}, [*sizes, s]
 
     return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", given)
 
@@ -113,14 +114,14 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
         ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
-        names = [name for name in vectors if name != "memory"]
-        arguments = ", ".join([*names, "p", *(["memory"] if "memory" in vectors else [])])
+        names = [name for name in vectors if name != "model_state"]
+        arguments = ", ".join([*names, "p", *(["model_state"] if "model_state" in vectors else [])])
         function, numbers = written(trace, results, arguments)
         return Kernel(function, numbers)
 
     def check(subject: Callable, kernel: Kernel) -> None:
-        before = [rows for name, rows in vectors.items() if name != "memory"]
-        after = [rows for name, rows in vectors.items() if name == "memory"]
+        before = [rows for name, rows in vectors.items() if name != "model_state"]
+        after = [rows for name, rows in vectors.items() if name == "model_state"]
         made = columns(kernel.function, *before, tuple(kernel.parameters), *after)
         _compare(subject, list(vectors.values()), made if len(sizes) > 1 else (made,))
 
@@ -133,10 +134,11 @@ class PolicyKernel(NamedTuple):
     prepare: Written
     control: Written
     size: int  # r, of the parameters
+    state_size: int  # s
 
     @property
     def function(self) -> Callable:
-        """(parameters, x, t, memory, constants) -> u, memory."""
+        """(parameters, x, t, policy_state, constants) -> u, policy_state."""
         return self.control.function
 
     @property
@@ -146,40 +148,69 @@ class PolicyKernel(NamedTuple):
 
     def parameters(self, thetas: Array) -> Array:
         """Those (k, r) of thetas (k, p)."""
-        prepared = columns(self.prepare.function, thetas, tuple(self.prepare.numbers))
-        own = np.empty((len(thetas), len(prepared)))
-        for index, value in enumerate(prepared):
-            own[:, index] = value
-        return own
+        return _rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
 
 
 def of_policy(policy: Policy, task: Task, points: Points) -> Part:
     """The kernel of a policy's `act`."""
-    p, n, m, s = policy.n_parameters, len(task.states), len(task.inputs), policy.state_size
+    p, s = policy.n_parameters, policy.state_size
 
     def trace(subject: Callable) -> PolicyKernel:
         trace = Trace()
-        theta, x, time = row(trace, "theta", p), row(trace, "x", n), trace.given("t")
-        u, kept = _vectors(subject(theta, x, time, row(trace, "memory", s)), (m, s), trace)
+        _, u, kept = _formulas(trace, subject, policy, task, row(trace, "theta", p))
         fixed = _of_thetas_alone(trace, [u, kept])
         return PolicyKernel(
             written(trace, [fixed], "theta, p"),
-            written(trace, [u, kept], "p, x, t, memory, c", fixed, "c"),
+            written(trace, [u, kept], "p, x, t, policy_state, c", fixed, "c"),
             len(fixed),
+            s,
         )
 
     def check(subject: Callable, traced: PolicyKernel) -> None:
         rng = np.random.default_rng(2)
         lower, upper = (np.clip(bound, -1e3, 1e3) for bound in policy.bounds)
-        thetas, memory = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
+        thetas, state = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
         parameters = traced.parameters(thetas)
         for t in (0.0, 0.1 * task.horizon * task.time_step, 0.7 * task.horizon * task.time_step):
-            made = columns(traced.function, parameters, points.x, t, memory, tuple(traced.constants))
+            made = columns(traced.function, parameters, points.x, t, state, tuple(traced.constants))
             _compare(
-                lambda theta, x, memory, t=t: subject(theta, x, t, memory), [thetas, points.x, memory], made
+                lambda theta, x, state, t=t: subject(theta, x, t, state), [thetas, points.x, state], made
             )
 
+        if s:  # what a frame gets right to rounding may still not add up
+            _compare_frames(subject, traced, thetas, points)
+
     return _once(policy, "act", lambda: _part(policy, "act", trace, check))
+
+
+def _compare_frames(act: Callable, traced: PolicyKernel, thetas: Array, points: Points) -> None:
+    """Raise unless policies (ROWS, p) and their kernel agree over many frames, each with its own state."""
+    rng, parameters, constants = np.random.default_rng(3), traced.parameters(thetas), tuple(traced.constants)
+    kept = state = np.zeros((ROWS, traced.state_size))
+    for frame in range(FRAMES):
+        x, t = points.x[rng.permutation(ROWS)], 0.01 * frame
+        u, state = act(thetas, x, t, state)
+        columns_u, columns_kept = columns(traced.function, parameters, x, t, kept, constants)
+        kept = _rows(columns_kept)
+        _expect_equal(_rows(columns_u), np.asarray(u, np.float64))
+        _expect_equal(kept, np.asarray(state, np.float64))
+
+
+def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
+    """What the policy theta (p,) computes in each frame, or why that cannot be written down."""
+
+    def trace(subject: Callable) -> Formulas:
+        return _formulas(Trace(), subject, policy, task, theta[None])
+
+    part = _part(policy, "act", trace, lambda subject, formulas: None)
+    return part.kernel or part.why_not
+
+
+def _formulas(trace: Trace, act: Callable, policy: Policy, task: Task, theta: Array) -> Formulas:
+    """What a policy's `act` computes of theta (1, p)."""
+    x, state = row(trace, "x", len(task.states)), row(trace, "policy_state", policy.state_size)
+    made = act(theta, x, trace.given("t"), state)
+    return Formulas(trace, *_vectors(made, (len(task.inputs), policy.state_size), trace))
 
 
 def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[Symbol]:
@@ -217,16 +248,27 @@ def _compare(method: Callable, rows: Sequence[Array], made: Sequence[Sequence[An
         expected = np.asarray(one, np.float64)
         if not np.array_equal(expected, other, equal_nan=True):
             raise TraceError("it gives other numbers when it is asked again")
-        traced = np.empty((ROWS, len(values)))
-        for index, column in enumerate(values):
-            traced[:, index] = column
+        traced = _rows(values)
         if expected.shape != traced.shape:
             raise TraceError(f"of {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
         if not np.isfinite(expected).all(axis=1).sum() >= ROWS // 2:
             raise TraceError("it gives what is no number at most states near the start")
-        size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
-        if not np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True).all():
-            raise TraceError("what was written down gives other numbers")
+        _expect_equal(traced, expected)
+
+
+def _expect_equal(traced: Array, expected: Array) -> None:
+    """Raise unless rows (ROWS, r) agree."""
+    size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
+    if not np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True).all():
+        raise TraceError("what was written down gives other numbers")
+
+
+def _rows(values: Sequence[Any], count: int = ROWS) -> Array:
+    """Rows (count, r) of columns, some of which may be single numbers."""
+    rows = np.empty((count, len(values)))
+    for index, column in enumerate(values):
+        rows[:, index] = column
+    return rows
 
 
 def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part:
