@@ -37,6 +37,8 @@ class Dask(Engine):
         Workers of the local cluster.
     """
 
+    shares_disk = False  # as far as anybody knows
+
     def __init__(self, address: str | None = None, n_jobs: Workers = 2) -> None:
         library("distributed", "Dask", "dask")
         self._address = address

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from simbias.core.commands import python
 from simbias.core.errors import ConfigError
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, reaching, redact
+from simbias.mlflow.store import connect, database, file_number, reaching, redact
 from simbias.mlflow.writes import Files, Point, flush, size
 from simbias.sweep.tracking import Export
 
@@ -56,12 +56,26 @@ class Runs:
     def _connect(self) -> MlflowClient:
         """Reach the store, or raise a ConfigError."""
         self._client, self.experiment_id = connect(self.uri, self._experiment)
+        self._file = database(self.uri)
+        self._number = file_number(self._file)
         return self._client
 
     @property
     def client(self) -> MlflowClient:
-        """MLflow's client of the store."""
-        return self._client or self._connect()
+        """MLflow's client of the store.
+
+        Raises
+        ------
+        ConfigError
+            If it cannot be used, or is not where it was any more, where MLflow would begin another one.
+        """
+        if self._client is None:
+            return self._connect()
+        if file_number(self._file) != self._number:
+            raise ConfigError(
+                "tracking.uri", f"{redact(self.uri)}: the store was moved, or another put there"
+            )
+        return self._client
 
     def address(self, run_id: str) -> str:
         """How a person looks at a run: a command and a page, or the page of a server."""

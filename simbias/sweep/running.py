@@ -25,7 +25,7 @@ from simbias.sweep.interruption import Interruption, stopping_workers
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.services import engine, tracking
 from simbias.sweep.tracking import Export, Tracking
-from simbias.sweep.worker import Plan, Result, lost, pack, run_plan, unpack
+from simbias.sweep.worker import GONE, Plan, Result, lost, pack, run_plan, unpack
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, locked
 from simbias.trial.folder import PICTURES, TrialFolder
@@ -221,16 +221,16 @@ class SweepState:
         ended = set(self.finished["hash"])
         return [trial for trial in self._sweep.trials if trial.hash not in ended]
 
-    def plan(self, trial: Trial) -> Plan:
-        """What a worker needs of a trial."""
+    def plan(self, trial: Trial, shares_disk: bool) -> Plan:
+        """A trial as a worker needs it."""
         folder, composition = self._store.trial_folder(trial.hash), trial.composition
         if folder is None:
             return Plan(composition)
         return Plan(
             composition,
             str(folder.absolute()),
-            self._marker,
-            pack(folder) if TrialFolder(folder).steps() else b"",
+            "" if shares_disk else self._marker,
+            pack(folder) if not shares_disk and TrialFolder(folder).steps() else b"",
             _pictures(trial.repetition, self._store),
         )
 
@@ -238,6 +238,8 @@ class SweepState:
         """Note a trial that ended or stopped, and export it."""
         folder, summary = self._store.trial_folder(trial.hash), result.summary
         if folder is not None and result.packed:
+            if not Path(self._marker).exists():
+                raise ConfigError("tracking", GONE.format(folder.parent))
             unpack(result.packed, folder)
         self._rows.pop(trial.hash, None)  # of an attempt that raised
         if summary.outcome in results.SHOWN:
@@ -336,7 +338,10 @@ def _warn(damaged: ConfigError) -> None:
 def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
     """Trials with their results, as they end."""
     trials = state.missing
-    plans, cells = [state.plan(trial) for trial in trials], {trial.cell.identity: trial for trial in trials}
+    plans, cells = (
+        [state.plan(trial, trials_engine.shares_disk) for trial in trials],
+        {trial.cell.identity: trial for trial in trials},
+    )
     code = partial(packed, [trial.composition for trial in cells.values()])
     with stopping_workers(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
