@@ -31,10 +31,12 @@ from simbias.core.robot import (
     Criterion,
     Hardware,
     HardwareError,
+    Push,
     Quantity,
     Task,
     Waiting,
     failure_name,
+    wrapped,
 )
 from simbias.core.search import Cost, Evaluation, Objective, Optimizer, Simulator
 
@@ -56,6 +58,7 @@ __all__ = [
     "Objective",
     "Optimizer",
     "Policy",
+    "Push",
     "Quantity",
     "Samples",
     "Simulator",
@@ -63,4 +66,5 @@ __all__ = [
     "Task",
     "Waiting",
     "failure_name",
+    "wrapped",
 ]
