@@ -34,17 +34,19 @@ AGREEMENT = 1e-9  # relative, between a traced kernel and the method
 FRAMES = 100  # over which a policy with a state is held against its kernel
 
 
-class Part(NamedTuple):
-    """A part of a closed loop: its kernel, or why it has none."""
+class KernelOrReason(NamedTuple):
+    """The kernel of a part of a closed loop, or why it has none."""
 
     kernel: Any  # of a policy, a `PolicyKernel`; None
     why_not: str = ""
 
 
-Given = tuple[dict[str, Array], list[int]]  # vectors (ROWS, .) that a method takes; sizes of what it gives
+TraceInputs = tuple[
+    dict[str, Array], list[int]
+]  # vectors (ROWS, .) that a method takes; sizes of what it gives
 
 
-def parts_of(model: Model) -> tuple[Part, Part, Part, Part]:
+def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
     """The parts of a closed loop: measures, policy, nominal model, bias."""
     task, points = model.task, Points.of(model.task)
     return (
@@ -55,55 +57,57 @@ def parts_of(model: Model) -> tuple[Part, Part, Part, Part]:
     )
 
 
-def of_measure(task: Task, points: Points) -> Part:
+def of_measure(task: Task, points: Points) -> KernelOrReason:
     """The task's measures."""
     sizes = [len(task.criteria)]
     return _own_or_traced(task.measure_kernel, task, "measure", lambda: ({"x": points.x}, sizes))
 
 
-def of_cost(cost: Cost, task: Task) -> Part:
+def of_cost(cost: Cost, task: Task) -> KernelOrReason:
     """A cost's terms, if it has any."""
     if not cost.reductions:
-        return Part(None, f"{type(cost).__name__} says no `reductions`")
+        return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`")
 
-    def find() -> Part:
+    def find() -> KernelOrReason:
         points, t = Points.of(task), task.time_step * np.arange(1.0, ROWS + 1)
         return _traced(cost, "terms", {"x": points.x, "u": points.u, "t": t}, [len(cost.reductions)])
 
     return _once(cost, "terms", find)
 
 
-def of_nominal(nominal: Nominal, points: Points) -> Part:
+def of_nominal(nominal: Nominal, points: Points) -> KernelOrReason:
     """A step of the nominal model."""
     s = nominal.state_size
 
-    def given() -> Given:
+    def inputs() -> TraceInputs:
         vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
         if not s:
             return vectors, sizes
         state = np.random.default_rng(1).standard_normal((ROWS, s))
         return {**vectors, "model_state": state}, [*sizes, s]
 
-    return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", given)
+    return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", inputs)
 
 
-def of_bias(bias: FittedBias, points: Points) -> Part:
+def of_bias(bias: FittedBias, points: Points) -> KernelOrReason:
     """A bias' correction."""
 
-    def given() -> Given:
+    def inputs() -> TraceInputs:
         return {"x": points.x, "u": points.u}, [points.x.shape[1]]
 
-    return _own_or_traced(bias.kernel, bias, "correction", given)
+    return _own_or_traced(bias.kernel, bias, "correction", inputs)
 
 
-def _own_or_traced(kernel: Kernel | None, component: Any, method: str, given: Callable[[], Given]) -> Part:
+def _own_or_traced(
+    kernel: Kernel | None, component: Any, method: str, inputs: Callable[[], TraceInputs]
+) -> KernelOrReason:
     """The component's own kernel or, traced once, that of a method."""
     if kernel is not None:
-        return Part(kernel)
-    return _once(component, method, lambda: _traced(component, method, *given()))
+        return KernelOrReason(kernel)
+    return _once(component, method, lambda: _traced(component, method, *inputs()))
 
 
-def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> Part:
+def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> KernelOrReason:
     """The kernel of a method that takes these vectors (k, .) and gives some of these sizes."""
 
     def trace(subject: Callable) -> Kernel:
@@ -151,7 +155,7 @@ class PolicyKernel(NamedTuple):
         return _rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
 
 
-def of_policy(policy: Policy, task: Task, points: Points) -> Part:
+def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
     """The kernel of a policy's `act`."""
     p, s = policy.n_parameters, policy.state_size
 
@@ -271,7 +275,7 @@ def _rows(values: Sequence[Any], count: int = ROWS) -> Array:
     return rows
 
 
-def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part:
+def _part(component: Any, method: str, trace: Callable, check: Callable) -> KernelOrReason:
     """The kernel of a method, or why there is none."""
     function = getattr(type(component), method)
     code = getattr(function, "__code__", None)
@@ -289,8 +293,8 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
         place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else place
         refused = next((each for each in (error, error.__cause__) if isinstance(each, TraceError)), None)
         why = str(refused) if refused else with_type(error, 100)
-        return Part(None, f"{type(component).__name__}.{method} ({place}: {why})")
-    return Part(kernel)
+        return KernelOrReason(None, f"{type(component).__name__}.{method} ({place}: {why})")
+    return KernelOrReason(kernel)
 
 
 def _within(component: Any) -> Iterator[Any]:
@@ -316,10 +320,10 @@ def _is_foreign(value: Any) -> bool:
     )
 
 
-_FOUND: dict[int, dict[str, Part]] = {}  # by the component's identity, for as long as it lives
+_FOUND: dict[int, dict[str, KernelOrReason]] = {}  # by the component's identity, for as long as it lives
 
 
-def _once(component: Any, method: str, find: Callable[[], Part]) -> Part:
+def _once(component: Any, method: str, find: Callable[[], KernelOrReason]) -> KernelOrReason:
     """What was found of the component's method before, or is found now."""
     key = id(component)
     if key not in _FOUND:
