@@ -11,7 +11,7 @@
 
 All names are imported from here.
 
-n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's memory; T frames of
+n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's own state; T frames of
 `time_step` seconds. Units are the task's. Components are built from YAML: the keys of
 `conf/<group>/<name>.yaml` are the constructor's arguments, checked against its annotations; an argument named
 `task` receives the task. One that reads files lists them as `source_files`, so that it is told when they
