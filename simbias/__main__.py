@@ -1,4 +1,4 @@
-"""The command line: `python -m simbias [run | check | new | preview] [override ...]`."""
+"""The command line: `python -m simbias [command] [override ...]`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from simbias import __version__
@@ -15,6 +16,7 @@ from simbias.config import Composition, ConfigError, Variations, options, sweeps
 from simbias.core.commands import add_own_components, python
 
 if TYPE_CHECKING:
+    from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.tracking import Tracking
     from simbias.trial.study import Study
 
@@ -49,6 +51,7 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -120,9 +123,12 @@ def _parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
-    takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
-    for each, command in takes_overrides:
+    ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
+    ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
+    takes_overrides = {run: _run_or_show, check: _check, preview: _preview, export: _export, ui: _ui}
+    for each, command in takes_overrides.items():
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
     new.add_argument("name", help="of a Python module, as my_robot")
@@ -271,15 +277,29 @@ def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Var
 
 def _export(parsed: argparse.Namespace) -> int:
     """Show the trials and sweeps of a folder in MLflow."""
+    for line in _mlflow(parsed).export_all():
+        print(line)
+    return SUCCEEDED
+
+
+def _ui(parsed: argparse.Namespace) -> int:
+    """Open MLflow in a browser."""
+    if "=" in (parsed.hash or ""):
+        parsed.overrides, parsed.hash = [parsed.hash, *parsed.overrides], None
+    with suppress(KeyboardInterrupt):
+        _mlflow(parsed).show(parsed.hash, parsed.port)
+    return SUCCEEDED
+
+
+def _mlflow(parsed: argparse.Namespace) -> Mlflow:
+    """The store that the overrides name."""
     from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.services import tracking
 
     store = tracking(Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({}))
     if not isinstance(store, Mlflow):
         raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
-    for line in store.export_all():
-        print(line)
-    return SUCCEEDED
+    return store
 
 
 def _command(parsed: argparse.Namespace) -> str:

@@ -48,7 +48,8 @@ class MlflowSweep(SweepExport):
     @property
     def where(self) -> str:  # type: ignore[override]
         """How a person looks at the run, or at the folder where the store is away."""
-        return self._runs.address(self._parent) if self._parent else str(self._folder.path)
+        found, identity = self._parent, self._description["hash"]
+        return self._runs.address(identity, found) if found else str(self._folder.path)
 
     def _run(self) -> Run:
         """The parent run, a new one if need be; its trials are listed by the sweep's axes."""

@@ -71,7 +71,8 @@ class TrialExport(Export):
     @property
     def where(self) -> str:  # type: ignore[override]
         """How a person looks at the run, or at the folder where the store is away."""
-        return self._runs.address(self.run_id) if self.run_id else str(self._folder.path)
+        path = self._folder.path
+        return self._runs.address(path.name, self.run_id) if self.run_id else str(path)
 
     def write(self) -> None:
         """Write what the run lacks: files first, so that who finds numbers finds all.

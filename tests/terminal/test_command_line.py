@@ -45,7 +45,7 @@ def test_success_exits_0_and_says_how_many_experiments(tmp_path: Path) -> None:
     done = from_nothing(*QUICK, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Succeeded after 2 hardware experiments (1 iteration, " in done.stdout
-    assert "mlflow ui --workers 1 --backend-store-uri sqlite:///mlflow.db" in done.stdout
+    assert " -m simbias ui " in done.stdout
     assert (tmp_path / "mlflow.db").exists()
     assert "Traceback" not in done.stderr
 
