@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core.kernel import Kernel
 from simbias.core.parameters import Estimate, Parameter, values_at
 from simbias.core.policy import Policy
-from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
+from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.core.robot import Task
 
 
@@ -24,7 +24,6 @@ class Nominal(ABC):
     """
 
     kernel: Kernel | None = None
-    batched: bool = False  # whether an engine steps many states at once, about as fast as compiled code
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     memory_size: int = 0  # s
     estimates: Sequence[Estimate] = ()  # what has been identified
@@ -57,13 +56,6 @@ class Nominal(ABC):
         if not self.memory_size:
             return self.step(states, inputs)
         return self.advance(states, inputs, self.memories(states, inputs))[0]
-
-    def step_in_worlds(self, models: Sequence[Nominal], x: Array, u: Array, worlds: Indices) -> Array:
-        """x_next (k, n), each row after x (k, n) under u (k, m) with the model of its world of (k,).
-
-        Only batched models need it; all of them are of one class.
-        """
-        raise NotImplementedError(f"{type(self).__name__} is batched, but has no `step_in_worlds`")
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""

@@ -62,11 +62,16 @@ class Task(ABC):
     criteria: tuple[Criterion, ...]
     time_step: float  # s
     horizon: int  # T, frames
-    input_limit: Array  # (m,) |u| <= input_limit
+    input_limit: Array  # (m,) |u| <= input_limit; the inputs' scale
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
     measure_kernel: Kernel | None = None
     output_kernel: Kernel | None = None
+
+    @property
+    def input_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper limits (m,) of the inputs; a task whose limits are not symmetric has its own."""
+        return -self.input_limit, self.input_limit
 
     @abstractmethod
     def measure(self, x: Array) -> Array:

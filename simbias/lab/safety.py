@@ -52,7 +52,7 @@ class Safety:
         """
         inputs = _by_quantity("inputs", self.inputs, task.inputs)
         return Bounds(
-            np.fmin(inputs, task.input_limit),
+            (np.fmax(-inputs, task.input_bounds[0]), np.fmin(inputs, task.input_bounds[1])),
             _by_quantity("input_rates", self.input_rates, task.inputs),
             _by_quantity("states", self.states, task.states),
             self.criteria,
@@ -66,10 +66,15 @@ NO_LIMITS = Safety()
 class Bounds:
     """Limits as arrays; inf where there is none."""
 
-    inputs: Array  # (m,)
+    input_bounds: tuple[Array, Array]  # lower, upper (m,)
     input_rates: Array  # (m,) per s
     states: Array  # (n,)
     criteria: bool
+
+    @property
+    def inputs(self) -> Array:
+        """Largest size (m,) of each input."""
+        return np.maximum(*np.abs(self.input_bounds))
 
 
 def _by_quantity(key: str, limits: Mapping[str, float] | None, quantities: Sequence[Quantity]) -> Array:
@@ -94,7 +99,8 @@ class _Monitor:
     def __init__(self, task: Task, bounds: Bounds, time_step: float, rounding: float = ROUNDING) -> None:
         self._task = task
         self._states, self._criteria = bounds.states, bounds.criteria
-        self._inputs = bounds.inputs * (1 + rounding)
+        rounded = rounding * np.where(np.isfinite(bounds.inputs), bounds.inputs, 0.0)
+        self._least, self._most = bounds.input_bounds[0] - rounded, bounds.input_bounds[1] + rounded
         self._changes = bounds.input_rates * time_step * (1 + rounding)
         self._last: Array | None = None  # input (m,)
 
@@ -107,7 +113,7 @@ class _Monitor:
 
     def of_input(self, u: Array) -> str:
         """The limit that the input u (m,) of the next frame exceeds."""
-        beyond = np.flatnonzero(~(np.abs(u) <= self._inputs))
+        beyond = np.flatnonzero(~((self._least <= u) & (u <= self._most)))
         if len(beyond):
             return f"unsafe_input_{self._task.inputs[beyond[0]].name}"
         if self._last is not None:

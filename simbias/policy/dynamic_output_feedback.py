@@ -11,7 +11,6 @@ from pydantic import Field
 from simbias.core import Controller, Kernel, Policy, Task
 from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
-from simbias.simulation.actuator import limited
 from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.text import sum_of
 
@@ -59,7 +58,7 @@ class DynamicOutputFeedback(Policy):
     delay_rate
         |g| <= delay_rate, in 1/s.
     constant
-        |u_0| <= constant, as a share of the task's limits; 0: none.
+        u_0 is within this share of the task's limits; 0: none.
     """
 
     def __init__(
@@ -92,8 +91,8 @@ class DynamicOutputFeedback(Policy):
             lower, upper = [*lower, *[-delay_rate] * m], [*upper, *[delay_rate] * m]
         self._constant = constant > 0
         if constant > 0:
-            most_input = (constant * task.input_limit).tolist()
-            lower, upper = [*lower, *(-u for u in most_input)], [*upper, *most_input]
+            least, most_input = (constant * each for each in task.input_bounds)
+            lower, upper = [*lower, *least.tolist()], [*upper, *most_input.tolist()]
         self.bounds = np.array(lower), np.array(upper)
         self.n_parameters = len(lower)
         self.memory_size = 2 * q + self._delay * m
@@ -112,12 +111,12 @@ class DynamicOutputFeedback(Policy):
         """The law, its parameters as `_parameters` has them."""
         q, m, d = self._q, self._m, self._delay
         H, smoothing, gathering, g, u_0 = parameters
-        z, limit = self.outputs(x), self._task.input_limit
+        z = self.outputs(x)
         before, w, past = memory[..., :q], memory[..., q : 2 * q], memory[..., 2 * q :]
         y = before + smoothing * (z - before)
         past = past.reshape(*past.shape[:-1], m, d)
         asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1) + u_0
-        u = limited(asked, limit)
+        u = np.clip(asked, *self._task.input_bounds)
         free = (u == asked).all(axis=-1, keepdims=True)
         sent = np.concatenate([u[..., None], past], axis=-1)[..., :d]
         kept = [y, w + gathering * y * free, sent.reshape(*sent.shape[:-2], m * d)]
@@ -169,7 +168,7 @@ class DynamicOutputFeedback(Policy):
         """The policies (k, p); parameters: the limits, H row by row, and the rest as `_parameters` has it."""
         H, *rest = self._parameters(thetas)
         gains = H.reshape(len(thetas), self._m * self._q)
-        limits = np.broadcast_to(self._task.input_limit, (len(thetas), self._m))
+        limits = np.tile(np.concatenate(self._task.input_bounds), (len(thetas), 1))
         return Kernel(self._control, np.concatenate([limits, gains, *rest], axis=1))
 
 
@@ -188,14 +187,14 @@ class _Loop(Controller):
 
 def _law(m: int, q: int, d: int) -> Callable:
     """The kernel of m inputs, q outputs and d frames; see `DynamicOutputFeedback.act`."""
-    smoothing, gathering, g = m + m * q, m + m * q + q, m + m * q + 2 * q  # where they begin
+    smoothing, gathering, g = 2 * m + m * q, 2 * m + m * q + q, 2 * m + m * q + 2 * q  # where they begin
     constant = g + m
 
     def smooth(j, z, p, memory):
         return memory[j] + p[smoothing + j] * (z[j] - memory[j])
 
     def limit(i, u, p, memory):
-        return min(max(u[i], -p[i]), p[i])
+        return min(max(u[i], p[i]), p[m + i])
 
     def exceed(i, wanted_and_sent, p, memory):
         return wanted_and_sent[i] - wanted_and_sent[m + i]
@@ -205,7 +204,7 @@ def _law(m: int, q: int, d: int) -> Callable:
 
     asked = []
     for i in range(m):
-        gained = [f"p[{m + i * q + j}] * (y[{j}] + memory[{q + j}])" for j in range(q)]
+        gained = [f"p[{2 * m + i * q + j}] * (y[{j}] + memory[{q + j}])" for j in range(q)]
         past = sum_of([f"memory[{2 * q + i * d + k}]" for k in range(d)])
         asked.append(sum_of([f"p[{constant + i}]", *gained, f"p[{g + i}] * {past}"]))
     ask_all = function_of(f"def ask(y, p, memory): return {', '.join(asked)},", "ask")

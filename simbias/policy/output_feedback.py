@@ -14,17 +14,17 @@ from simbias.policy.gains import inverse_signed_exponential, least_squares_gains
 
 
 def _law(inputs: int, first: int = 0) -> Callable:
-    """The kernel for so many inputs; its parameters are the limits (m,), then H (m, q) row by row."""
+    """The kernel for so many inputs; parameters: lower and upper limits (m,), then H (m, q) row by row."""
     if first == inputs:
         return lambda z, limits_and_gains: ()
     others = _law(inputs, first + 1)
 
     def control(z, limits_and_gains):
         """u = H z (Eq. 9), from the first of them on."""
-        limit, u = limits_and_gains[first], 0.0
+        least, most, u = limits_and_gains[first], limits_and_gains[inputs + first], 0.0
         for j in range(len(z)):
-            u += limits_and_gains[inputs + first * len(z) + j] * z[j]
-        return (min(max(u, -limit), limit),) + others(z, limits_and_gains)  # noqa: RUF005 (for Numba)
+            u += limits_and_gains[2 * inputs + first * len(z) + j] * z[j]
+        return (min(max(u, least), most),) + others(z, limits_and_gains)  # noqa: RUF005 (for Numba)
 
     return control
 
@@ -47,13 +47,12 @@ class OutputFeedback(Policy):
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n) (Eq. 9)."""
-        limit = self._task.input_limit
         u = (self.gains(theta) @ self.outputs(x)[..., None])[..., 0]
-        return np.clip(u, -limit, limit), memory
+        return np.clip(u, *self._task.input_bounds), memory
 
     def controller(self, theta: Array, time_step: float) -> Controller:
         """The law with its gains computed once."""
-        return _Loop(self, theta, self._task.input_limit)
+        return _Loop(self, theta, *self._task.input_bounds)
 
     def law(self, theta: Array) -> Law:
         """Eq. 9, its gains in the task's units: a row for each input, a column for each output."""
@@ -73,19 +72,19 @@ class OutputFeedback(Policy):
         return np.clip(inverse_signed_exponential(np.concatenate(H)), *self.bounds)
 
     def _compiled(self, thetas: Array) -> Kernel:
-        """The policies (k, p) with their gains computed once: parameters (k, m + m q)."""
+        """The policies (k, p) with their gains computed once: parameters (k, 2 m + m q)."""
         gains = self.gains(thetas).reshape(len(thetas), self.n_parameters)
-        limits = np.broadcast_to(self._task.input_limit, (len(thetas), len(self._task.inputs)))
+        limits = np.tile(np.concatenate(self._task.input_bounds), (len(thetas), 1))
         return Kernel(self._control, np.concatenate([limits, gains], axis=1))
 
 
 class _Loop(Controller):
     """u = H z (Eq. 9), frame by frame."""
 
-    def __init__(self, policy: OutputFeedback, theta: Array, limit: Array) -> None:
+    def __init__(self, policy: OutputFeedback, theta: Array, least: Array, most: Array) -> None:
         self._outputs = policy.outputs
         self._gains = policy.gains(theta)
-        self._least, self._most = -limit, limit
+        self._least, self._most = least, most
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the state x (n,)."""

@@ -154,7 +154,7 @@ class _Action:
             raise ValueError(
                 f"an action of {environment} has {size} numbers; {len(action or names)} are given"
             )
-        for u in (-task.input_limit, task.input_limit):
+        for u in task.input_bounds:
             asked = self._expressions(u)
             if (asked < self._low - 1e-6).any() or (asked > self._high + 1e-6).any():
                 raise ValueError(

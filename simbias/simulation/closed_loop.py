@@ -44,7 +44,7 @@ def join(simulators: Sequence[Simulator]) -> Worlds:
     """
     compiled = [simulator for simulator in simulators if isinstance(simulator, CompiledSimulator)]
     plain = [simulator for simulator in simulators if isinstance(simulator, PlainSimulator)]
-    if plain and not plain[0].models[0].nominal.batched:
+    if plain:
         _say_what_is_slow(plain[0].models[0])
     if len(compiled) == len(simulators):
         return CompiledSimulator.join(compiled) or Apart(simulators)

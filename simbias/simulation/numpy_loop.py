@@ -88,8 +88,6 @@ class PlainSimulator:
     def _advance(self, x: Array, u: Array, hidden: Array, worlds: Indices) -> tuple[Array, Array]:
         """What each world's nominal model makes of its rows, and what it then keeps (k, s)."""
         models = [model.nominal for model in self.models]
-        if models[0].batched and all(type(model) is type(models[0]) for model in models):
-            return models[0].step_in_worlds(models, x, u, worlds), hidden
         if not hidden.shape[1]:
             return self._by_world(_step, models, x, u, worlds), hidden
         f, kept = np.empty_like(x), np.empty_like(hidden)

@@ -39,8 +39,8 @@ def states(study: Study) -> Array:
 
 def inputs(study: Study) -> Array:
     """Inputs (POINTS, m) within their limits."""
-    limit = np.where(np.isfinite(study.task.input_limit), study.task.input_limit, 1.0)
-    return np.random.default_rng(1).uniform(-limit, limit, (POINTS, len(study.task.inputs)))
+    lower, upper = np.nan_to_num(study.task.input_bounds, posinf=1.0, neginf=-1.0)
+    return np.random.default_rng(1).uniform(lower, upper, (POINTS, len(study.task.inputs)))
 
 
 def policies(study: Study) -> Array:

@@ -139,8 +139,10 @@ def _policy_acts(study: Study) -> None:
     m = len(study.task.inputs)
     equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
     equal(np.shape(after), memory.shape, "policy.act", f"a memory of shape {memory.shape}")
-    limit = study.task.input_limit
-    expect((np.abs(u) <= limit * (1 + 1e-12)).all(), "policy.act", f"inputs within {limit}", u)
+    lower, upper = study.task.input_bounds
+    rounding = 1e-12 * study.task.input_limit
+    within = (lower - rounding <= u) & (u <= upper + rounding)
+    expect(within.all(), "policy.act", f"inputs within {lower} and {upper}", u)
     expect_any_leading_axes(act, "policy.act", thetas, x, memory)
     expect_arguments_left(act, "policy.act", thetas, x, memory)
     expect_any_leading_axes(policy.outputs, "policy.outputs", x)
@@ -166,6 +168,6 @@ def _hardware_runs(study: Study) -> None:
         "a first state that is the start, or sets_start = False",
         made.states[0],
     )
-    expect(
-        (np.abs(made.inputs) <= study.task.input_limit).all(), "hardware.run", "inputs in limits", "others"
-    )
+    lower, upper = study.task.input_bounds
+    within = (lower <= made.inputs) & (made.inputs <= upper)
+    expect(within.all(), "hardware.run", "inputs in limits", "others")

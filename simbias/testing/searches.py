@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tempfile
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,8 @@ from simbias.testing.expectations import (
 from simbias.trial.run import run_trial
 from simbias.trial.study import Observer, Study
 from simbias.trial.summary import Outcome
+
+EVALUATIONS = 30  # of each search of a trial
 
 
 @check("optimizer", "a known minimum in the box, within the evaluations, the same each time")
@@ -51,8 +55,16 @@ def _optimizer_raises(study: Study) -> None:
     raise ConformanceError("minimize: expected the objective's exception, got none")
 
 
+def _with_short_searches(study: Study) -> Study:
+    """The study, whose searches take seconds even on a model of many contacts."""
+    optimizer = copy(study.optimizer)
+    optimizer.max_evaluations = min(EVALUATIONS, optimizer.max_evaluations)
+    return replace(study, optimizer=optimizer)
+
+
 @check("method", "counted experiments, no more than it may make, recalled when a trial is started again")
 def _method_counts_and_recalls(study: Study) -> None:
+    study = _with_short_searches(study)
     made: list[Rollout] = []
     counts: list[int] = []  # after each iteration
 

@@ -156,7 +156,9 @@ def test_a_policy_that_is_no_formula_says_why() -> None:
 
 def test_limits_are_in_the_order_and_held_by_its_controller(order: ExperimentRequest, study: Study) -> None:
     class Limited(ExperimentRequest):
-        bounds = Bounds(np.array([5.0]), np.array([np.inf]), np.array([0.2, *[np.inf] * 5]), False)
+        bounds = Bounds(
+            (np.array([-5.0]), np.array([5.0])), np.array([np.inf]), np.array([0.2, *[np.inf] * 5]), False
+        )
 
     limited = Limited(study.task, study.policy, THETA, study.task.start_mean)
     content = limited.content()

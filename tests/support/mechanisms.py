@@ -80,3 +80,44 @@ def cart_pole(**changes: Any) -> Declared:
         "failure": {"falls": {"value": "abs(angle)", "above": 1.0}},
     }
     return construct({**config, **changes}, Task, "task")
+
+
+_PROPELLERS = {
+    "m1": (0.1, 0.1, -0.02),
+    "m2": (-0.1, 0.1, 0.02),
+    "m3": (-0.1, -0.1, -0.02),
+    "m4": (0.1, -0.1, 0.02),
+}
+QUADROTOR = f"""
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="body" pos="0 0 1">
+      <freejoint/>
+      <inertial mass="1" pos="0 0 0" diaginertia="0.01 0.01 0.02"/>
+      <geom type="box" size="0.1 0.1 0.02"/>
+      {"".join(f'<site name="{name}" pos="{x} {y} 0"/>' for name, (x, y, _) in _PROPELLERS.items())}
+    </body>
+  </worldbody>
+  <actuator>{
+    "".join(
+        f'<motor name="{name}" site="{name}" gear="0 0 1 0 0 {-drag}" ctrlrange="0 6"/>'
+        for name, (_, _, drag) in _PROPELLERS.items()
+    )
+}</actuator>
+</mujoco>
+"""
+
+
+def quadrotor(limit: float = 6.0, lower: float | None = 0.0) -> Declared:
+    """A task for that file: to stay near (0, 0, 1), upright."""
+    units = {"x": "m", "y": "m", "z": "m", "qw": "1", "qx": "1", "qy": "1", "qz": "1"}
+    units |= {"vx": "m/s", "vy": "m/s", "vz": "m/s", "wx": "rad/s", "wy": "rad/s", "wz": "rad/s"}
+    states = {name: {"unit": unit, "deviation": 0.05} for name, unit in units.items()}
+    for name in ("z", "qw"):
+        states[name]["mean"] = 1.0
+    return cart_pole(
+        states=states,
+        inputs={name: {"unit": "N", "limit": limit, "lower": lower} for name in _PROPELLERS},
+        failure={"falls": {"value": "qw", "below": 0.5}, "away": {"value": "abs(z - 1)", "above": 1.0}},
+    )

@@ -83,7 +83,10 @@ def _readme(request: ExperimentRequest) -> str:
     start = zip(task.states, request.start, request.start_tolerance, strict=True)
     failures = [f"{each.words} ({each.name} above {each.limit:g} {each.unit})" for each in task.criteria]
     limits = [
-        *((f"|{q.name}|", v, q.unit) for q, v in zip(task.inputs, bounds.inputs, strict=True)),
+        *(
+            (f"|{q.name}|" if lower == -upper else f"{lower:g} <= {q.name}", upper, q.unit)
+            for q, lower, upper in zip(task.inputs, *bounds.input_bounds, strict=True)
+        ),
         *(
             (f"|change of {q.name}|", v, f"{q.unit} per s")
             for q, v in zip(task.inputs, bounds.input_rates, strict=True)

@@ -49,7 +49,7 @@ class ExperimentRequest:
         if isinstance(self.policy, SafetyLimitedPolicy):
             return self.policy.safety_bounds
         n, m = len(self.task.states), len(self.task.inputs)
-        return Bounds(self.task.input_limit, np.full(m, np.inf), np.full(n, np.inf), False)
+        return Bounds(self.task.input_bounds, np.full(m, np.inf), np.full(n, np.inf), False)
 
     @property
     def start_tolerance(self) -> Array:
@@ -84,7 +84,7 @@ class ExperimentRequest:
         """Everything that it says, in plain containers."""
         task, law, bounds = self.task, self.policy.law(self.theta), self.bounds
         states = zip(_named(task.states), self.start, self.start_tolerance, bounds.states, strict=True)
-        inputs = zip(_named(task.inputs), bounds.inputs, bounds.input_rates, strict=True)
+        inputs = zip(_named(task.inputs), *bounds.input_bounds, bounds.input_rates, strict=True)
         return {
             "policy": {
                 "class": type(getattr(self.policy, "policy", self.policy)).__name__,
@@ -102,8 +102,8 @@ class ExperimentRequest:
                 for named, start, tolerance, limit in states
             ],
             "inputs": [
-                {**named, "limit": _limit(limit), "limit_of_change_per_s": _limit(rate)}
-                for named, limit, rate in inputs
+                {**named, **_limits(lower, upper), "limit_of_change_per_s": _limit(rate)}
+                for named, lower, upper, rate in inputs
             ],
             "outputs": _named(task.outputs),
             "time_step": task.time_step,
@@ -120,6 +120,13 @@ class ExperimentRequest:
 def _named(quantities: Sequence[Quantity]) -> list[dict[str, Any]]:
     """Names and units."""
     return [{"name": quantity.name, "unit": quantity.unit} for quantity in quantities]
+
+
+def _limits(lower: float, upper: float) -> dict[str, float | None]:
+    """The limit of an input's size or, where it is not symmetric, on either side."""
+    if lower == -upper:
+        return {"limit": _limit(upper)}
+    return {"lower_limit": _limit(lower), "upper_limit": _limit(upper)}
 
 
 def _limit(value: float) -> float | None:

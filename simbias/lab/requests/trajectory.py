@@ -192,14 +192,15 @@ def _check_times(times: Array, rows: Sequence[int], task: Task, source: str) -> 
 
 def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
     """Refuse inputs beyond the limits: they are in another unit, or the limits were not held."""
-    limits = request.bounds.inputs
-    beyond = np.argwhere(np.abs(inputs) > limits * (1 + 1e-6))
+    (lower, upper), rounding = request.bounds.input_bounds, 1e-6 * request.bounds.inputs
+    beyond = np.argwhere((inputs < lower - rounding) | (inputs > upper + rounding))
     if len(beyond):
         row, column = beyond[0]
-        quantity = request.task.inputs[column]
+        quantity, given = request.task.inputs[column], inputs[row, column]
+        limit = f"at most {upper[column]:g}" if given > 0 else f"at least {lower[column]:g}"
         raise HardwareError(
-            f"{source}: row {rows[row]}, column {quantity.name}: expected at most "
-            f"{limits[column]:g} {quantity.unit}, got {inputs[row, column]:g}"
+            f"{source}: row {rows[row]}, column {quantity.name}: expected {limit} {quantity.unit}, "
+            f"got {given:g}"
         )
 
 

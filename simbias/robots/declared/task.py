@@ -29,11 +29,12 @@ class State:
 
 @dataclass(frozen=True)
 class Input:
-    """An input u: |u| <= limit."""
+    """An input u: |u| <= limit, or lower <= u <= limit, as of a propeller that only pushes."""
 
     unit: str
     limit: Force
     kind: str = ""
+    lower: Coordinate | None = None
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,12 @@ class Declared(Task):
         self.horizon = horizon
         self.states = tuple(Quantity(name, state.unit, state.kind) for name, state in states.items())
         self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
-        self.input_limit = np.array([each.limit for each in inputs.values()])
+        upper = np.array([each.limit for each in inputs.values()])
+        lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
+        for name, least, most in zip(inputs, lower.tolist(), upper.tolist(), strict=True):
+            if not least < most:
+                raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
+        self._input_bounds, self.input_limit = (lower, upper), np.maximum(-lower, upper)
         self.start_mean = np.array([state.mean for state in states.values()])
         self.start_deviation = np.array([state.deviation for state in states.values()])
         self._known: dict[str, Any] = {
@@ -157,6 +163,11 @@ class Declared(Task):
                 for axis, expression in zip("xy", point, strict=True)
             }
         )
+
+    @property
+    def input_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper limits (m,) of the inputs."""
+        return self._input_bounds
 
     def measure(self, x: Array) -> Array:
         """Measures (..., c) of the failure criteria at states x (..., n)."""

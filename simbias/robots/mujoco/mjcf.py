@@ -4,34 +4,36 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
 from math import ceil
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simbias.core import Task
-from simbias.core.messages import quote, words
+from simbias.core.messages import quote
 from simbias.core.records import Array
+from simbias.robots.mujoco.files import read_model
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
+
+MOST_STEPS = 10_000  # of the engine in a frame
 
 
 class Mechanism:
     """A MuJoCo model whose state and input are those of a task.
 
-    States are the positions of the joints, then their velocities. Inputs are the forces and torques of
-    motors, of those at a site along (else about) the axis of their gear; of other actuators they are their
-    controls. A frame is a whole number of the engine's steps, which are as long as the file says, or a
-    little shorter.
+    States are the positions of the joints, then their velocities. A hinge or a slide has one of each. A ball
+    joint has a quaternion (w, x, y, z) and the angular velocity (3) in the body's frame; a free joint the
+    position (x, y, z) and a quaternion, and the velocity (3) in the world's frame and the angular velocity in
+    the body's. Quaternions are normalised in each step. Inputs are the forces and torques of motors, of those
+    at a site along (else about) the axis of their gear; of other actuators they are their controls. A frame
+    is a whole number of the engine's steps, which are as long as the file says, or a little shorter.
 
     Parameters
     ----------
     task
         Its states, inputs and time step.
     file
-        MJCF or URDF, relative to the folder where simbias is started; or `package:path` of a file that is
-        installed with a package.
+        MJCF or URDF (`simbias.robots.mujoco.files.read_model`).
     joints, actuators
         Their names, in the order of states and inputs; by default all of the file. An actuator may be a
         joint's name, as in a URDF, which knows none: a motor is put there.
@@ -50,39 +52,47 @@ class Mechanism:
         actuators: Sequence[str] | None = None,
     ) -> None:
         engine = mujoco()
-        model = self.model = _read(file, actuators or ())
-        kinds = {name: int(model.joint(name).type[0]) for name in names_of(model, "joint")}
-        joints = list(kinds) if joints is None else list(joints)
+        model = self.model = read_model(file, actuators or ())
+        known = names_of(model, "joint")
+        joints = known if joints is None else list(joints)
         actuators = names_of(model, "actuator") if actuators is None else list(actuators)
-        _check(joints, kinds, "joints", file)
+        _check(joints, known, "joints", file)
         _check(actuators, names_of(model, "actuator"), "actuators", file)
-        allowed = (int(engine.mjtJoint.mjJNT_HINGE), int(engine.mjtJoint.mjJNT_SLIDE))
-        for name, kind in kinds.items():
-            if kind not in allowed or name not in joints:
-                raise ValueError(f"{file}: joint {name}: all joints have to be states, hinges or slides")
-        if len(task.states) != 2 * len(joints):
+        for name in known:
+            if name not in joints:
+                raise ValueError(f"{file}: joint {name}: all joints have to be states")
+        if len(task.states) != model.nq + model.nv:
             raise ValueError(
                 f"the task has {len(task.states)} states; positions and velocities of the joints "
-                f"{', '.join(joints)} are {2 * len(joints)}"
+                f"{', '.join(joints)} are {model.nq} and {model.nv}"
             )
         if len(task.inputs) != len(actuators):
             raise ValueError(f"the task has {len(task.inputs)} inputs; {file} has actuators {actuators}")
-        self.substeps = ceil(task.time_step / model.opt.timestep - 1e-6)
+        steps = task.time_step / model.opt.timestep if model.opt.timestep > 0 else np.inf
+        if steps > MOST_STEPS:
+            raise ValueError(
+                f"{file}: a frame of {task.time_step:g} s would take {steps:.3g} steps of "
+                f"{model.opt.timestep:g} s (option timestep), more than {MOST_STEPS}"
+            )
+        self.substeps = ceil(steps - 1e-6)
         model.opt.timestep = task.time_step / self.substeps
         model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_AUTORESET  # what blows up is no start
         if not (model.geom_contype.any() and model.geom_conaffinity.any()) and not model.npair:
             model.opt.disableflags |= engine.mjtDisableBit.mjDSBL_CONTACT  # not to look for what cannot touch
-        positions = [model.joint(name).qposadr[0] for name in joints]
-        velocities = [model.nq + model.joint(name).dofadr[0] for name in joints]
-        self.state_places = 1 + np.array([*positions, *velocities])  # (n,) in full states, after the time
+        positions = [_places(model.jnt_qposadr, model.nq, model.joint(name).id) for name in joints]
+        velocities = [_places(model.jnt_dofadr, model.nv, model.joint(name).id) for name in joints]
+        # (n,) in full states, after the time
+        self.state_places = 1 + np.concatenate([*positions, *(model.nq + each for each in velocities)])
         self.control_places = np.array([model.actuator(name).id for name in actuators])  # (m,) in controls
         self.units = np.array([_unit(engine, model, i) for i in self.control_places])  # (m,) of controls
-        for name, index, unit, limit in zip(
-            actuators, self.control_places, self.units, task.input_limit, strict=True
-        ):
-            most = _reach(engine, model, index, unit)
-            if limit > most * (1 + 1e-9):
-                raise ValueError(f"the task's input may be {limit:g}; the actuator {name} gives {most:g}")
+        limits = zip(actuators, self.control_places, self.units, *task.input_bounds, strict=True)
+        for name, index, unit, lower, upper in limits:
+            least, most = _reach(engine, model, index, unit)
+            for asked, given, beyond in ((upper, most, upper - most), (lower, least, least - lower)):
+                if beyond > 1e-9 * abs(given):
+                    raise ValueError(
+                        f"the task's input may be {asked:g}; the actuator {name} gives {given:g}"
+                    )
 
     @property
     def hidden(self) -> list[str]:
@@ -114,39 +124,16 @@ class Mechanism:
         return controls
 
 
-def _read(file: str, actuators: Sequence[str]) -> Any:
-    """The compiled model of a file, with motors at joints that are named as actuators."""
-    engine = mujoco()
-    path = _path(file)
-    if not path.is_file():
-        raise ValueError(f"no such file: {path}")
-    try:
-        spec = engine.MjSpec.from_file(str(path))
-        known = {actuator.name for actuator in spec.actuators}
-        for name in actuators:
-            if name not in known and any(joint.name == name for joint in spec.joints):
-                spec.add_actuator(name=name, target=name, trntype=engine.mjtTrn.mjTRN_JOINT)
-        return spec.compile()
-    except Exception as error:  # MuJoCo's, of many types
-        raise ValueError(f"{file}: {words(error)}") from error
-
-
-def _path(file: str) -> Path:
-    """Where a file is; `package:path` lies in a package."""
-    package, colon, inside = file.partition(":")
-    if not colon or not package.isidentifier():
-        return Path(file).expanduser()
-    spec = find_spec(package)
-    if spec is None or not spec.submodule_search_locations:
-        raise ValueError(f"{file}: the package {package} is not installed: pip install {package}")
-    return Path(spec.submodule_search_locations[0]) / inside
-
-
 def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key: str, file: str) -> None:
     """Names that a file has to have."""
     for name in wanted:
         if name not in known:
             raise ValueError(f"{key}: {file} has no {quote(name)}; it has {', '.join(known)}")
+
+
+def _places(addresses: Array, count: int, joint: int) -> Array:
+    """Where a joint's numbers lie among so many: from its own address on, up to the next joint's."""
+    return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 
 
 def _unit(engine: Any, model: Any, i: int) -> float:
@@ -166,14 +153,15 @@ def _gear(engine: Any, model: Any, i: int) -> float:
     return float(np.linalg.norm(gear[:3]) or np.linalg.norm(gear[3:]))
 
 
-def _reach(engine: Any, model: Any, i: int, unit: float) -> float:
-    """The largest input of an actuator, as its file limits its control, its force, and that on its joint."""
-    ranges = []
+def _reach(engine: Any, model: Any, i: int, unit: float) -> tuple[float, float]:
+    """Least and largest input of an actuator, as its file limits control, force, and force on its joint."""
+    ranges = [(-np.inf, np.inf)]
     if model.actuator_ctrllimited[i]:
-        ranges.append(abs(unit) * model.actuator_ctrlrange[i])
+        ranges.append(unit * model.actuator_ctrlrange[i])
     if model.actuator_forcelimited[i]:
-        ranges.append(abs(_gear(engine, model, i)) * model.actuator_forcerange[i])
+        ranges.append(_gear(engine, model, i) * model.actuator_forcerange[i])
     joint = model.actuator_trnid[i, 0]
     if model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[joint]:
         ranges.append(model.jnt_actfrcrange[joint])
-    return float(min((min(-low, high) for low, high in ranges), default=np.inf))
+    low, high = np.sort(ranges, axis=1).T  # a gear may be negative
+    return float(low.max()), float(high.min())

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
 from copy import copy
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numba import get_num_threads
@@ -14,12 +12,12 @@ from simbias.core import Kernel, Nominal, Task
 from simbias.core.files import ConfigFile
 from simbias.core.parameters import Parameter
 from simbias.core.ranges import NonNegative
-from simbias.core.records import Array, Indices
+from simbias.core.records import Array
 from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import QUANTITIES, Factors, Values, changes, mujoco, values_of
 
-FEW = 8  # states, for which threads take longer to begin than they save
+FEW = 64  # states, for which threads take longer to begin than they save
 
 
 @final
@@ -46,7 +44,6 @@ class Mujoco(Nominal):
         has a state that the task's do not show.
     """
 
-    batched = True
     kernel: Kernel
 
     def __init__(
@@ -63,7 +60,6 @@ class Mujoco(Nominal):
         if robot.hidden:
             raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
-        self._data: list[Any] = []  # what the engine works in, one for each thread
         self._model = EngineModel(self._robot.model)
         self._places = Places(self._model)
         self.kernel = kernel(self._robot, self._model, self._places)
@@ -80,42 +76,26 @@ class Mujoco(Nominal):
         )
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n), one frame after x (..., n) under u (..., m)."""
+        """x_next (..., n), one frame after x (..., n) under u (..., m); what has blown up stays so."""
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
-        return self._step_each([self._robot.model] * len(x), x, u).reshape(*leading, -1)
-
-    def step_in_worlds(self, models: Sequence[Nominal], x: Array, u: Array, worlds: Indices) -> Array:
-        """x_next (k, n), each row after x (k, n) under u (k, m) with the model of its world of (k,)."""
-        engines = [model._robot.model for model in models if isinstance(model, Mujoco)]
-        return self._step_each([engines[world] for world in worlds], x, u)
-
-    def _step_each(self, models: Sequence[Any], x: Array, u: Array) -> Array:
-        """x_next (k, n), each row with its model; what has blown up stays so."""
         x_next = np.full_like(x, np.nan)
-        rows = np.flatnonzero((np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1))
-        if len(rows):  # the engine dies of none
-            x_next[rows] = self._step_possible([models[row] for row in rows.tolist()], x[rows], u[rows])
-        return x_next
+        possible = (np.abs(x) < ABSURD).all(axis=1) & np.isfinite(u).all(axis=1)  # the engine dies of none
+        if possible.any():
+            x_next[possible] = self._step_possible(x[possible], u[possible])
+        return x_next.reshape(*leading, -1)
 
-    def _step_possible(self, models: Sequence[Any], x: Array, u: Array) -> Array:
-        """x_next (k, n), each row with its model."""
+    def _step_possible(self, x: Array, u: Array) -> Array:
+        """x_next (k, n)."""
+        from mujoco.rollout import Rollout
+
         robot = self._robot
-        full, frames = robot.physics(x), robot.substeps
-        after = np.empty((len(x), frames, full.shape[1]))
         threads = get_num_threads() if len(x) > FEW else 0
-        while len(self._data) < max(1, threads):
-            self._data.append(mujoco().MjData(robot.model))
-        _pool(threads).rollout(
-            models,
-            self._data[: max(1, threads)],
-            full,
-            np.repeat(robot.controls(u)[:, None], frames, axis=1),
-            nstep=frames,
-            skip_checks=True,
-            state=after,
-            sensordata=np.empty((len(x), frames, robot.model.nsensordata)),
-        )
+        data = [mujoco().MjData(robot.model) for _ in range(max(1, threads))]
+        with Rollout(nthread=threads) as rollout:
+            after, _ = rollout.rollout(
+                robot.model, data, robot.physics(x), robot.controls(u)[:, None], nstep=robot.substeps
+            )
         return robot.states(after[:, -1])
 
     def with_parameters(self, values: Array) -> Mujoco:
@@ -126,25 +106,3 @@ class Mujoco(Nominal):
         changed._model = EngineModel(changed._robot.model)
         changed.kernel = kernel(changed._robot, changed._model, self._places)
         return changed
-
-
-_POOLS: dict[int, Any] = {}  # threads that stay, by their number
-_LOST: list[Any] = []  # pools of a process that this one was forked from: to end them would wait for ever
-
-
-def _pool(threads: int) -> Any:
-    """Threads that stay; none of them are as many as run without."""
-    from mujoco.rollout import Rollout
-
-    if threads not in _POOLS:
-        _POOLS[threads] = Rollout(nthread=threads)
-    return _POOLS[threads]
-
-
-def _forget_pools() -> None:
-    """Threads do not survive a fork."""
-    _LOST.extend(_POOLS.values())
-    _POOLS.clear()
-
-
-os.register_at_fork(after_in_child=_forget_pools)

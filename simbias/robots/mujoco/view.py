@@ -19,8 +19,10 @@ def view_of(model: Any) -> View:
     engine, data, rng = mujoco(), mujoco().MjData(model), np.random.default_rng(SEED)
     low, high = np.where(model.jnt_limited[:, None], model.jnt_range, [-REACH, REACH]).T
     solid, points = solid_geoms(model), []
+    places = model.jnt_qposadr
+    hinges = model.jnt_type >= int(engine.mjtJoint.mjJNT_SLIDE)  # and slides; balls and free joints stay
     for _ in range(POSES):
-        data.qpos[:] = rng.uniform(low, high)
+        data.qpos[places[hinges]] = rng.uniform(low, high)[hinges]
         engine.mj_kinematics(model, data)
         ends = model.geom_rbound[solid, None, None] * data.geom_xmat[solid].reshape(-1, 3, 3)
         points.append(data.geom_xpos[solid, :, None] + ends)  # (geoms, 3, 3) ends of each geom's own axes

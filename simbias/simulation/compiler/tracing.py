@@ -72,9 +72,7 @@ def of_output(task: Task, points: Points) -> Part:
 
 
 def of_nominal(nominal: Nominal, points: Points) -> Part:
-    """A step of the nominal model; an engine that steps many states at once has its own kernel, or none."""
-    if nominal.batched:
-        return Part(nominal.kernel, f"{type(nominal).__name__} is an engine's")
+    """A step of the nominal model."""
     s = nominal.memory_size
 
     def given() -> Given:

@@ -1,0 +1,108 @@
+"""MJCF and URDF files, read by MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from math import prod
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from simbias.core.messages import quote, words
+from simbias.robots.mujoco.parameters import mujoco
+
+# Limits within which a file is read in seconds.
+MOST_COPIES = 10_000  # of an element, by replicate, composite and flexcomp
+MOST_CELLS = 10**8  # of a height field or a texture
+
+
+def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
+    """The compiled model of a file.
+
+    An actuator without a name has the name of its joint or site, a joint without one that of its body.
+
+    Parameters
+    ----------
+    file
+        MJCF or URDF, relative to the folder where simbias is started; or `package:path` of a file that is
+        installed with a package.
+    actuators
+        Names of actuators; where one is a joint's name and no actuator's, a motor is put there.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, in one line that names it.
+    """
+    engine, path = mujoco(), _path(file)
+    if not path.is_file():
+        raise ValueError(f"no such file: {path}")
+    try:
+        _check_size(path)
+        spec = engine.MjSpec.from_file(str(path))
+        _name(spec.joints, "joint", [joint.parent.name for joint in spec.joints])
+        _name(spec.actuators, "actuator", [actuator.target for actuator in spec.actuators])
+        known = {actuator.name for actuator in spec.actuators}
+        for name in actuators:
+            if name not in known and any(joint.name == name for joint in spec.joints):
+                spec.add_actuator(name=name, target=name, trntype=engine.mjtTrn.mjTRN_JOINT)
+        return spec.compile()
+    except Exception as error:  # MuJoCo's, of many types
+        raise ValueError(f"{file}: {words(error)}") from error
+
+
+def _path(file: str) -> Path:
+    """Where a file is; `package:path` lies in a package."""
+    package, colon, inside = file.partition(":")
+    if not colon or not package.isidentifier():
+        return Path(file).expanduser()
+    spec = find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise ValueError(f"{file}: the package {package} is not installed: pip install {package}")
+    return Path(spec.submodule_search_locations[0]) / inside
+
+
+def _name(elements: Sequence[Any], kind: str, names: Sequence[str]) -> None:
+    """Give elements without a name the one beside it, or that of their kind with a number if it is taken."""
+    known = {element.name for element in elements}
+    for index, (element, name) in enumerate(zip(elements, names, strict=True)):
+        if not element.name:
+            element.name = name if name and name not in known else f"{kind}_{index}"
+            known.add(element.name)
+
+
+def _check_size(path: Path, copies: int = 1) -> None:
+    """Refuse a file that MuJoCo would read for hours, or that would fill the memory."""
+    if path.is_file():
+        try:
+            root = ElementTree.parse(path).getroot()
+        except ElementTree.ParseError:  # MuJoCo says where
+            return
+        _check_element(root, path, copies)
+
+
+def _check_element(element: Any, path: Path, copies: int) -> None:
+    """Refuse what an element of a file makes, itself in so many copies."""
+    if element.tag in ("hfield", "texture"):
+        _limit(element, _product(element, "nrow", "ncol", "width", "height"), MOST_CELLS, "cells")
+    if element.tag in ("replicate", "composite", "flexcomp"):
+        copies *= _product(element, "count")
+        _limit(element, copies, MOST_COPIES, "copies")
+    if element.tag in ("include", "model") and element.get("file") not in (None, path.name):
+        _check_size(path.parent / element.attrib["file"], copies)
+    for child in element:
+        _check_element(child, path, copies)
+
+
+def _product(element: Any, *attributes: str) -> int:
+    """The product of the whole numbers that an element's attributes list; those that are none count as 1."""
+    listed = [number for name in attributes for number in element.get(name, "").split()]
+    return prod(int(number) for number in listed if number.isdecimal())
+
+
+def _limit(element: Any, number: int, most: int, things: str) -> None:
+    """Refuse an element that makes too many things."""
+    if number > most:
+        name = f" {quote(element.attrib['name'])}" if "name" in element.attrib else ""
+        raise ValueError(f"{element.tag}{name} makes {number:.3g} {things}, more than {most:.0e}")

@@ -1,0 +1,120 @@
+"""Files of others: joints of all kinds, inputs with limits on either side, missing names, no end."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mechanisms import QUADROTOR, cart_pole, mjcf, quadrotor
+
+from simbias.core import Model
+from simbias.core.records import Array
+from simbias.learning.bias.none import ZeroBias
+from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
+from simbias.policy.output_feedback import OutputFeedback
+from simbias.robots.mujoco.mjcf import Mechanism
+from simbias.robots.mujoco.model import Mujoco
+from simbias.simulation.closed_loop import simulator
+
+HOVER = np.full(4, 9.81 / 4)  # N of each propeller, for 1 kg
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    path = tmp_path / "quadrotor.xml"
+    path.write_text(QUADROTOR)
+    return str(path)
+
+
+def turned(angle: float, axis: tuple[float, float, float]) -> Array:
+    """A quaternion (w, x, y, z)."""
+    return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))])
+
+
+def test_a_quadrotor_hovers_and_turns_by_its_propellers_drag(file: str) -> None:
+    """Motors at sites, whose gears are a force and the torque with it; the free joint has no name."""
+    task = quadrotor()
+    model, x = Mujoco(task, file), task.start_mean
+    np.testing.assert_allclose(model.step(x, HOVER), x, atol=1e-12)
+    yaw = model.step(x, HOVER + np.array([1.0, 0.0, 1.0, 0.0]))  # two that turn alike
+    lift, turn = 2.0 * task.time_step / 1.0, 2.0 * 0.02 / 0.02 * task.time_step
+    np.testing.assert_allclose(yaw[[9, 12]], [lift, turn], rtol=1e-9)
+
+
+def test_quaternions_turn_as_the_body_does_and_stay_of_unit_length(file: str) -> None:
+    """A constant rate about an axis of the body, from any start; a corrected state need not be normalised."""
+    task = quadrotor()
+    model, x = Mujoco(task, file), task.start_mean.copy()
+    x[12] = 3.0  # rad/s about the body's z axis
+    for _ in range(50):
+        x = model.step(x, HOVER)
+    np.testing.assert_allclose(x[3:7], turned(3.0 * 50 * task.time_step, (0, 0, 1)), atol=1e-9)
+    scaled = x.copy()
+    scaled[3:7] *= 1.2
+    np.testing.assert_allclose(model.step(scaled, HOVER), model.step(x, HOVER), atol=1e-12)
+
+
+@pytest.mark.parametrize("policy", [OutputFeedback, DynamicOutputFeedback])
+def test_propellers_push_but_never_pull(file: str, policy: type) -> None:
+    """In compiled rollouts as in the law itself; these are what the engine does with their inputs."""
+    task = quadrotor()
+    law, model = policy(task), Mujoco(task, file)
+    thetas = np.random.default_rng(0).uniform(-1, 1, (20, law.n_parameters))
+    starts = np.array([task.draw_start(np.random.default_rng(seed)) for seed in range(20)])
+    loop = simulator(Model(task, law, model, ZeroBias(13)))
+    inputs = np.concatenate([rollout.inputs for rollout in loop.rollouts(thetas, starts)])
+    assert (inputs.min(), inputs.max()) == (0.0, 6.0)
+    for rollout, theta in zip(loop.rollouts(thetas, starts), thetas, strict=True):
+        controller = law.controller(theta, task.time_step)
+        asked = [controller(x) for x in rollout.states[:-1]]
+        np.testing.assert_allclose(rollout.inputs, asked, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(rollout.states[1:], model.step(rollout.states[:-1], rollout.inputs))
+
+
+def test_limits_of_an_input_are_held_against_the_file_on_either_side(file: str) -> None:
+    for limits, message in (
+        ({"limit": 7.0}, "may be 7; the actuator m1 gives 6"),
+        ({"lower": -1.0}, "may be -1; the actuator m1 gives 0"),
+        ({"lower": None}, "may be -6; the actuator m1 gives 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Mechanism(quadrotor(**limits), file)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"inputs\.m1: lower is 6, not below the limit 6"):
+        quadrotor(limit=6.0, lower=6.0)
+
+
+def test_what_has_no_name_in_a_file_is_called_by_what_it_moves(tmp_path: Path) -> None:
+    """As the motors of Gymnasium's reacher; others beside it by number."""
+    motors = '<motor joint="slider" gear="20" ctrlrange="-1 1"/><motor joint="slider"/>'
+    inputs = {name: {"unit": "N", "limit": 20.0} for name in ("force", "other")}
+    robot = Mechanism(cart_pole(inputs=inputs), mjcf(tmp_path, actuators=motors), ["slider", "hinge"])
+    assert [robot.model.actuator(index).name for index in range(2)] == ["slider", "actuator_1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<option timestep="1e-12"/>', r"a frame of 0.02 s would take 2e\+10 steps of 1e-12 s"),
+        (
+            '<worldbody><replicate count="1000"><replicate count="1000"><geom size="1"/></replicate>'
+            "</replicate></worldbody>",
+            r"endless.xml: replicate makes 1e\+06 copies, more than 1e\+04",
+        ),
+        (
+            '<asset><hfield name="hills" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+            r"endless.xml: hfield 'hills' makes 1e\+10 cells",
+        ),
+        ('<include file="part.xml"/>', r"endless.xml: composite makes 1e\+09 copies"),
+    ],
+)
+def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path, text: str, message: str) -> None:
+    cart = Path(mjcf(tmp_path)).read_text()
+    (tmp_path / "endless.xml").write_text(cart.replace("</mujoco>", f"{text}</mujoco>"))
+    (tmp_path / "part.xml").write_text('<mujoco><composite count="1000 1000 1000"/></mujoco>')
+    begin = time.monotonic()
+    with pytest.raises(ValueError, match=message) as error:
+        Mechanism(cart_pole(), str(tmp_path / "endless.xml"))
+    assert "\n" not in str(error.value)
+    assert time.monotonic() - begin < 2.0
