@@ -9,9 +9,10 @@ import shlex
 import sys
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simbias import __version__
+from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
 from simbias.core.commands import add_own_components, python
 
@@ -52,6 +53,7 @@ examples:
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
   python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
+  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -124,6 +126,7 @@ def _parser(
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
     ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
+    pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
     ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
@@ -131,6 +134,10 @@ def _parser(
     for each, command in takes_overrides.items():
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
+    pictures.add_argument("trial", help="its folder, or its run in MLflow")
+    pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
+    pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
+    pictures.set_defaults(command=_pictures)
     new.add_argument("name", help="of a Python module, as my_robot")
     new.set_defaults(command=_new)
     return parser, commands.choices
@@ -157,6 +164,16 @@ def _preview(parsed: argparse.Namespace) -> int:
     from simbias.terminal.preview import preview
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
+    return SUCCEEDED
+
+
+def _pictures(parsed: argparse.Namespace) -> int:
+    """Draw all pictures of a trial."""
+    from simbias.pictures.trial.gallery import save_all
+
+    trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
+    files = save_all(trial.study, trial.iterations, Path(parsed.folder))
+    print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return SUCCEEDED
 
 

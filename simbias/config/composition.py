@@ -104,7 +104,7 @@ class Variations:
         check_no_primary(config_dir)
         self.overrides = list(overrides)
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
-        self._folders = _searched(overrides) if config_dir is None else [Path(config_dir)]
+        self._folders = [] if config_dir is None else [Path(config_dir)]
         self._allowed = prefixes(self._folders, allow)
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
@@ -200,19 +200,6 @@ def _parsed(overrides: Sequence[str]) -> list[Override]:
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     return OverridesParser.create().parse_overrides(list(overrides))
-
-
-def _searched(overrides: Sequence[str]) -> list[Path]:
-    """The folders that overrides of hydra.searchpath name."""
-    from hydra.errors import HydraException
-
-    named = [override for override in overrides if override.lstrip("+").startswith("hydra.searchpath=")]
-    try:
-        values = [each.value() for each in _parsed(named)]
-    except (HydraException, ValueError, RecursionError):  # which is told when they are composed
-        return []
-    paths = [str(path) for value in values if isinstance(value, list) for path in value]
-    return [Path(path.removeprefix("file://")) for path in paths if path.startswith("file://")]
 
 
 def _in_one_line(error: Exception) -> ConfigError:

@@ -15,7 +15,7 @@ from simbias.mlflow import pages
 from simbias.mlflow.runs import NOT_EXPORTED, Runs
 from simbias.mlflow.trial import NOTE, Nested, TrialExport, began_at, origin_tags, write_yaml
 from simbias.sweep.folder import FIGURES, SweepFolder
-from simbias.sweep.tracking import SweepExport
+from simbias.sweep.tracking import Export
 from simbias.trial.disk import LOCK, is_locked
 from simbias.trial.folder import TrialFolder
 
@@ -26,7 +26,7 @@ TABLE = "table.json"  # among the artifacts
 STATUS = {"**Running**": "RUNNING", "**Done**": "FINISHED", "**Interrupted**": "KILLED"}
 
 
-class MlflowSweep(SweepExport):
+class MlflowSweep(Export):
     """A parent run.
 
     Parameters

@@ -15,7 +15,7 @@ from simbias.mlflow.sweep import MlflowSweep
 from simbias.mlflow.trial import TrialExport
 from simbias.mlflow.ui import show
 from simbias.sweep.folder import SweepFolder, sweep_folders
-from simbias.sweep.tracking import Export, SweepExport, Tracking
+from simbias.sweep.tracking import Export, Tracking
 from simbias.trial.folder import TRIAL
 
 
@@ -65,7 +65,7 @@ class Mlflow(Tracking):
         """The trial's run; it is made once the folder has something to show."""
         return TrialExport(self._runs, folder)
 
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> Export:
         """The sweep's parent run, and a nested run for each trial."""
         return MlflowSweep(self._runs, folder)
 

@@ -8,7 +8,6 @@ from typing import Any, NotRequired, Required
 
 from simbias.config import ConfigError
 from simbias.config.components import validate
-from simbias.core.messages import quote
 
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [
@@ -71,26 +70,11 @@ def read_axis(name: str, spec: Any) -> Axis:
         raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
     if not all(text.isprintable() for text in (name, *labels)):
         raise ConfigError(where, "has a name or label with letters that cannot be printed")
-    for text in (name, *labels):
-        _check_drawable(text, where)
     if len(set(labels)) != len(labels):
         raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
     texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
     added = frozenset(key for key, text in zip(keys, written, strict=True) if key != text)
     return Axis(name, keys, values, labels, tuple(map(tuple, texts)), added)
-
-
-def _check_drawable(text: str, where: str) -> None:
-    """Refuse mathematics that Matplotlib cannot set: no figure of the sweep could be drawn."""
-    if text.count("$") < 2:
-        return
-    from matplotlib.mathtext import MathTextParser  # lazily: it takes long
-
-    try:
-        MathTextParser("path").parse(text)
-    except ValueError as error:
-        problem = f"between dollars Matplotlib expects mathematics, got {quote(text)}; `labels` gives others"
-        raise ConfigError(where, problem) from error
 
 
 def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:

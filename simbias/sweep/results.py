@@ -33,14 +33,14 @@ COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, 
 
 
 def of_folders(
-    sweep: Sweep, trials: Path, damaged: Callable[[ConfigError], object] = lambda error: None
+    sweep: Sweep, trials: Path | None, damaged: Callable[[ConfigError], object] = lambda error: None
 ) -> pd.DataFrame:
-    """The trials that ended or raised, in the sweep's order.
+    """The trials that ended or raised, in the sweep's order; none where there is no folder.
 
     A folder that cannot be read counts as none; `damaged` is called with the error that names it.
     """
     rows = {}
-    for trial in sweep.trials:
+    for trial in sweep.trials if trials else ():
         try:
             summary = TrialFolder(trials / trial.hash).summary()
         except ConfigError as error:

@@ -34,14 +34,6 @@ class Layout(NamedTuple):
     body: list[list[str]]
 
 
-LATER: dict[str, Any] = {  # columns that some published trials lack
-    "hardware_seconds": nan,
-    "test_episodes": "",
-    "long_success_rate": nan,
-    "long_seconds": nan,
-}
-
-
 def interval(values: Sequence[float]) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
     return _interval(tuple(sorted(values))) if len(values) > 1 else (nan, nan)
@@ -70,7 +62,6 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     end.
     """
     names = [axis.name for axis in sweep.axes]
-    trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)

@@ -5,28 +5,32 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from pathlib import Path
 
+from simbias.engine.workplace import workplace
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.study import Observer
 
 
 class Export(Observer):
-    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing."""
+    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing.
 
-    where: str = ""  # one line that tells a person how to look at it
+    Parameters
+    ----------
+    where
+        One line that tells a person how to look at it.
+    """
+
+    def __init__(self, where: str = "") -> None:
+        self.where = where
 
     def update(self, final: bool = False) -> None:
         """Bring it up to date with the folder; `final` tells that nothing more comes."""
-
-
-class SweepExport(Export):
-    """Shows a sweep elsewhere; this one shows nothing."""
 
     def trial_ended(self, folder: Path) -> None:
         """A trial of the sweep has ended or stopped."""
 
 
 class Tracking(ABC):
-    """Keeps trials in folders."""
+    """Keeps trials in folders, and shows them elsewhere."""
 
     folder: Path | None  # of all trials: each has its own, named by its hash; None: nothing is kept
     pictures: bool = False  # whether pictures are drawn of each trial that has ended
@@ -35,9 +39,9 @@ class Tracking(ABC):
         """The folder of the trial of this hash; None where nothing is kept."""
         return None if self.folder is None else self.folder / identity
 
-    def sweep_folder(self, name: str, identity: str) -> SweepFolder | None:
-        """The folder of the sweep of this name and hash; None where nothing is kept."""
-        return None if self.folder is None else SweepFolder(self.folder / "sweeps" / f"{name}_{identity}")
+    def sweep_folder(self, name: str, identity: str) -> SweepFolder:
+        """The folder of the sweep of this name and hash; one of this process where nothing is kept."""
+        return SweepFolder((self.folder or workplace()) / "sweeps" / f"{name}_{identity}")
 
     @abstractmethod
     def export_trial(self, folder: Path) -> Export:
@@ -50,14 +54,8 @@ class Tracking(ABC):
         """
 
     @abstractmethod
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
-        """Show a sweep elsewhere.
-
-        Raises
-        ------
-        ConfigError
-            If the store cannot be used.
-        """
+    def export_sweep(self, folder: SweepFolder) -> Export:
+        """Show a sweep elsewhere; errors as of `export_trial`."""
 
 
 class Folders(Tracking):
@@ -77,15 +75,11 @@ class Folders(Tracking):
 
     def export_trial(self, folder: Path) -> Export:
         """Show nothing but the folder."""
-        export = Export()
-        export.where = str(folder)
-        return export
+        return Export(str(folder))
 
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> Export:
         """Show nothing but the folder."""
-        export = SweepExport()
-        export.where = str(folder.path)
-        return export
+        return Export(str(folder.path))
 
 
 class NoTracking(Tracking):
@@ -97,6 +91,6 @@ class NoTracking(Tracking):
         """Show nothing."""
         return Export()
 
-    def export_sweep(self, folder: SweepFolder) -> SweepExport:
+    def export_sweep(self, folder: SweepFolder) -> Export:
         """Show nothing."""
-        return SweepExport()
+        return Export()

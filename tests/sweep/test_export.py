@@ -14,8 +14,9 @@ import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.sweep.folder import SweepFolder
-from simbias.sweep.running import SweepObserver, SweepState
-from simbias.sweep.tracking import Folders, SweepExport
+from simbias.sweep.running import SweepObserver
+from simbias.sweep.state import SweepState
+from simbias.sweep.tracking import Export, Folders
 
 pytestmark = pytest.mark.slow
 
@@ -55,7 +56,7 @@ def test_a_finished_sweep_says_so_before_its_store_is_reached(
     events: list[str] = []
 
     class Slow(Folders):
-        def export_sweep(self, folder: SweepFolder, **_: Any) -> SweepExport:
+        def export_sweep(self, folder: SweepFolder, **_: Any) -> Export:
             events.append("export")
             raise ConfigError("tracking.uri", "away")
 

@@ -126,13 +126,14 @@ def test_a_reader_that_has_seen_enough_meets_no_traceback(tmp_path: Path) -> Non
     process = subprocess.Popen(
         [sys.executable, "-m", "simbias", "+sweep=table2", "sweep.dry_run=true"],
         cwd=tmp_path,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     assert process.stdout is not None
     assert process.stderr is not None
-    assert process.stdout.readline().startswith("missing")
+    assert process.stdout.readline().split() == ["torque", "angle", "velocity", "no", "error", "20%", "error"]
     process.stdout.close()
     assert "Error" not in process.stderr.read()
     assert process.wait(60) == 1
