@@ -18,7 +18,7 @@ PAGES = [
     ROOT / "CONTRIBUTING.md",
     *(
         ROOT / folder / "README.md"
-        for folder in ("conf", "simbias", "simbias/robots", "tests", "sweeps/results")
+        for folder in ("conf", "simbias", "simbias/engine", "simbias/robots", "tests", "sweeps/results")
     ),
 ]
 SHORT = [
