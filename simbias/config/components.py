@@ -173,7 +173,9 @@ def _in_one_line(error: ValidationError, key: str) -> ConfigError:
     where = ".".join(str(part) for part in ((key,) if key else ()) + first["loc"])
     if first["type"] in TYPOS:
         cut = ")" in where  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
-        return unknown([where], where, f"no such key{'; quotes keep an expression with commas together' * cut}")
+        return unknown(
+            [where], where, f"no such key{'; quotes keep an expression with commas together' * cut}"
+        )
     if first["type"] == "missing":
         return ConfigError(where, "missing")
     problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)
