@@ -28,7 +28,13 @@ DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
 EPISODES = "test_episodes"
-LATER = ("hardware_seconds", EPISODES, "long_success_rate", "long_seconds")  # that some results lack
+# Columns that some published results lack, and what stands there then.
+LATER: Mapping[str, Any] = {
+    "hardware_seconds": nan,
+    EPISODES: "",
+    "long_success_rate": nan,
+    "long_seconds": nan,
+}
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, "raised")
 
 
@@ -97,8 +103,7 @@ def published(sweep: Sweep) -> pd.DataFrame:
     types = {**dict.fromkeys((*names, EPISODES), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
-    for name in set(LATER) - set(trials):
-        trials[name] = "" if name == EPISODES else nan
+    trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})
     lacking = {*names, *COLUMNS} - set(trials)
     if lacking:
         raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")
