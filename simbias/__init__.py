@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from simbias.recordings.assessment import Assessment
     from simbias.sweep.running import SweepObserver
     from simbias.trial.run import TrialRecord
     from simbias.trial.study import Study
@@ -82,3 +83,31 @@ def run_sweep(
     from simbias.sweep import running
 
     return running.run(overrides, config_dir, observer, allow)
+
+
+def identify(
+    recordings: Sequence[Path | str],
+    overrides: Sequence[str],
+    held_out: Sequence[Path | str] = (),
+    columns: Mapping[str, str] | None = None,
+    config_dir: Path | str | None = None,
+    allow: Sequence[str] = (),
+) -> Assessment:
+    """Identify a model from recordings, files or folders of CSV, and judge it on what it was not fitted to.
+
+    >>> found = identify(["recordings"], ["preset=double_pendulum", "identification=posterior"])
+    >>> found.better, [finding.trusted for finding in found.findings]
+
+    `columns` are names of columns by the task's names.
+
+    Raises
+    ------
+    simbias.config.ConfigError
+        If an override is bad, or the recordings cannot be read or are too short.
+    """
+    from simbias.recordings.assessment import assess
+    from simbias.recordings.reading import read
+
+    study = load(overrides, config_dir, allow)
+    kept = read(study, held_out, columns).rollouts
+    return assess(study, read(study, recordings, columns).rollouts, kept)

@@ -19,6 +19,7 @@ from simbias.core.commands import add_own_components, python
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.tracking import Tracking
+    from simbias.terminal.identify import Request
     from simbias.trial.study import Study
 
 PROGRAM = "python -m simbias"
@@ -54,6 +55,8 @@ examples:
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
   python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
   python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
+  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
+  python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
 
 exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
@@ -127,6 +130,11 @@ def _parser(
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
     ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
     pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
+    identify = commands.add_parser(
+        "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
+    )
+    excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
+    withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
     ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
@@ -138,6 +146,24 @@ def _parser(
     pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
     pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
     pictures.set_defaults(command=_pictures)
+    for each, into, command in ((identify, "identified", _identify), (excite, "excitation.csv", _excite)):
+        each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
+        each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
+        each.add_argument("--into", default=into, metavar="PATH", help=f"where results go: {into}")
+        each.set_defaults(command=command, held_out=[])
+    identify.add_argument(
+        "--held-out", nargs="+", default=[], metavar="FILE", help="predicted, never fitted to"
+    )
+    identify.add_argument("--attach", action="store_true", help="start a trial with what was identified")
+    identify.add_argument(
+        "--recover", action="store_true", help="simulate such recordings: which parameters would come back?"
+    )
+    excite.add_argument("--seconds", type=float, default=5.0, help="duration: 5")
+    withdraw.add_argument(
+        "file", type=Path, help="of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
+    )
+    withdraw.add_argument("--reason", default="", help="why, for who looks at the trial")
+    withdraw.set_defaults(command=_withdraw)
     new.add_argument("name", help="of a Python module, as my_robot")
     new.set_defaults(command=_new)
     return parser, commands.choices
@@ -174,6 +200,52 @@ def _pictures(parsed: argparse.Namespace) -> int:
     trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
     files = save_all(trial.study, trial.iterations, Path(parsed.folder))
     print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
+    return SUCCEEDED
+
+
+def _identify(parsed: argparse.Namespace) -> int:
+    """Identify a model from recordings, and start a trial with it if that is asked for."""
+    from simbias.terminal.excite import recovery
+    from simbias.terminal.identify import identify
+
+    request = _of_recordings(parsed)
+    if parsed.recover:
+        return SUCCEEDED if recovery(request) else FAILED
+    better = identify(request)
+    if not parsed.attach or not better:
+        return SUCCEEDED if better else FAILED
+    parsed.overrides, parsed.config_dir = request.again, str(request.configs)
+    return _run_or_show(parsed)
+
+
+def _excite(parsed: argparse.Namespace) -> int:
+    """Write inputs whose recordings tell most."""
+    from simbias.terminal.excite import excite
+
+    excite(_of_recordings(parsed), parsed.seconds, Path(parsed.into))
+    return SUCCEEDED
+
+
+def _of_recordings(parsed: argparse.Namespace) -> Request:
+    """What is asked of recordings."""
+    from simbias.recordings.reading import columns
+    from simbias.terminal.identify import Request
+
+    places = [word for word in parsed.words if "=" not in word or os.path.exists(word)]
+    overrides = [word for word in parsed.words if word not in places]
+    named = columns(parsed.columns) if parsed.columns else None
+    folder = Path(parsed.into)
+    return Request(places, parsed.held_out, overrides, named, folder, parsed.config_dir, parsed.allow)
+
+
+def _withdraw(parsed: argparse.Namespace) -> int:
+    """Take an experiment out of a trial."""
+    from simbias.core.messages import counted
+    from simbias.trial.folder import withdraw
+
+    withdrawal = withdraw(parsed.file, parsed.reason)
+    steps = counted(len(withdrawal.superseded), "step")
+    print(f"{withdrawal}; {steps} after it count no longer. The trial's own command resumes it.")
     return SUCCEEDED
 
 

@@ -16,7 +16,7 @@ STOREYS = (  # from the ground; folders of one line do not know each other
     ("simulation",),
     ("policy", "cost", "learning", "search"),
     ("learning/bias", "learning/identification", "learning/samples", "search/optimizer", "search/evaluation"),
-    ("robots/mujoco",),
+    ("robots/mujoco", "robots/drawing"),
     ("robots/bongoboard", "robots/declared", "robots"),
     ("lab",),
     ("lab/requests",),
@@ -25,6 +25,7 @@ STOREYS = (  # from the ground; folders of one line do not know each other
     ("testing", "pictures/elements"),
     ("pictures/trial",),
     ("pictures",),
+    ("recordings",),
     ("sweep",),
     ("sweep/figures",),
     ("mlflow",),
@@ -105,6 +106,17 @@ def test_a_folder_imports_lower_storeys_only() -> None:
         if folder(found) != folder(name) and HEIGHT[folder(found)] >= HEIGHT[folder(name)]
     ]
     assert not upwards
+
+
+def test_the_compiler_has_one_door() -> None:
+    """Who uses it imports from `simbias.simulation.compiler`, from no module within."""
+    inner = "simbias.simulation.compiler."
+    assert not {
+        f"{name} -> {found}"
+        for name in MODULES
+        for found in imports(name)
+        if found.startswith(inner) and not name.startswith(inner.removesuffix("."))
+    }
 
 
 def test_few_files_lie_on_top_of_the_package() -> None:

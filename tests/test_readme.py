@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from conftest import OWN_CONF, ROOT
 from hatchling.builders.wheel import WheelBuilder
+from pendulum import COLUMNS
 
 LARGEST_WHEEL = 1_000_000  # bytes
 README = (ROOT / "README.md").read_text()
@@ -52,11 +53,14 @@ def shortened(command: str) -> list[str]:
         "hardware=arm": "hardware=point_mass",
         "my_conf": str(OWN_CONF),
         "hardware.port=/dev/arm1": "seed=1",
+        "RECORDINGS": str(ROOT / "tests" / "recordings"),
     }
     arguments = [own.get(word, word) for word in arguments]
     if str(OWN_CONF) in arguments:
         groups = sorted(folder.name for folder in OWN_CONF.iterdir() if folder.is_dir())
         return [*arguments, *(f"{group}=point_mass" for group in groups), "method.max_iterations=1"]
+    if "identify" in arguments:
+        return [*arguments, f"hardware.columns={{{COLUMNS}}}"]
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
     return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
 

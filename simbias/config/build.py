@@ -17,13 +17,14 @@ from simbias.config.renamed import unknown
 from simbias.core import Hardware, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
-from simbias.trial.study import PolicyTest, Study
+from simbias.trial.study import Budget, PolicyTest, Study
 
-NO_COMPONENTS = ("seed", "conditions", "policy_test", "composition", "hardware_of")
+NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "composition", "hardware_of")
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],
     "policy_test": NotRequired[PolicyTest],
+    "budget": NotRequired[Budget],
 }
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 

@@ -24,6 +24,7 @@ from simbias.config.conditions import HARDWARE, safety, split
 SCHEME = 2  # of identities: raised when all of them change
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
     "identification": {TARGET: "simbias.learning.identification.none.NoIdentification"},
+    "budget": {"experiments": None, "seconds": None},
 }
 FORMER = {  # classes and arguments whose identities, and so whose seeds, come from an earlier name
     "ModelBased": "Algorithm1",  # which they are the same as, with the defaults

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core.kernel import Kernel
 from simbias.core.records import Array
 
 
@@ -28,7 +27,6 @@ class Policy(ABC):
     n_parameters: int
     bounds: tuple[Array, Array]  # lower (p,), upper (p,)
     memory_size: int = 0  # s
-    kernel: Callable[[Array], Kernel] | None = None  # of thetas (k, p): its parameters (k, r) are theirs
 
     @abstractmethod
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
@@ -48,6 +46,10 @@ class Policy(ABC):
         These are k records of T frames, of inputs that know more than the policy may.
         """
         return None
+
+    def integrated(self, x: Array) -> Array:
+        """What the policy integrates over time: (..., i) at states x (..., n); nothing, if not overridden."""
+        return x[..., :0]
 
     def law(self, theta: Array) -> Law:
         """The policy theta (p,) for people and programs without simbias, as far as it can be said."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from simbias.core.evaluations import Budget, Evaluations
-from simbias.core.kernel import Kernel
 from simbias.core.model import Model
 from simbias.core.records import Array, Indices, Optimum, Rollout
+
+Reduction = Literal["sum", "max"]
 
 
 class Simulator(Protocol):
@@ -28,19 +29,40 @@ class Simulator(Protocol):
 
 
 class Cost(ABC):
-    """What a rollout costs, and above which cost a policy has failed."""
+    """What a rollout costs, and above which cost a policy has failed.
+
+    Most costs add up terms of single frames, or take their maximum: these say `reductions`, `terms` and
+    `of_totals`, and rollouts are summed up as they are simulated. A cost of another kind overrides `of`; then
+    every simulated rollout is recorded, which takes longer.
+    """
 
     max_cost: float  # Z_max
-    kernel: Kernel | None = None
-    totals: int = 0  # s, how many numbers the kernel sums up
+    horizon: int  # T, frames of a rollout that does not fail
+    time_step: float  # s
+    reductions: tuple[Reduction, ...] = ()  # of each of the s terms to its total
 
-    @abstractmethod
-    def of(self, rollout: Rollout) -> float:
-        """Z of a rollout: finite."""
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        """Terms (..., s) of frames that end in x_next (..., n) at the time t (...) in s, under u (..., m)."""
+        raise NotImplementedError(f"{type(self).__name__} has neither `terms` nor an `of` of its own")
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
-        """Z (k,) of rollouts that the kernel summed up as totals (k, s), of frames (k,) lost by failure."""
-        raise NotImplementedError(f"{type(self).__name__} has a kernel, but no `of_totals`")
+        """Z (...) of rollouts with these totals (..., s) that lost so many frames (...) by failure: finite.
+
+        Totals are zero at the start, so that no maximum is below zero.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no `of_totals`")
+
+    def of(self, rollout: Rollout) -> float:
+        """Z of a rollout: finite."""
+        t = self.time_step * np.arange(1, rollout.frames + 1)
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may grow beyond all numbers
+            terms = self.terms(rollout.states[1:], rollout.inputs, t)
+            totals = [
+                np.sum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
+                for reduction, term in zip(self.reductions, np.moveaxis(terms, -1, 0), strict=True)
+            ]
+        lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at
+        return float(self.of_totals(np.array(totals), np.array(lost)))
 
     def with_horizon(self, horizon: int) -> Cost:
         """The cost of rollouts of at most `horizon` frames; only `evaluation.seconds` needs it."""

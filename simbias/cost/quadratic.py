@@ -4,24 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from typing import Any
 
 import numpy as np
 
-from simbias.core import Cost, Kernel, Quantity, Task
+from simbias.core import Cost, Quantity, Task
 from simbias.core.ranges import NonNegative, Positive
-from simbias.core.records import Array, Indices, Rollout
-
-
-def _peak_and_effort(x, u, weights, totals):
-    """The last two terms of Eq. 8 so far, after the step to x under u; R and Q are the weights' diagonals."""
-    peak, effort = totals
-    distance = 0.0
-    for i in range(len(x)):
-        distance += weights[i] * (x[i] * x[i])
-    for i in range(len(u)):
-        effort += weights[len(x) + i] * (u[i] * u[i])
-    return max(peak, distance), effort
-
+from simbias.core.records import Array, Indices
 
 LARGEST = 1e100  # of a peak: in a frame, a simulated state may grow until its square is no number any more
 Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
@@ -34,6 +23,8 @@ class Quadratic(Cost):
     not named then weighs nothing.
     """
 
+    reductions = ("max", "sum")
+
     def __init__(
         self,
         task: Task,
@@ -43,12 +34,10 @@ class Quadratic(Cost):
         max_cost: Positive,
     ) -> None:
         self.max_cost = max_cost
-        self._horizon = task.horizon
+        self.horizon, self.time_step = task.horizon, task.time_step
         self._failure_weight = failure_weight
         self._R = _diagonal("state_weights", state_weights, task.states)  # (n,)
         self._Q = _diagonal("input_weights", input_weights, task.inputs)  # (m,)
-        self.kernel: Kernel = Kernel(_peak_and_effort, np.concatenate([self._R, self._Q]))
-        self.totals = 2
 
     def with_horizon(self, horizon: int) -> Quadratic:
         """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
@@ -56,21 +45,16 @@ class Quadratic(Cost):
         Otherwise the effort would grow with the horizon, the peak would not, and another policy be the best.
         """
         longer = copy(self)
-        longer._horizon, longer._Q = horizon, self._Q * (self._horizon / horizon)
-        longer.kernel = Kernel(self.kernel.function, np.concatenate([longer._R, longer._Q]))
+        longer.horizon, longer._Q = horizon, self._Q * (self.horizon / horizon)
         return longer
 
-    def of(self, rollout: Rollout) -> float:
-        """Z of a rollout (Eq. 8)."""
-        lost = 0 if rollout.failed_at is None else self._horizon - rollout.failed_at
-        with np.errstate(over="ignore", invalid="ignore"):
-            peak = np.fmax.reduce(np.square(rollout.states[1:]) @ self._R, initial=0.0)  # a state may be nan
-        effort = np.sum(np.square(rollout.inputs) @ self._Q)
-        return float(self._failure_weight * lost + min(peak, LARGEST) + effort)
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        """x^T R x and u^T Q u (..., 2) of frames (Eq. 8)."""
+        return np.stack([np.square(x_next) @ self._R, np.square(u) @ self._Q], axis=-1)
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
-        """Z (k,) of rollouts whose peaks and efforts are totals (k, 2) and who lost so many frames (k,)."""
-        return self._failure_weight * lost + np.minimum(totals, LARGEST).sum(axis=1)
+        """Z (...) of peaks and efforts (..., 2), and the frames (...) lost by failure (Eq. 8)."""
+        return self._failure_weight * lost + np.minimum(totals, LARGEST).sum(axis=-1)
 
 
 def _diagonal(name: str, weights: Weights, quantities: Sequence[Quantity]) -> Array:

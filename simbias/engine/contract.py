@@ -19,6 +19,8 @@ class WorkerLostError(RuntimeError):
 class Engine(ABC):
     """Where the trials of a sweep run."""
 
+    shares_disk: bool = True  # whether all workers see the files of this process
+
     @abstractmethod
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes

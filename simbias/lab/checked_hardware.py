@@ -63,10 +63,18 @@ class ExperimentConditions:
 DEFAULT_CONDITIONS = ExperimentConditions()
 
 
+MakeExperiment = Callable[[np.random.Generator], Rollout]
+
+
+def place_of(rng: np.random.Generator) -> tuple[int, ...]:
+    """Where in its trial an experiment is made: how its generator was spawned, () if it was not."""
+    return tuple(getattr(rng.bit_generator.seed_seq, "spawn_key", ()))
+
+
 class ExperimentRecord(Protocol):
     """Keeps experiments, and replays those that it has kept."""
 
-    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+    def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         """The next experiment, with theta (p,): replayed, or made and kept before anyone uses it."""
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
@@ -128,8 +136,8 @@ class CheckedHardware(Hardware):
         Waiting
             If its result is not there yet.
         """
-        make = partial(self._make, policy, theta, start, rng)
-        return make() if self._record is None else self._record.experiment(theta, make)
+        make = partial(self._make, policy, theta, start)
+        return make(rng) if self._record is None else self._record.experiment(theta, rng, make)
 
     def _make(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """Make an experiment on the hardware."""

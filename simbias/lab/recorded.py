@@ -12,7 +12,9 @@ import numpy as np
 from simbias.core import Hardware, HardwareError, Policy, Task
 from simbias.core.files import ConfigFile
 from simbias.core.records import Array, Rollout
-from simbias.lab.table import read_table
+from simbias.lab.checked_hardware import place_of
+from simbias.lab.recording import Reader
+from simbias.lab.signals import checked_columns
 
 ENDS = "recording_ends"
 
@@ -21,9 +23,9 @@ ENDS = "recording_ends"
 class Recorded(Hardware):
     """Experiment i of a trial is recording i, again from the first one after the last.
 
-    A recording is a CSV file with a line of names, also compressed (.csv.gz). Between its lines, states and
-    inputs change linearly; they are read off in each frame of the task, up to its horizon. One that is
-    shorter counts as failed in its last frame.
+    A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
+    Between samples, states and inputs change linearly; they are read off in each frame of the task, up to its
+    horizon (`simbias.lab.recording`). One that is shorter counts as failed in its last frame.
 
     Parameters
     ----------
@@ -32,7 +34,8 @@ class Recorded(Hardware):
     files
         Their names, in order; by default every file of the folder, by name.
     columns
-        The name of the column of `time` (s), and of each state and input; by default its own.
+        The name of the column of `time` (s), and of each state and input, by default its own, with its unit
+        behind it if that is not the task's (`q1 [deg]`); of a ROS bag or an MCAP file `/topic.field[0]`.
     """
 
     sets_start = False
@@ -44,20 +47,16 @@ class Recorded(Hardware):
         files: list[str] | None = None,
         columns: Mapping[str, str] | None = None,
     ) -> None:
-        names = [quantity.name for quantity in (*task.states, *task.inputs)]
-        unknown = sorted(set(columns or {}) - {"time", *names})
-        if unknown:
-            raise ValueError(f"columns names what the task has not: {', '.join(unknown)}")
+        names = ["time", *(quantity.name for quantity in (*task.states, *task.inputs))]
         self._task = task
         self._folder = Path(folder)
         self._files = files
-        self._columns = [(columns or {}).get(name, name) for name in ("time", *names)]
+        self.reader = Reader(task, checked_columns(columns, names))
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """The next recording, numbered by the generator, which was spawned from the trial's."""
         files = self.files
-        spawned = getattr(rng.bit_generator.seed_seq, "spawn_key", ())
-        return self.rollout(files[(spawned[-1] if spawned else 0) % len(files)])
+        return self.rollout(files[([0, *place_of(rng)][-1]) % len(files)])
 
     @property
     def files(self) -> list[str]:
@@ -67,25 +66,25 @@ class Recorded(Hardware):
             raise HardwareError(f"no recording (.csv, .csv.gz) is in {self._folder}")
         return files
 
-    def rollout(self, file: str) -> Rollout:
-        """A recording in the task's frames."""
-        columns = self._read(self._folder / file)
-        time, n = columns[0], len(self._task.states)
-        if len(time) < 2 or not (np.diff(time) > 0).all():
-            raise HardwareError(f"{self._folder / file}: its times do not increase")
-        frames = min(int((time[-1] - time[0]) / self._task.time_step + 1e-9), self._task.horizon)
-        at = time[0] + self._task.time_step * np.arange(frames + 1)
-        states, inputs = (
-            np.array([np.interp(at, time, column) for column in some]).T
-            for some in (columns[1 : n + 1], columns[n + 1 :])
-        )
-        rollout = Rollout(states, inputs[:-1], measured=states, sensed=True)
-        return rollout if frames == self._task.horizon else replace(rollout, failed_at=frames, failure=ENDS)
+    @property
+    def source_files(self) -> list[Path]:
+        """The recordings that are there, as files."""
+        named = self._files or [path.name for path in self._folder.glob("*.csv*")]
+        return [self._folder / name for name in sorted(named) if (self._folder / name).is_file()]
 
-    def _read(self, path: Path) -> Array:
-        """The columns (1 + n + m, r) of time, states and inputs."""
-        table = read_table(path)
-        lacking = [name for name in self._columns if name not in table.names]
-        if lacking:
-            raise HardwareError(f"{path}: row 1: expected a column {', '.join(lacking)}, got none")
-        return table.numbers([table.names.index(name) for name in self._columns]).T
+    def rollout(self, file: str) -> Rollout:
+        """A recording in the task's frames, up to its horizon.
+
+        Raises
+        ------
+        HardwareError
+            If the file cannot be read, or has a gap.
+        """
+        pieces, horizon = self.reader.read(self._folder / file).pieces, self._task.horizon
+        if len(pieces) > 1:
+            raise HardwareError(f"{self._folder / file}: its times have a gap or a reset")
+        (whole,) = pieces
+        if whole.frames < horizon:
+            return replace(whole, failed_at=whole.frames, failure=ENDS)
+        states = whole.states[: horizon + 1]
+        return replace(whole, states=states, inputs=whole.inputs[:horizon], measured=states)

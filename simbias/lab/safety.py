@@ -163,7 +163,7 @@ class SafetyLimitedPolicy(Policy):
         self.safety_bounds = safety_bounds
         self._task = task
         self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
-        self.memory_size, self.kernel = policy.memory_size, policy.kernel
+        self.memory_size = policy.memory_size
         self._last: _SafetyLimitedController | None = None
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from simbias.core import markdown
 from simbias.core.messages import counted
+from simbias.trial.folder import Withdrawal
 from simbias.trial.summary import Outcome, TrialSummary
 
 SHOWN_ROWS = 40  # MLflow keeps 8000 characters of a note
@@ -22,14 +23,19 @@ def run_name(description: Mapping[str, Any]) -> str:
 
 
 def note(
-    description: Mapping[str, Any], rows: Sequence[Row], summary: TrialSummary | None, running: bool
+    description: Mapping[str, Any],
+    rows: Sequence[Row],
+    summary: TrialSummary | None,
+    running: bool,
+    withdrawals: Sequence[Withdrawal] = (),
 ) -> str:
-    """The verdict, the trial, and a row for each iteration (the last ones, if there are many)."""
+    """The verdict, the trial, withdrawals, and a row for each iteration, at most the last `SHOWN_ROWS`."""
     verdict = f"**{'Running' if running else 'Killed'}**, after {_count(rows, 0)}."
     parts = [
         verdict if summary is None else _verdict(rows, summary),
         f"{markdown.text(description['title'])}. Seed {description['seed']}, trial `{description['hash']}`.",
     ]
+    parts += [f"**Withdrawn**: {markdown.text(str(each))}." for each in withdrawals]
     if rows:
         parts.append(_table(rows[-SHOWN_ROWS:]))
     if len(rows) > SHOWN_ROWS:

@@ -1,17 +1,20 @@
-"""Runs of an MLflow store that trials and sweeps were exported to, found again by their hash."""
+"""Runs of an MLflow store that trials and sweeps are exported to, found again by their hash."""
 
 from __future__ import annotations
 
 import logging
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simbias.core.commands import python
 from simbias.core.errors import ConfigError
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, is_server, reaching, redact
+from simbias.mlflow.store import connect, database, file_number, is_server, reaching, redact
+from simbias.mlflow.writes import Files, Point, flush, size
+from simbias.sweep.tracking import Export
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -43,24 +46,30 @@ class Runs:
         self._away = False
         self._client: MlflowClient | None = None
         if not is_server(self.uri):
-            self.connect()
+            self._connect()
 
-    def connect(self) -> None:
-        """Reach the store.
+    def _connect(self) -> MlflowClient:
+        """Reach the store, or raise a ConfigError."""
+        self._client, self.experiment_id = connect(self.uri, self._experiment)
+        self._file = database(self.uri)
+        self._number = file_number(self._file)
+        return self._client
+
+    @property
+    def client(self) -> MlflowClient:
+        """MLflow's client of the store.
 
         Raises
         ------
         ConfigError
-            If it cannot be used.
+            If it cannot be used, or is not where it was any more, where MLflow would begin another one.
         """
-        self._client, self.experiment_id = connect(self.uri, self._experiment)
-
-    @property
-    def client(self) -> MlflowClient:
-        """MLflow's client of the store."""
         if self._client is None:
-            self.connect()
-        assert self._client is not None
+            return self._connect()
+        if file_number(self._file) != self._number:
+            raise ConfigError(
+                "tracking.uri", f"{redact(self.uri)}: the store was moved, or another put there"
+            )
         return self._client
 
     def address(self, identity: str, run_id: str) -> str:
@@ -89,23 +98,16 @@ class Runs:
         return pages.run_page(self.experiment_id, run.info.run_id)
 
     def reach(self, write: Callable[[], None], again: bool = False) -> None:
-        """Write into the store; one that fails is reported once, and left alone until `again`.
-
-        A file of a trial that cannot be read is reported too, and is no failure of the store.
-        """
+        """Write into the store; one that fails is reported once, and left alone until `again`."""
         if self._away and not again:
             return
         try:
             with reaching(self.uri):
-                write()
+                readable(write)
             self._away = False
         except ConfigError as error:
-            log = logging.getLogger(__name__)
-            if not error.key.startswith("tracking."):
-                log.warning(NOT_EXPORTED, error)
-                return
             if not self._away:
-                log.warning(AWAY, error, self._trials)
+                logging.getLogger(__name__).warning(AWAY, error, self._trials)
             self._away = True
 
     def find(self, identity: str) -> list[Run]:
@@ -113,16 +115,27 @@ class Runs:
         found = self._search(f"tags.hash = '{identity}'")
         return [run for run in found if pages.PARENT not in run.data.tags]
 
-    def nested(self, parent: str) -> dict[str, Run]:
-        """The runs of a sweep's trials by their hash."""
-        found = self._search(f"tags.`{pages.PARENT}` = '{parent}'")
-        return {run.data.tags.get("hash", ""): run for run in found}
+    def nested(self, parent: str) -> dict[str, list[Run]]:
+        """The runs of a sweep's trials by their hash, newest first."""
+        found: dict[str, list[Run]] = {}
+        for run in self._search(f"tags.`{pages.PARENT}` = '{parent}'"):
+            found.setdefault(run.data.tags.get("hash", ""), []).append(run)
+        return found
 
     def create(self, name: str, tags: Mapping[str, str], start_time: int | None = None) -> Run:
         """A new run; its start in ms since the epoch, now if None."""
         return self.client.create_run(
             self.experiment_id, run_name=name, tags=dict(tags), start_time=start_time
         )
+
+    def end(self, run: Run, status: str, end_time: int | None = None) -> None:
+        """Set a run's status, and its end in ms since the epoch, now if None, unless they are set."""
+        if run.info.status == status and end_time in (None, run.info.end_time):
+            return
+        if status == "RUNNING":
+            self.client.update_run(run.info.run_id, status=status)
+        else:
+            self.client.set_terminated(run.info.run_id, status, end_time=end_time)
 
     def _search(self, filter_string: str) -> Iterator[Run]:
         """Runs of the experiment, newest first."""
@@ -133,3 +146,73 @@ class Runs:
             token = page.token
             if not token:
                 return
+
+
+def readable(write: Callable[[], None]) -> bool:
+    """Write; a file of a trial that cannot be read is reported, and is no failure of the store."""
+    try:
+        write()
+    except ConfigError as error:
+        if error.key.startswith("tracking."):
+            raise
+        logging.getLogger(__name__).warning(NOT_EXPORTED, error)
+        return False
+    return True
+
+
+class RunExport(Export):
+    """Brings a run up to date with a folder.
+
+    Parameters
+    ----------
+    runs
+        Where it is, or will be.
+    path
+        The folder.
+    """
+
+    def __init__(self, runs: Runs, path: Path) -> None:
+        super().__init__()
+        self.runs, self.path = runs, path
+        self.run_id = ""
+        self._uploaded: dict[str, int | None] | None = None  # sizes of files among the run's artifacts
+
+    @abstractmethod
+    def write(self, final: bool = False) -> None:
+        """Write what the run lacks; `final` tells that nothing more comes.
+
+        Raises
+        ------
+        ConfigError
+            If a file of the folder cannot be read.
+        """
+
+    def update(self, final: bool = False) -> None:
+        """Bring the run up to date; `final` tries a store again that was away."""
+        self.runs.reach(lambda: self.write(final), final)
+
+    @property
+    def where(self) -> str:
+        """How a person looks at the run, or at the folder where the store is away."""
+        identity = self.path.name.rpartition("_")[2]  # a sweep's name comes before its hash
+        return self.runs.address(identity, self.run_id) if self.run_id else str(self.path)
+
+    def bring(
+        self,
+        run: Run,
+        files: Files,
+        tags: Mapping[str, str],
+        parameters: Mapping[str, str] = {},
+        metrics: Sequence[Sequence[Point]] = (),
+        again: Collection[str] = (),
+    ) -> None:
+        """Write numbers and texts; before them files that the run lacks, has in another size, or `again`."""
+        known, self._uploaded = self._uploaded, None  # is looked up again after a failure
+        if known is None:
+            folders = {name.rpartition("/")[0] for name in files} if pages.NOTE in run.data.tags else ()
+            listed = (self.runs.client.list_artifacts(run.info.run_id, folder or None) for folder in folders)
+            known = {file.path: file.file_size for some in listed for file in some}
+        sizes = {name: size(content) for name, content in files.items()}
+        lacking = {name: files[name] for name in sizes if name in again or sizes[name] != known.get(name)}
+        flush(self.runs.client, run.info.run_id, lacking, parameters, metrics, tags)
+        self._uploaded = {**known, **sizes}

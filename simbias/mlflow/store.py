@@ -32,6 +32,8 @@ OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
 SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password of an address
+ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
+MOVED = "was moved or copied: its files are in {}; delete it, and `python -m simbias export` makes it again"
 MAKING_SECONDS = 120.0  # that a process waits for another one that makes the same store
 
 
@@ -52,6 +54,11 @@ def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
         artifacts = _probe_database(uri)
         client = client_of(uri)
         return client, _experiment_id(client, experiment, artifacts)
+
+
+def file_number(file: Path | None) -> int:
+    """The file system's number of a SQLite store's file; 0 if it is gone, or there is none."""
+    return file.stat().st_ino if file is not None and file.exists() else 0
 
 
 @contextmanager
@@ -80,10 +87,12 @@ def is_server(uri: str) -> bool:
 
 
 def client_of(uri: str) -> MlflowClient:
-    """MLflow's client of a store."""
+    """MLflow's client of a store; a relative file of a SQLite store is that of today's working folder."""
     from mlflow import MlflowClient
 
-    return MlflowClient(tracking_uri=uri)
+    match, file = SQLITE.fullmatch(uri), database(uri)
+    absolute = uri if match is None else f"{uri[: match.start('file')]}{file}{uri[match.end('file') :]}"
+    return MlflowClient(tracking_uri=absolute)
 
 
 def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
@@ -100,6 +109,9 @@ def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> st
                 raise
     if known.lifecycle_stage != "active":
         raise ConfigError("tracking.experiment", f"{name} is deleted in the store; restore it")
+    location = known.artifact_location
+    if artifacts and location != artifacts and location.endswith(f"/{ARTIFACTS}"):
+        raise ConfigError("tracking.uri", MOVED.format(location))
     return known.experiment_id
 
 
@@ -112,7 +124,7 @@ def _probe_database(uri: str) -> str | None:
 
             sqlalchemy.create_engine(uri).connect().close()
         return None
-    artifacts = path.parent / "mlartifacts"
+    artifacts = path.parent / ARTIFACTS
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder {path.parent}")
     if artifacts.exists() and not artifacts.is_dir():

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
 from simbias.core.errors import ConfigError
 from simbias.core.messages import counted
-from simbias.mlflow.runs import EXPERIMENT, NOT_EXPORTED, URI, Runs
+from simbias.mlflow.runs import EXPERIMENT, URI, Runs, readable
 from simbias.mlflow.store import database, reaching
-from simbias.mlflow.sweep import MlflowSweep
+from simbias.mlflow.sweep import SweepRun
 from simbias.mlflow.trial import TrialExport
 from simbias.mlflow.ui import show
 from simbias.sweep.folder import SweepFolder, sweep_folders
@@ -62,12 +61,12 @@ class Mlflow(Tracking):
         return Runs(self._uri, self._experiment, self.folder)
 
     def export_trial(self, folder: Path) -> Export:
-        """The trial's run; it is made once the folder has something to show."""
+        """The trial's run."""
         return TrialExport(self._runs, folder)
 
     def export_sweep(self, folder: SweepFolder) -> Export:
-        """The sweep's parent run, and a nested run for each trial."""
-        return MlflowSweep(self._runs, folder)
+        """The sweep's run, and a nested run for each trial."""
+        return SweepRun(self._runs, folder)
 
     def show(self, identity: str | None, port: int | None) -> None:
         """Open MLflow at the run of this hash, or at the list of all; a local server ends with Ctrl-C.
@@ -99,20 +98,9 @@ class Mlflow(Tracking):
         with reaching(self._uri):
             for sweep in sweep_folders(self.folder):
                 about = sweep.description()
-                MlflowSweep(self._runs, sweep).write(final=True)
+                SweepRun(self._runs, sweep).write(final=True)
                 in_sweeps |= about["trials"].keys()
                 yield f"sweep {about['name']}: {counted(len(about['trials']), 'trial')}"
             alone = [folder for folder in folders if folder.name not in in_sweeps]
-            exported = sum(self._exported(folder) for folder in alone)
+            exported = sum(readable(TrialExport(self._runs, folder).write) for folder in alone)
             yield f"{counted(exported, 'trial')} in no sweep"
-
-    def _exported(self, folder: Path) -> bool:
-        """Export a trial; False, with a warning, if its folder cannot be read."""
-        try:
-            TrialExport(self._runs, folder).write()
-        except ConfigError as error:
-            if error.key.startswith("tracking."):
-                raise
-            logging.getLogger(__name__).warning(NOT_EXPORTED, error)
-            return False
-        return True

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,21 +12,20 @@ import yaml
 
 from simbias.core.records import Iteration
 from simbias.mlflow import notes
-from simbias.mlflow.pages import PARENT
-from simbias.mlflow.runs import Runs
-from simbias.mlflow.writes import Point, Writes
-from simbias.sweep.tracking import Export
+from simbias.mlflow.pages import NOTE, PARENT, run_page
+from simbias.mlflow.runs import RunExport, Runs
+from simbias.mlflow.writes import Point
 from simbias.trial.disk import LOCK, is_locked
-from simbias.trial.folder import PICTURES, TRIAL, TrialFolder
+from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.summary import Outcome, TrialSummary
 
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
 Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C is ten times as fast
-NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
 FOLDER = "trial"  # of a run's artifacts: the trial's folder
 ITERATIONS = "experiments/iterations"  # the metric that tells how many iterations are exported
+SUPERSEDED = "**Superseded**: an experiment was withdrawn; the trial goes on in [a new run]({})."
 STATUS = {Outcome.ERROR: "FAILED", Outcome.INTERRUPTED: "KILLED", Outcome.WAITING: "SCHEDULED"}
 KEY_LENGTH, VALUE_LENGTH = 250, 6000  # characters that MLflow takes
 
@@ -39,42 +36,31 @@ class Nested(NamedTuple):
     parent: str  # run
     name: str
     tags: Mapping[str, str]
-    run: Run | None  # of an earlier export
+    known: Sequence[Run]  # of earlier exports
 
 
-class TrialExport(Export):
-    """A trial's run.
+class TrialExport(RunExport):
+    """A trial's run; it is made once the trial's folder has something to show.
 
     Parameters
     ----------
     runs
         Where it is, or will be.
-    folder
-        The trial's.
+    path
+        The trial's folder.
     nested
         Its place in a sweep.
     """
 
-    def __init__(self, runs: Runs, folder: Path, nested: Nested | None = None) -> None:
-        self._runs, self._folder, self._nested = runs, TrialFolder(folder), nested
-        self._uploaded: dict[str, int | None] | None = None  # sizes of files
-        self.run_id = ""
+    def __init__(self, runs: Runs, path: Path, nested: Nested | None = None) -> None:
+        super().__init__(runs, path)
+        self._folder, self._nested = TrialFolder(path), nested
 
     def iterated(self, iteration: Iteration) -> None:
         """Bring the run up to date."""
         self.update()
 
-    def update(self, final: bool = False) -> None:
-        """Bring the run up to date with the folder; `final` tries a store again that was away."""
-        self._runs.reach(self.write, final)
-
-    @property
-    def where(self) -> str:  # type: ignore[override]
-        """How a person looks at the run, or at the folder where the store is away."""
-        path = self._folder.path
-        return self._runs.address(path.name, self.run_id) if self.run_id else str(path)
-
-    def write(self) -> None:
+    def write(self, final: bool = False) -> None:
         """Write what the run lacks: files first, so that who finds numbers finds all.
 
         Raises
@@ -82,77 +68,59 @@ class TrialExport(Export):
         ConfigError
             If a file of the folder cannot be read.
         """
-        if not (began := began_at(self._folder)):
+        folder = self._folder
+        if not (courses := began_at(folder)):
             return
-        description, iterations = self._folder.description(), self._folder.iterations()
-        summary, running = self._folder.summary(), is_locked(self._folder.path / LOCK)
-        (run_id, uploaded), self.run_id, self._uploaded = (self.run_id, self._uploaded), "", None
-        run = self._runs.client.get_run(run_id) if run_id else self._run(description, began)
-        sizes, known = self._sizes(), uploaded if uploaded is not None else self._listed(run)
-        new = [name for name in sizes if sizes[name] != known.get(name)]
-        writes = Writes(
-            files=[(name, self._copy(name)) for name in new], tags=_tags(summary) if summary else {}
-        )
-        if f"{FOLDER}/{TRIAL}" in new:
-            writes.files.append(("config.yaml", partial(write_yaml, description["config"])))
-        kept = run.data.params
-        writes.parameters = {key: each for key, each in parameters(description).items() if key not in kept}
-        writes.metrics += _new_metrics(iterations, summary, run)
-        writes.tags[NOTE] = notes.note(description, iterations, summary, running)
-        for tag in {"error", "outcome"} & run.data.tags.keys() - writes.tags.keys():
-            self._runs.client.delete_tag(run.info.run_id, tag)
-        writes.flush(self._runs.client, run.info.run_id)
-        self._end(run, summary, running)
-        self.run_id, self._uploaded = run.info.run_id, sizes  # else both are looked up again
+        description, iterations, summary = folder.description(), folder.iterations(), folder.summary()
+        running, run_id, self.run_id = is_locked(self.path / LOCK), self.run_id, ""
+        run = self.runs.client.get_run(run_id) if run_id else self._run(description, courses)
+        tags = _tags(summary) if summary else {}
+        for tag in {"error", "outcome"} & run.data.tags.keys() - tags.keys():
+            self.runs.client.delete_tag(run.info.run_id, tag)
+        tags[NOTE] = notes.note(description, iterations, summary, running, folder.withdrawals())
+        files: dict[str, Path | bytes] = {"config.yaml": as_yaml(description["config"])}
+        files |= {artifact(file.relative_to(self.path)): file for file in folder.files()}
+        given = {key: each for key, each in parameters(description).items() if key not in run.data.params}
+        self.bring(run, files, tags, given, [*_new_metrics(iterations, summary, run)])
+        status, end = "RUNNING" if running else "KILLED", None
+        if summary is not None:
+            status, end = STATUS.get(summary.outcome, "FINISHED"), int(1000 * summary.ended)
+        self.runs.end(run, status, end)
+        self.run_id = run.info.run_id  # else it is looked up again
 
-    def _run(self, description: Mapping[str, Any], began: int) -> Run:
-        """The run, a new one if need be: the same trial, begun again in a new folder, has another one."""
-        nested, known = self._nested, [self._nested.run] if self._nested and self._nested.run else []
-        found = known if nested else self._runs.find(description["hash"])
+    def _run(self, description: Mapping[str, Any], courses: Sequence[int]) -> Run:
+        """The run, a new one if need be: the same trial, begun again in a new folder, has another one.
+
+        So has a trial of which an experiment was withdrawn, as MLflow forgets no number; the run before it
+        says so.
+        """
+        runs, nested = self.runs, self._nested
+        found = nested.known if nested else runs.find(description["hash"])
         for run in found:
-            if run.info.start_time == began:
+            if run.info.start_time == courses[-1]:
                 return run
         tags = {**origin_tags(description), "hash": description["hash"]}
         if nested:
             tags |= {PARENT: nested.parent, **nested.tags}
-        return self._runs.create(nested.name if nested else notes.run_name(description), tags, began)
-
-    def _end(self, run: Run, summary: TrialSummary | None, running: bool) -> None:
-        """Set the run's status."""
-        status, outcome = "RUNNING" if running else "KILLED", None
-        if summary is not None:
-            status, outcome = STATUS.get(summary.outcome, "FINISHED"), str(summary.outcome)
-        if (run.info.status, run.data.tags.get("outcome")) == (status, outcome):
-            return
-        if status == "RUNNING":
-            self._runs.client.update_run(run.info.run_id, status=status)
-        else:
-            end = int(1000 * summary.ended) if summary else None
-            self._runs.client.set_terminated(run.info.run_id, status, end_time=end)
-
-    def _listed(self, run: Run) -> dict[str, int | None]:
-        """Sizes of the files among the run's artifacts."""
-        if not run.data.metrics and not run.data.params:  # a new one, which has none
-            return {}
-        listed, run_id = self._runs.client.list_artifacts, run.info.run_id
-        return {file.path: file.file_size for file in (*listed(run_id, FOLDER), *listed(run_id, PICTURES))}
-
-    def _sizes(self) -> dict[str, int | None]:
-        """Sizes of the folder's files by their names among the artifacts, where pictures lie apart."""
-        files = {file.relative_to(self._folder.path).as_posix(): file for file in self._folder.files()}
-        return {
-            name if name.startswith(f"{PICTURES}/") else f"{FOLDER}/{name}": file.stat().st_size
-            for name, file in files.items()
-        }
-
-    def _copy(self, name: str) -> Callable[[Path], object]:
-        """What copies a file of the folder by its name among the artifacts."""
-        return partial(shutil.copyfile, self._folder.path / name.removeprefix(f"{FOLDER}/"))
+        new = runs.create(nested.name if nested else notes.run_name(description), tags, courses[-1])
+        for run in found:
+            if run.info.start_time in courses:
+                page = run_page(runs.experiment_id, new.info.run_id)
+                note = f"{SUPERSEDED.format(page)}\n\n{run.data.tags.get(NOTE, '')}"
+                runs.client.set_tag(run.info.run_id, NOTE, note)
+                runs.client.set_tag(run.info.run_id, "outcome", "superseded")
+        return new
 
 
-def began_at(folder: TrialFolder) -> int:
-    """When a trial began, in ms since the epoch; 0 if it has not."""
-    return next((int(1000 * each["started"]) for each in folder.attempts() if "started" in each), 0)
+def artifact(file: Path) -> str:
+    """The name of a trial's file among the artifacts of its run, where pictures lie apart."""
+    return file.as_posix() if file.parts[0] == PICTURES else f"{FOLDER}/{file.as_posix()}"
+
+
+def began_at(folder: TrialFolder) -> list[int]:
+    """When the trial began, and went on after each withdrawal, ms since the epoch; empty if it has not."""
+    begun = [each["started"] for each in folder.attempts() if "started" in each][:1]
+    return [int(1000 * time) for time in (*begun, *(each.time for each in folder.withdrawals()))]
 
 
 def _new_metrics(
@@ -193,9 +161,9 @@ def _value(value: Any) -> str:
     return text if len(text) <= VALUE_LENGTH else text[: VALUE_LENGTH - 3] + "..."
 
 
-def write_yaml(config: Mapping[str, Any], path: Path) -> None:
-    """Write a config."""
-    path.write_text(yaml.dump(config, Dumper=Dumper, sort_keys=False, allow_unicode=True), encoding="utf-8")
+def as_yaml(config: Mapping[str, Any]) -> bytes:
+    """A config as a file's content."""
+    return yaml.dump(config, Dumper=Dumper, sort_keys=False, allow_unicode=True, encoding="utf-8")
 
 
 def origin_tags(description: Mapping[str, Any]) -> dict[str, str]:

@@ -33,11 +33,8 @@ def show(uri: str, page: str, port: int | None = None) -> None:
     port = port or _free_port()
     command = [sys.executable, "-m", "mlflow", "ui", "--workers", "1", "--host", HOST, "--port", str(port)]
     command += ["--backend-store-uri", uri]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with (
-        Interruption(),
-        subprocess.Popen(command, env=SPARING | os.environ, **quiet) as server,
-    ):
+    environment, nowhere = SPARING | os.environ, subprocess.DEVNULL
+    with Interruption(), subprocess.Popen(command, env=environment, stdout=nowhere, stderr=nowhere) as server:
         try:
             _wait_for(server, port)
             _open(f"http://{HOST}:{port}/{page}")

@@ -1,9 +1,9 @@
-"""What is to be written into an MLflow run: a few large writes take a fraction of many small ones' time."""
+"""Writing into an MLflow run: a few large writes take a fraction of many small ones' time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,45 +16,43 @@ BATCH = 100  # parameters that MLflow takes at once
 METRICS = 800  # metrics at once: MLflow takes 1000 of metrics, parameters and tags
 
 Point = tuple[str, float, int, float]  # name, value, step, s since the epoch
-File = tuple[str, Callable[[Path], object]]  # name, what writes it
+Files = Mapping[str, Path | bytes]  # by their names among the artifacts: what is copied, or written
 
 
-@dataclass
-class Writes:
-    """Files, parameters, metrics and tags that are written together."""
+def size(content: Path | bytes) -> int:
+    """The number of bytes that a file will have."""
+    return len(content) if isinstance(content, bytes) else content.stat().st_size
 
-    files: list[File] = field(default_factory=list)
-    parameters: dict[str, str] = field(default_factory=dict)
-    metrics: list[list[Point]] = field(default_factory=list)  # those of a list are kept together
-    tags: dict[str, str] = field(default_factory=dict)
 
-    def flush(self, client: MlflowClient, run_id: str) -> None:
-        """Write all of it: files first, so that who finds metrics finds all."""
-        from mlflow.entities import Metric, Param, RunTag
+def flush(
+    client: MlflowClient,
+    run_id: str,
+    files: Files,
+    parameters: Mapping[str, str],
+    metrics: Sequence[Sequence[Point]],
+    tags: Mapping[str, str],
+) -> None:
+    """Write all of it: files first, so that who finds metrics finds all; those of a list stay together."""
+    from mlflow.entities import Metric, Param, RunTag
 
-        self._flush_files(client, run_id)
-        parameters = [Param(key, value) for key, value in self.parameters.items()]
-        for start in range(BATCH, len(parameters), BATCH):
-            client.log_batch(run_id, params=parameters[start : start + BATCH])
-        metrics = [
-            [Metric(name, value, int(1000 * time), step) for name, value, step, time in batch]
-            for batch in _batches(self.metrics)
-        ]
-        for batch in metrics[:-1]:
-            client.log_batch(run_id, metrics=batch)
-        tags = [RunTag(key, value) for key, value in self.tags.items()]
-        client.log_batch(run_id, metrics=metrics[-1], params=parameters[:BATCH], tags=tags)
-
-    def _flush_files(self, client: MlflowClient, run_id: str) -> None:
-        """Write the files, all in one copy."""
-        if not self.files:
-            return
+    if files:
         with workplace.temporary_folder() as folder:
-            for name, write in self.files:
+            for name, content in files.items():
                 path = Path(folder, name)
                 path.parent.mkdir(exist_ok=True)
-                write(path)
+                path.write_bytes(content) if isinstance(content, bytes) else shutil.copyfile(content, path)
             client.log_artifacts(run_id, folder)
+    params = [Param(key, value) for key, value in parameters.items()]
+    for start in range(BATCH, len(params), BATCH):
+        client.log_batch(run_id, params=params[start : start + BATCH])
+    *before, last = [
+        [Metric(name, value, int(1000 * time), step) for name, value, step, time in batch]
+        for batch in _batches(metrics)
+    ]
+    for batch in before:
+        client.log_batch(run_id, metrics=batch)
+    own_tags = [RunTag(key, value) for key, value in tags.items()]
+    client.log_batch(run_id, metrics=last, params=params[:BATCH], tags=own_tags)
 
 
 def _batches(lists: Sequence[Sequence[Point]]) -> list[list[Point]]:

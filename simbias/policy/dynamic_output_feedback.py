@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated, Any, final
+from typing import Annotated, final
 
 import numpy as np
 from pydantic import Field
 
-from simbias.core import Controller, Kernel, Policy, Task
+from simbias.core import Policy, Task
 from simbias.core.records import Array
 from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
-from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.text import sum_of
 
 RATE = "/s"  # what the units of rates end with
 
@@ -22,8 +19,6 @@ IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
 DelaySeconds = Annotated[float, Field(ge=0, le=1)]
 DelayRate = Annotated[float, Field(gt=0, le=1e6)]  # 1/s
 Constant = Annotated[float, Field(ge=0, le=100)]
-
-_Parameters = tuple[Array, Array, Array, Array, Array]
 
 
 @final
@@ -96,21 +91,11 @@ class DynamicOutputFeedback(Policy):
         self.bounds = np.array(lower), np.array(upper)
         self.n_parameters = len(lower)
         self.memory_size = 2 * q + self._delay * m
-        self._control = _law(m, q, self._delay)
-        self.kernel = self._compiled
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the memory: y (q), rho w (q), last inputs (m d)."""
-        return self._ask(self._parameters(theta), x, memory)
-
-    def controller(self, theta: Array, time_step: float) -> Controller:
-        """The law with its parameters computed once."""
-        return _Loop(self, theta, time_step)
-
-    def _ask(self, parameters: _Parameters, x: Array, memory: Array) -> tuple[Array, Array]:
-        """The law, its parameters as `_parameters` has them."""
         q, m, d = self._q, self._m, self._delay
-        H, smoothing, gathering, g, u_0 = parameters
+        H, smoothing, gathering, g, u_0 = self._parameters(theta)
         z = self.outputs(x)
         before, w, past = memory[..., :q], memory[..., q : 2 * q], memory[..., 2 * q :]
         y = before + smoothing * (z - before)
@@ -145,9 +130,9 @@ class DynamicOutputFeedback(Policy):
         parts += [np.array(g)] * (self._delay > 0) + [np.array(u_0)] * self._constant
         return np.clip(np.concatenate(parts), *self.bounds)
 
-    def _parameters(self, theta: Array) -> _Parameters:
+    def _parameters(self, theta: Array) -> tuple[Array, ...]:
         """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""
-        h, rest = np.split(np.asarray(theta, dtype=np.float64), [self._m * self._q], axis=-1)
+        h, rest = np.split(theta, [self._m * self._q], axis=-1)
         leading, dt = h.shape[:-1], self._task.time_step
         smoothing, gathering = np.ones((*leading, self._q)), np.zeros((*leading, self._q))
         g = u_0 = np.zeros((*leading, self._m))
@@ -163,89 +148,3 @@ class DynamicOutputFeedback(Policy):
         if self._constant:
             u_0 = rest
         return signed_exponential(h).reshape(*leading, self._m, self._q), smoothing, gathering, g, u_0
-
-    def _compiled(self, thetas: Array) -> Kernel:
-        """The policies (k, p); parameters: the limits, H row by row, and the rest as `_parameters` has it."""
-        H, *rest = self._parameters(thetas)
-        gains = H.reshape(len(thetas), self._m * self._q)
-        limits = np.tile(np.concatenate(self._task.input_bounds), (len(thetas), 1))
-        return Kernel(self._control, np.concatenate([limits, gains, *rest], axis=1))
-
-
-class _Loop(Controller):
-    """The law, frame by frame."""
-
-    def __init__(self, policy: DynamicOutputFeedback, theta: Array, time_step: float) -> None:
-        super().__init__(policy, theta, time_step)
-        self._ask, self._parameters = policy._ask, policy._parameters(theta)
-
-    def __call__(self, x: Array) -> Array:
-        """Input u (m,) at the state x (n,)."""
-        u, self._memory = self._ask(self._parameters, x, self._memory)
-        return u
-
-
-def _law(m: int, q: int, d: int) -> Callable:
-    """The kernel of m inputs, q outputs and d frames; see `DynamicOutputFeedback.act`."""
-    smoothing, gathering, g = 2 * m + m * q, 2 * m + m * q + q, 2 * m + m * q + 2 * q  # where they begin
-    constant = g + m
-
-    def smooth(j, z, p, memory):
-        return memory[j] + p[smoothing + j] * (z[j] - memory[j])
-
-    def limit(i, u, p, memory):
-        return min(max(u[i], p[i]), p[m + i])
-
-    def exceed(i, wanted_and_sent, p, memory):
-        return wanted_and_sent[i] - wanted_and_sent[m + i]
-
-    def integrate(j, y_and_free, p, memory):
-        return memory[q + j] + p[gathering + j] * y_and_free[j] * y_and_free[q]
-
-    asked = []
-    for i in range(m):
-        gained = [f"p[{2 * m + i * q + j}] * (y[{j}] + memory[{q + j}])" for j in range(q)]
-        past = sum_of([f"memory[{2 * q + i * d + k}]" for k in range(d)])
-        asked.append(sum_of([f"p[{constant + i}]", *gained, f"p[{g + i}] * {past}"]))
-    ask_all = function_of(f"def ask(y, p, memory): return {', '.join(asked)},", "ask")
-    smooth_all, limit_all = _each(smooth, q), _each(limit, m)
-    exceed_all, integrate_all, shift = _each(exceed, m), _each(integrate, q), _shift(m, d, 2 * q)
-
-    def control(z, p, t, memory):
-        """u and the next memory."""
-        y = smooth_all(z, p, memory)
-        wanted = ask_all(y, p, memory)
-        u = limit_all(wanted, p, memory)
-        excess = 0.0
-        for difference in exceed_all(wanted + u, p, memory):
-            excess += abs(difference)
-        free = 1.0 if excess == 0.0 else 0.0
-        return u, y + integrate_all(y + (free,), p, memory) + shift(u, memory)  # noqa: RUF005 (for Numba)
-
-    return control
-
-
-def _each(element: Callable[..., Any], size: int, first: int = 0) -> Callable:
-    """A kernel that gives element(i, a, b, c) of every i below the size, as a tuple."""
-    if first == size:
-        return lambda a, b, c: ()
-    others = _each(element, size, first + 1)
-
-    def each(a, b, c):
-        """From the first of them on."""
-        return (element(first, a, b, c),) + others(a, b, c)  # noqa: RUF005 (for Numba)
-
-    return each
-
-
-def _shift(m: int, d: int, begin: int, first: int = 0) -> Callable:
-    """A kernel that gives the last d of each input, this frame's first; memory has them from an index on."""
-    if first == m:
-        return lambda u, memory: ()
-    others, end = _shift(m, d, begin + d, first + 1), begin + d - 1
-
-    def shift(u, memory):
-        """From the first input on."""
-        return ((u[first],) + memory[begin:end])[:d] + others(u, memory)  # noqa: RUF005 (for Numba)
-
-    return shift

@@ -11,8 +11,7 @@ from simbias.core import Kernel, Nominal, Task
 from simbias.core.parameters import Parameter
 from simbias.core.ranges import Acceleration, Length, Mass, NonNegative
 from simbias.core.records import Array
-from simbias.simulation.compiler.kernels import elementwise
-from simbias.simulation.compiler.trigonometry import sincos
+from simbias.simulation.compiler import elementwise, sincos
 
 
 def _rates(x, u, parameters):

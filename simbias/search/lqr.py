@@ -14,13 +14,14 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import block_diag, solve_discrete_are
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MEMORY_WEIGHT = 1e-9  # Q of what the model's memory holds
+STEADY = 0.03  # share of the limits of steady inputs that disturb records of a regulator with an integral
 NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
 STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
 RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
@@ -37,6 +38,8 @@ class Linear(NamedTuple):
     rest: Array  # s_0 (l,)
     inputs: Array  # u_0 (m,)
     states: int  # n
+    Q: Array  # (l, l) weight of s
+    steady: float = 0.0  # share of the inputs' limits of a steady disturbance in its records
 
 
 class LqrCandidates(Sequence[Array]):
@@ -67,10 +70,17 @@ class LqrCandidates(Sequence[Array]):
         return len(self._policies)
 
 
-def lqr_policies(model: Model, input_weights: Sequence[float] = INPUT_WEIGHTS) -> list[Array]:
-    """Policies (p,) that imitate the LQR of each weight; none where the model has no such."""
+def lqr_policies(
+    model: Model, input_weights: Sequence[float] = INPUT_WEIGHTS, integral_weight: float = 0.0
+) -> list[Array]:
+    """Policies (p,) that imitate the LQR of each weight; none where the model has no such.
+
+    With an integral's weight it is LQI: the integrals of what the policy integrates are states too.
+    """
     try:
         linear = linearised(model)
+        if integral_weight:
+            linear = _with_integrals(model, linear, integral_weight)
     except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
         return []
     each = [lqr_gains(linear, weight * np.diag(model.task.input_limit**-2.0)) for weight in input_weights]
@@ -110,22 +120,39 @@ def linearised(model: Model) -> Linear:
         return np.concatenate([after + model.bias.correction(states, inputs), kept], axis=-1)
 
     slopes = (following(point + steps) - following(point - steps)) / (2 * np.diag(steps)[:, None])
-    return Linear(slopes[: n + size].T, slopes[n + size :].T, point[: n + size], u, n)
+    Q = np.diag(np.concatenate([np.ones(n), np.full(size, MEMORY_WEIGHT)]))
+    return Linear(slopes[: n + size].T, slopes[n + size :].T, point[: n + size], u, n, Q)
+
+
+def _with_integrals(model: Model, linear: Linear, weight: float) -> Linear:
+    """The model with the integrals over time of what the policy integrates, behind its own states."""
+    x, step = linear.rest[: linear.states], STEP * np.eye(linear.states)
+    if not model.policy.integrated(x).size:
+        raise ValueError("the policy integrates nothing")
+    slopes = (model.policy.integrated(x + step) - model.policy.integrated(x - step)) / (2 * STEP)
+    C = np.pad(slopes.T, ((0, 0), (0, len(linear.A) - linear.states)))  # (i, l)
+    i = len(C)
+    return linear._replace(
+        A=np.block([[linear.A, np.zeros((len(linear.A), i))], [model.task.time_step * C, np.eye(i)]]),
+        B=np.pad(linear.B, ((0, i), (0, 0))),
+        rest=np.concatenate([linear.rest, np.zeros(i)]),
+        Q=block_diag(linear.Q, weight * np.eye(i)),
+        steady=STEADY,
+    )
 
 
 def lqr_gains(linear: Linear, R: Array) -> Array | None:
     """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u; None without one."""
     A, B = linear.A, linear.B
-    Q = np.diag(np.where(np.arange(len(A)) < linear.states, 1.0, MEMORY_WEIGHT))
     try:
-        S = solve_discrete_are(A, B, Q, R)
+        S = solve_discrete_are(A, B, linear.Q, R)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
 
 
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Of each K (m, l): states (k, T, n) and inputs (k, T, m) of the linear model that it regulates.
+    """Records of the linear model under each K (m, l): states (k, T, n) and inputs (k, T, m).
 
     The model begins at the task's starts, and random inputs excite it.
     """
@@ -135,6 +162,8 @@ def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple
     for one, noise in zip(s, excitation, strict=True):
         one[:, :n] = [task.draw_start(rng) - linear.rest[:n] for _ in range(RECORDS)]
         noise[:] = EXCITATION * task.input_limit * rng.standard_normal(noise.shape)
+        if linear.steady:
+            noise += linear.steady * task.input_limit * rng.standard_normal((RECORDS, m))
     states, inputs = np.empty((frames, r, RECORDS, n)), np.empty((frames, r, RECORDS, m))
     K = -np.reshape(gains, (r, m, s.shape[-1])).transpose(0, 2, 1)
     for t in range(frames):

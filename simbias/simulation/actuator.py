@@ -17,9 +17,7 @@ import numpy as np
 
 from simbias.core import Kernel
 from simbias.core.records import Array
-from simbias.simulation.compiler.compilation import compiled_as, function_of
-from simbias.simulation.compiler.kernels import elementwise
-from simbias.simulation.compiler.text import sum_of
+from simbias.simulation.compiler import compiled_as, elementwise, function_of, sum_of
 
 MOST_TAPS = 100  # frames of delay that a model may remember
 

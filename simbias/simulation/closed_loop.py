@@ -12,9 +12,9 @@ import numpy as np
 from simbias.core import Cost, Model, Simulator, SlowWarning
 from simbias.core.records import Array, Disturbance, Indices, Rollout
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.compiler.correction import corrections
-from simbias.simulation.compiler.tracing import parts_of
+from simbias.simulation.compiler import parts_of
 from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.simulation.open_loop import corrections
 
 
 def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost | None = None) -> Simulator:

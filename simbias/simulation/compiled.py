@@ -1,36 +1,39 @@
-"""Closed-loop rollouts without Python in them (Eq. 7, 9), sixteen in step on each thread."""
+"""Closed-loop rollouts without Python in them (Eq. 7, 9), sixteen in lockstep on each thread."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from simbias.core import Cost, Kernel, Model, Nominal, Task
 from simbias.core.records import Array, Disturbance, Indices, Rollout
-from simbias.simulation.compiler.fused import Composition, compiled_loop, rows
-from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import parts_of
+from simbias.simulation.compiler import (
+    Composition,
+    Function,
+    PolicyKernel,
+    compile_closed_loop,
+    in_threads,
+    of_cost,
+    parts_of,
+)
 from simbias.simulation.numpy_loop import costs_of, record
 
-NOTHING = np.empty((0, LANES))  # kept of earlier rollouts
 RECORDED = 256  # rollouts recorded at once: their records take memory
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledSimulator:
-    """The closed loop of components that all have kernels, own or traced, in one world or in several."""
+    """The closed loop of components that all have kernels, own or traced, in one scenario or in several."""
 
     task: Task
     measure: Kernel
-    output: Kernel
-    policy: Callable[[Array], Kernel]
-    memory: int  # s of the policy
-    hidden: int  # s of the nominal model
-    nominal: Kernel  # its parameters (w, .) in each world
+    policy: PolicyKernel
+    n_policy_state: int
+    n_model_state: int
+    nominal: Kernel  # its parameters (w, .) in each scenario
     bias: Kernel
     noise: Array  # (w, T+1, m+n) on the inputs and on the sensors; (w, 0, m+n) without noise
     models: tuple[Nominal, ...]  # held on to: a kernel's parameters may be addresses of what is theirs
@@ -45,22 +48,20 @@ class CompiledSimulator:
         if any(part.kernel is None for part in parts):
             return None
         task, sizes = model.task, (model.policy.memory_size, model.nominal.memory_size)
-        measure, output, policy, nominal, bias = (part.kernel for part in parts)
+        measure, policy, nominal, bias = (part.kernel for part in parts)
         rows = 0 if disturbance is None else task.horizon + 1
         noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))
         if disturbance is not None:
             noise[0, :-1, : len(task.inputs)] = disturbance.inputs
             noise[0, :, len(task.inputs) :] = disturbance.sensors
         nominal = Kernel(nominal.function, nominal.parameters[None])
-        return CompiledSimulator(
-            task, measure, output, policy, *sizes, nominal, bias, noise, (model.nominal,), cost
-        )
+        return CompiledSimulator(task, measure, policy, *sizes, nominal, bias, noise, (model.nominal,), cost)
 
     @staticmethod
     def join(simulators: Sequence[CompiledSimulator]) -> CompiledSimulator | None:
-        """Simulators in step; None if they differ in more than the nominal parameters and the noise."""
+        """Simulators in lockstep; None if they differ in more than the nominal parameters and the noise."""
         first = simulators[0]
-        if not all(map(first._runs_in_step_with, simulators)):
+        if not all(map(first._runs_in_lockstep_with, simulators)):
             return None
         parameters = np.concatenate([simulator.nominal.parameters for simulator in simulators])
         return replace(
@@ -70,144 +71,114 @@ class CompiledSimulator:
             models=tuple(model for simulator in simulators for model in simulator.models),
         )
 
-    def _runs_in_step_with(self, other: CompiledSimulator) -> bool:
-        """Whether their worlds differ in nothing but the nominal parameters' values and the noise's."""
+    def _runs_in_lockstep_with(self, other: CompiledSimulator) -> bool:
+        """Whether their scenarios differ in nothing but the nominal parameters' values and the noise's."""
         return (
             self.task is other.task
-            and self.policy == other.policy
+            and self.policy is other.policy
             and self.bias.function is other.bias.function
             and self.bias.parameters is other.bias.parameters
             and self.nominal.function is other.nominal.function
-            and self.hidden == other.hidden
+            and self.n_model_state == other.n_model_state
             and self.nominal.parameters.shape[1:] == other.nominal.parameters.shape[1:]
             and self.noise.shape[1:] == other.noise.shape[1:]
         )
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
-        """Run theta (p,) from start (n,) to failure or horizon, in the first world."""
+        """Run theta (p,) from start (n,) to failure or horizon, in the first scenario."""
         return self.rollouts(theta[None], start[None])[0]
 
-    def rollouts(self, thetas: Array, starts: Array, worlds: Indices | None = None) -> list[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n) in its world of (k,), on all threads."""
+    def rollouts(self, thetas: Array, starts: Array, scenarios: Indices | None = None) -> list[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,), on all threads."""
         task, rollouts = self.task, []
         for first in range(0, len(thetas), RECORDED):
             some = slice(first, first + RECORDED)
-            own = None if worlds is None else worlds[some]
-            made = self._run(self.cost, True, thetas[some], starts[some], own)
-            each = zip(made.states, made.inputs, made.frames.tolist(), made.violated.tolist(), strict=True)
+            own = None if scenarios is None else scenarios[some]
+            batch = self._run(self.cost, True, thetas[some], starts[some], own)
+            each = zip(
+                batch.states, batch.inputs, batch.frames.tolist(), batch.violated.tolist(), strict=True
+            )
             rollouts += [record(task.criteria, *one) for one in each]
         return rollouts
 
     def costs(
-        self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None
+        self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices | None = None
     ) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of these rollouts; nothing is recorded if the cost has a kernel."""
-        if cost.kernel is None:
-            return costs_of(cost, self.rollouts(thetas, starts, worlds))
-        made = self._run(cost, False, thetas, starts, worlds)
-        return made.costs(cost, self.task.horizon), made.frames
+        """Costs and frames (k,) of these rollouts; nothing is recorded if its terms can be traced."""
+        if not self.sums_up(cost):
+            return costs_of(cost, self.rollouts(thetas, starts, scenarios))
+        batch = self._run(cost, False, thetas, starts, scenarios)
+        return batch.costs(cost, self.task.horizon), batch.frames
+
+    def sums_up(self, cost: Cost) -> bool:
+        """Whether the terms of a cost can be traced."""
+        return of_cost(cost, self.task).kernel is not None
 
     def _run(
-        self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, worlds: Indices | None
-    ) -> Made:
-        """Rollouts, recorded or not; the cost's kernel sums them up, if it has one."""
-        k = len(thetas)
-        made = Made.of(k, cost, self.task, recorded)
+        self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, scenarios: Indices | None
+    ) -> RolloutBatch:
+        """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
+        k, task = len(thetas), self.task
+        batch = RolloutBatch.of(k, cost, task, recorded)
         if recorded:
-            made.states[:, 0] = starts
-        policy = self.policy(np.asarray(thetas, dtype=np.float64))
-        loop, _ = self.loop(policy, cost)
-        each = (
-            np.ascontiguousarray(policy.parameters),
-            np.zeros(k, np.int64) if worlds is None else worlds,
+            batch.states[:, 0] = starts
+        terms = of_cost(cost, task).kernel if cost else None
+        loop = partial(
+            compile_closed_loop(self._composition(terms, cost)),
+            *(task.horizon, task.time_step, np.array([criterion.limit for criterion in task.criteria])),
+            *(self.measure.parameters, self.policy.constants),
+            self.policy.parameters(np.asarray(thetas, dtype=np.float64)),
+            *(self.nominal.parameters, self.bias.parameters, terms.parameters if terms else np.empty(0)),
+            self.noise.reshape(-1, len(task.inputs) + len(task.states)),
+            np.zeros(k, np.int64) if scenarios is None else scenarios,
             np.ascontiguousarray(starts, dtype=np.float64),
-            *made.arrays,
+            *(batch.states, batch.inputs, batch.totals, batch.frames, batch.violated),
         )
+        in_threads(loop, k)
+        return batch
 
-        def run(begin: int, end: int) -> None:
-            loop(*(array[begin:end] for array in each), end - begin, 0, NOTHING)
-
-        in_threads(run, k)
-        return made
-
-    def loop(self, policy: Kernel, cost: Cost | None) -> tuple[Callable[..., None], int]:
-        """The compiled loop, as a function of what differs between its calls, and the rows of its lanes."""
-        task, composition = self.task, self._composition(policy, cost)
-        compiled = compiled_loop(composition)
-        limits = np.array([criterion.limit for criterion in task.criteria])
-        noise = self.noise.reshape(-1, len(task.inputs) + len(task.states))
-        weights = cost.kernel.parameters if cost and cost.kernel else np.empty(0)
-
-        def loop(policies: Array, worlds: Indices, starts: Array, *rest: Any) -> None:
-            compiled(
-                task.horizon, task.time_step, limits,
-                self.measure.parameters, self.output.parameters, policies, self.nominal.parameters,
-                self.bias.parameters, weights, noise, worlds, starts, *rest,
-            )  # fmt: skip
-
-        return loop, rows(composition)
-
-    def _composition(self, policy: Kernel, cost: Cost | None) -> Composition:
+    def _composition(self, terms: Kernel | None, cost: Cost | None) -> Composition:
         """What is compiled."""
-        task, bias, total = self.task, self.bias, cost.kernel if cost else None
+        task, policy = self.task, self.policy
         return Composition(
-            measure=self.measure.function,
-            output=self.output.function,
-            control=policy.function,
-            step=self.nominal.function,
-            correct=bias.function,
-            total=total.function if total else None,
-            states=len(task.states),
-            inputs=len(task.inputs),
+            measure=Function.of(self.measure),
+            control=Function(policy.function, len(policy.constants)),
+            step=Function.of(self.nominal),
+            correct=Function.of(self.bias),
+            terms=Function.of(terms) if terms else None,
+            n=len(task.states),
+            m=len(task.inputs),
             criteria=len(task.criteria),
-            totals=cost.totals if cost else 0,
-            memory=self.memory,
-            hidden=self.hidden,
-            measure_parameters=len(self.measure.parameters),
-            output_parameters=len(self.output.parameters),
-            policy_parameters=policy.parameters.shape[1],
-            nominal_parameters=self.nominal.parameters.shape[1],
-            bias_parameters=0 if isinstance(bias.parameters, tuple) else len(bias.parameters),
-            cost_parameters=len(total.parameters) if total else 0,
+            policy_parameters=policy.size,
+            n_policy_state=self.n_policy_state,
+            n_model_state=self.n_model_state,
+            reductions=cost.reductions if cost and terms else (),
             noisy=self.noise.shape[1] > 0,
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
-    """What became of k rollouts."""
+class RolloutBatch:
+    """Records and costs of k rollouts, as the loop fills them."""
 
     states: Array  # (k, T+1, n), or nothing if they are not recorded
     inputs: Array  # (k, T, m), likewise
-    totals: Array  # (k, s) of the cost
-    frames: Indices  # (k,), -1 of those that have not ended
+    totals: Array  # (k, s) of the cost's terms
+    frames: Indices  # (k,)
     violated: Indices  # (k,) criterion that ended it, -1 at the horizon
 
     @staticmethod
-    def of(k: int, cost: Cost | None, task: Task, recorded: bool = False) -> Made:
-        """Nothing yet, of k rollouts that are to be summed up and recorded, or not."""
+    def of(k: int, cost: Cost | None, task: Task, recorded: bool) -> RolloutBatch:
+        """Arrays for k rollouts."""
         rows = k if recorded else 0
-        return Made(
+        return RolloutBatch(
             np.empty((rows, task.horizon + 1, len(task.states))),
             np.empty((rows, task.horizon, len(task.inputs))),
-            np.zeros((k, cost.totals if cost else 0)),
+            np.zeros((k, len(cost.reductions) if cost else 0)),
             np.full(k, -1),
             np.full(k, -1),
         )
 
-    @property
-    def arrays(self) -> tuple[Any, ...]:
-        """In the order of the loop's arguments."""
-        return self.states, self.inputs, self.totals, self.frames, self.violated
-
-    def part(self, some: Sequence[int]) -> Made:
-        """A copy of what became of some rollouts, none of them recorded."""
-        return Made(self.states, self.inputs, self.totals[some], self.frames[some], self.violated[some])
-
-    def put(self, some: Sequence[int], part: Made) -> None:
-        """Put such a part back."""
-        self.totals[some], self.frames[some], self.violated[some] = part.totals, part.frames, part.violated
-
     def costs(self, cost: Cost, horizon: int) -> Array:
-        """Costs (k,), of the totals of a cost's kernel."""
+        """Costs (k,) of the totals."""
         return cost.of_totals(self.totals, np.where(self.violated < 0, 0, horizon - self.frames))

@@ -7,24 +7,23 @@ of successive frames: they hold what single noisy frames say, in fewer numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import partial
 
 import numpy as np
-from numba import njit
 
 from simbias.core import FittedBias, Kernel, Nominal
 from simbias.core.records import Array, Indices, Rollout
-from simbias.simulation.compiler.compilation import OPTIONS, Compilation
-from simbias.simulation.compiler.correction import for_all_lanes
-from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.open_loop_template import TEMPLATE
-from simbias.simulation.compiler.points import Points
-from simbias.simulation.compiler.text import assign, indent, tuple_of
-from simbias.simulation.compiler.threads import in_threads
-from simbias.simulation.compiler.tracing import of_bias, of_nominal
+from simbias.simulation.compiler import (
+    Function,
+    Points,
+    compile_open_loop,
+    in_threads,
+    of_bias,
+    of_nominal,
+    zero,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,44 +98,55 @@ class World:
     offset: Array | None = None  # (n,) added to the state at the beginning of each window
 
 
-def predict(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
-    """Means (k, w, J, n) over each chunk as each of k worlds predicts it; they share the bias."""
+def predict(models: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
+    """Means (k, w, J, n) over each chunk as each of k models predicts it; they share the bias."""
     if not len(windows):
-        return np.zeros((len(worlds), *windows.means.shape))
-    points = Points.among(windows.states, windows.inputs)
-    kernels = [of_nominal(world.nominal, points).kernel for world in worlds]
-    correct = None if bias is None else of_bias(bias, points).kernel
-    if any(kernel is None or kernel.function is not kernels[0].function for kernel in kernels):
-        return plain(worlds, windows, bias)
-    if bias is not None and correct is None:
-        return plain(worlds, windows, bias)
-    return _compiled(worlds, windows, kernels, correct)
+        return np.zeros((len(models), *windows.means.shape))
+    n, points = windows.states.shape[1], Points.among(windows.states, windows.inputs)
+    kernels = [of_nominal(model.nominal, points).kernel for model in models]
+    correct = zero(n) if bias is None else of_bias(bias, points).kernel
+    if correct is None or any(each is None or each.function is not kernels[0].function for each in kernels):
+        return plain(models, windows, bias)
+    offsets = [np.zeros(n) if model.offset is None else model.offset for model in models]
+    return _compiled(
+        windows,
+        Kernel(kernels[0].function, np.array([kernel.parameters for kernel in kernels])),
+        correct,
+        np.array([model.weight for model in models]),
+        np.array(offsets),
+        models[0].nominal.memory_size,
+    )
 
 
 def _compiled(
-    worlds: Sequence[World], windows: Windows, kernels: Sequence[Kernel], correct: Kernel | None
+    windows: Windows, step: Kernel, correct: Kernel, weights: Array, offsets: Array, n_model_state: int
 ) -> Array:
-    """Without Python, in lanes and threads."""
-    n, m, hidden = windows.states.shape[1], windows.inputs.shape[1], worlds[0].nominal.memory_size
-    parameters = np.array([kernel.parameters for kernel in kernels])
-    step = kernels[0].function
-    loop = compiled_open_loop(Composition.of(step, correct, n, m, hidden, parameters.shape[1]))
+    """Means (k, w, J, n) of k models, by kernels: in lanes and threads."""
+    n, m = windows.states.shape[1], windows.inputs.shape[1]
     chunks = windows.frames // windows.chunk
-    means = np.empty((len(worlds), chunks.sum(), n))
-    offsets = np.array([np.zeros(n) if world.offset is None else world.offset for world in worlds])
-    weights = np.array([world.weight for world in worlds])
-    first_chunks = np.cumsum([0, *chunks])[:-1]
-    given = correct.parameters if correct else np.empty(0)
+    means = np.empty((len(weights), chunks.sum(), n))
+    loop = partial(
+        compile_open_loop(Function.of(step), Function.of(correct), n, m, n_model_state),
+        *(windows.window, windows.chunk, step.parameters, correct.parameters, weights, offsets),
+        *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
+        *(windows.states, windows.inputs, means),
+    )
+    in_threads(loop, len(weights) * len(windows.firsts))
+    return means.reshape(len(weights), len(windows), windows.window // windows.chunk, n)
 
-    def run(begin: int, end: int) -> None:
-        loop(
-            windows.window, windows.chunk, parameters, given, weights, offsets,
-            windows.firsts, windows.leads, windows.frames, first_chunks, windows.states, windows.inputs,
-            begin, end, means,
-        )  # fmt: skip
 
-    in_threads(run, len(worlds) * len(windows.firsts))
-    return means.reshape(len(worlds), len(windows), windows.window // windows.chunk, n)
+def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
+    """What a bias adds (k, n) at x (k, n), u (k, m): compiled if that takes linear algebra and has a kernel.
+
+    It is what a model whose steps are zero predicts, of k experiments of one frame.
+    """
+    if bias.kernel is None or not Function.of(bias.kernel).takes_all_lanes:
+        return bias.correction(x, u)
+    k, n = x.shape
+    once, rows = np.ones(k, np.int64), np.arange(k)
+    windows = Windows(*map(np.ascontiguousarray, (x, u)), rows, 0 * once, once, window=1, chunk=1)
+    step = Kernel(zero(n).function, np.zeros((1, n)))
+    return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)), 0)[0, :, 0]
 
 
 def plain(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
@@ -164,85 +174,3 @@ def memories(nominal: Nominal, windows: Windows) -> Array:
             rows = slice(first - lead, first + frames)
             kept[rows] = nominal.memories(windows.states[rows], windows.inputs[rows])
     return kept[windows.starts]
-
-
-@dataclass(frozen=True)
-class Composition:
-    """Kernels of an open loop, and the sizes of what they take."""
-
-    step: Callable
-    correct: Callable | None
-    states: int  # n
-    inputs: int  # m
-    hidden: int  # s of the nominal model
-    nominal_parameters: int
-    bias_parameters: int
-
-    @staticmethod
-    def of(step: Callable, bias: Kernel | None, n: int, m: int, hidden: int, nominal: int) -> Composition:
-        """Of a nominal model's kernel and a bias'."""
-        if bias is None:
-            return Composition(step, None, n, m, hidden, nominal, 0)
-        size = 0 if isinstance(bias.parameters, tuple) else len(bias.parameters)
-        return Composition(step, bias.function, n, m, hidden, nominal, size)
-
-    @property
-    def corrects_all_lanes(self) -> bool:
-        """Whether the bias is a kernel for all lanes."""
-        return self.correct is not None and for_all_lanes(self.correct)
-
-
-def source(c: Composition) -> str:
-    """The text of a composition's loop."""
-    n, m = c.states, c.inputs
-    sizes = {"x": n, "u": m, "correction": n, "total": n, "nominal": c.nominal_parameters, "weight": 1}
-    sizes |= {"hidden": c.hidden}
-    ends = np.cumsum(list(sizes.values())).tolist()
-    rows = [f"lanes = zeros(({ends[-1]}, {LANES}))"]
-    rows += [
-        f"{name} = lanes[{end - size}:{end}]" for (name, size), end in zip(sizes.items(), ends, strict=True)
-    ]
-    parameters = tuple_of("nominal[{}, lane]", c.nominal_parameters)
-    advance = [f"y = step(x_, u_, {parameters})"]
-    if c.hidden:
-        advance = [
-            f"y, kept = step(x_, u_, {parameters}, {tuple_of('hidden[{}, lane]', c.hidden)})",
-            *assign("hidden", "kept", c.hidden),
-        ]
-    constants: list[str] = []
-    x_new = "y[{0}]"
-    if c.corrects_all_lanes:
-        x_new = "y[{0}] + weight[0, lane] * correction[{0}, lane]"
-    elif c.correct:
-        constants = [f"bias_data = {tuple_of('bias_parameters[{}]', c.bias_parameters)}"]
-        advance.append("d = correct(x_, u_, bias_data)")
-        x_new = "y[{0}] + weight[0, lane] * d[{0}]"
-    settle = [f"x_new = {tuple_of(x_new, n)}", *assign("x", "x_new", n)]
-    settle += [f"total[{i}, lane] += x_new[{i}]" for i in range(n)]
-    return TEMPLATE.format(
-        n=n,
-        m=m,
-        LANES=LANES,
-        nominal=c.nominal_parameters,
-        hidden=c.hidden,
-        rows=indent(rows, 4),
-        constants=indent(constants, 4),
-        correct_all="correct(x, u, bias_parameters, correction)" if c.corrects_all_lanes else "",
-        x=tuple_of("x[{}, lane]", n),
-        u=tuple_of("u[{}, lane]", m),
-        advance=indent(advance, 12),
-        settle=indent(settle, 12),
-    )
-
-
-@lru_cache(maxsize=64)
-def compiled_open_loop(c: Composition) -> Any:
-    """The composition's loop, ready to be called."""
-    compilation = Compilation()
-    names = {"step": compilation.compiled(c.step)}
-    if c.correct:
-        names["correct"] = compilation.compiled(c.correct, inline=not c.corrects_all_lanes)
-    module: Any = compilation.module(source(c), **names, zeros=np.zeros, int64=np.int64, nan=np.nan)
-    if not hasattr(module, "compiled"):
-        module.compiled = njit(**OPTIONS, cache=True)(module.open_loop)
-    return module.compiled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NotRequired, Required
@@ -12,43 +13,49 @@ from simbias.config.components import validate
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [
         *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
-        *("hardware_seconds", "test_episodes", "long_success_rate", "long_seconds"),
-        *("trials", "succeeded", "mean", "low", "high", "success_rate", "reliable", "paper"),
+        *("hardware_seconds", "test_episodes", "lasting_episodes", "long_success_rate", "long_seconds"),
+        *("trials", "succeeded", "mean", "low", "high", "success_rate", "reliable", "tested"),
+        *("holding", "paper"),
     ]
 )
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A dimension of the grid: points that each set the same keys."""
+    """A dimension of the grid: points that each set some keys."""
 
     name: str
-    keys: tuple[str, ...]
-    values: tuple[tuple[Any, ...], ...]  # of each point, in the order of the keys
+    points: tuple[Mapping[str, Any], ...]  # values by key; a key that the config lacks has a + before it
     labels: tuple[str, ...]  # of each point
     texts: tuple[tuple[str, ...], ...]  # of each point, a text for each column of a table
-    added: frozenset[str] = frozenset()  # keys that the config lacks, with a + in the YAML
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All that any point sets."""
+        return tuple(dict.fromkeys(key.lstrip("+") for point in self.points for key in point))
 
     @property
     def numeric(self) -> bool:
         """Whether its labels are its values, and these are numbers."""
-        numbers = (isinstance(value, int | float) for point in self.values for value in point)
-        own = all(label == join(value) for label, value in zip(self.labels, self.values, strict=True))
+        values = [list(point.values()) for point in self.points]
+        numbers = (isinstance(value, int | float) for point in values for value in point)
+        own = all(label == join(value) for label, value in zip(self.labels, values, strict=True))
         return own and all(numbers)
-
-    def settings(self, index: int) -> dict[str, Any]:
-        """What a point sets; keys that the config lacks begin with +, as in an override."""
-        names = (f"+{key}" if key in self.added else key for key in self.keys)
-        return dict(zip(names, self.values[index], strict=True))
 
 
 def read_axis(name: str, spec: Any) -> Axis:
-    """An axis from `key: [value, ...]` or `name: {keys, values, labels}`."""
+    """An axis: `key: [value, ...]`, `name: {keys, values, labels}` or `name: {points}`.
+
+    The points are values by key, by label; not all need to set the same keys.
+    """
     where = f"sweep.axes.{name}"
     if name in RESERVED - {"seed"}:
         raise ConfigError(where, "an axis may not have this name: tables have a column of this name")
     if not isinstance(spec, Mapping):
         spec = {"keys": name, "values": spec}
+    if "points" in spec:
+        points = validate(spec, {"points": Required[dict[str, dict[str, Any]]]}, where)["points"]
+        return _checked(Axis(name, tuple(points.values()), tuple(points), tuple((text,) for text in points)))
     fields = {
         "keys": Required[str | list[str]],
         "values": Required[list[Any]],
@@ -60,21 +67,26 @@ def read_axis(name: str, spec: Any) -> Axis:
     if not checked["keys"]:
         raise ConfigError(where, "has no keys")
     one = isinstance(checked["keys"], str)
-    written = (checked["keys"],) if one else tuple(checked["keys"])
-    keys = tuple(key.lstrip("+") for key in written)
-    values = tuple((value,) if one else _tuple(value, len(keys), where) for value in checked["values"])
+    written = [re.sub(r"^\++", "+", key) for key in ([checked["keys"]] if one else checked["keys"])]
+    values = [(value,) if one else _tuple(value, len(written), where) for value in checked["values"]]
     labels = tuple(map(label, checked.get("labels", map(join, values))))
-    if not values:
-        raise ConfigError(where, "has no values")
     if len(labels) != len(values):
         raise ConfigError(where, f"has {len(labels)} labels for {len(values)} values")
-    if not all(text.isprintable() for text in (name, *labels)):
-        raise ConfigError(where, "has a name or label with letters that cannot be printed")
-    if len(set(labels)) != len(labels):
-        raise ConfigError(where, f"has the same value or label twice: {', '.join(labels)}")
     texts = [[text] for text in labels] if one or "labels" in checked else [map(label, v) for v in values]
-    added = frozenset(key for key, text in zip(keys, written, strict=True) if key != text)
-    return Axis(name, keys, values, labels, tuple(map(tuple, texts)), added)
+    points = tuple(dict(zip(written, value, strict=True)) for value in values)
+    return _checked(Axis(name, points, labels, tuple(map(tuple, texts))))
+
+
+def _checked(axis: Axis) -> Axis:
+    """The axis, if its points can be told apart and drawn."""
+    where = f"sweep.axes.{axis.name}"
+    if not axis.points:
+        raise ConfigError(where, "has no values")
+    if not all(text.isprintable() for text in (axis.name, *axis.labels)):
+        raise ConfigError(where, "has a name or label with letters that cannot be printed")
+    if len(set(axis.labels)) != len(axis.labels):
+        raise ConfigError(where, f"has the same value or label twice: {', '.join(axis.labels)}")
+    return axis
 
 
 def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:

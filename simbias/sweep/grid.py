@@ -18,8 +18,10 @@ from simbias.config.allowed import Own
 from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED, overridden
 from simbias.core import Task
+from simbias.core.ranges import Share
 from simbias.sweep.axes import Axis, label, read_axis
 from simbias.sweep.figure import SweepFigure
+from simbias.sweep.statistics import BAR
 
 MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
@@ -31,6 +33,7 @@ Measure = Literal[
     "hardware_seconds",
     "success_rate",
     "reliable",
+    "holds",
     "long_success_rate",
     "paper",
 ]
@@ -46,6 +49,7 @@ class Report:
     columns: str | None  # the axis whose points stand side by side
     measures: tuple[Measure, ...]  # of each cell
     paper: Mapping[tuple[str, ...], float]  # labels of a cell -> the paper's mean number of experiments
+    bar: float = BAR  # share of starts that a policy has to hold, by the bound of its test episodes
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,7 @@ def _specification(base: Composition) -> dict[str, Any]:
     fields = {
         "trials": Required[Annotated[int, Field(gt=0, le=MOST_TRIALS)]],
         "axes": Required[dict[str, Any]],
+        "suite": NotRequired[dict[str, Any]],  # what axes refer to by interpolation
         "common_seeds": NotRequired[list[str]],
         "dry_run": NotRequired[bool],
         "report": NotRequired[dict[str, Any]],
@@ -170,7 +175,7 @@ def _specification(base: Composition) -> dict[str, Any]:
 
 def _check_size(axes: Sequence[Axis], trials: int) -> None:
     """Refuse a sweep that nobody can mean, before it is expanded."""
-    cells = math.prod(len(axis.values) for axis in axes)
+    cells = math.prod(len(axis.points) for axis in axes)
     if cells * trials > MOST_TRIALS:
         problem = f"{cells} cells of {trials} trials are more than {MOST_TRIALS} trials"
         raise ConfigError("sweep.trials", problem)
@@ -212,12 +217,12 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
     """Every combination of the axes' points."""
     known: dict[str, tuple[str, ...]] = {}
     identities: dict[str, str] = {}  # by the settings that seeds are made of
-    for point in itertools.product(*(range(len(axis.values)) for axis in axes)):
+    for point in itertools.product(*(range(len(axis.points)) for axis in axes)):
         settings: dict[str, Any] = {}
         seeding: dict[str, Any] = {}
         for axis, index in zip(axes, point, strict=True):
-            settings |= axis.settings(index)
-            seeding |= {} if axis.name in common_seeds else axis.settings(index)
+            settings |= axis.points[index]
+            seeding |= {} if axis.name in common_seeds else axis.points[index]
         composition = _composed(variations, settings, axes)
         labels = tuple(axis.labels[index] for axis, index in zip(axes, point, strict=True))
         twin = known.setdefault(composition.group_hash, labels)
@@ -248,6 +253,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
         "columns": NotRequired[str | None],
         "measures": NotRequired[list[Measure]],
         "paper": NotRequired[dict[Any, Any]],
+        "bar": NotRequired[Share],
     }
     checked = validate(spec, fields, "sweep.report")
     columns = checked.get("columns")
@@ -261,7 +267,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
                 "sweep.report.paper", f"must have a number for labels of {', '.join(names)}: {labels}"
             )
     measures = checked.get("measures", ["experiments", "succeeded", *(["paper"] if paper else [])])
-    return Report(columns, tuple(measures), paper)
+    return Report(columns, tuple(measures), paper, checked.get("bar", BAR))
 
 
 def _figures(specs: Mapping[str, Any], cells: Sequence[Cell], own: Own) -> Iterator[tuple[str, SweepFigure]]:

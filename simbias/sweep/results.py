@@ -5,6 +5,7 @@ It has a row for each trial, with a column for each of the sweep's axes and `has
 without success all that the method may make, 2 x N_out = 20 by Table I), `iterations` (likewise), `seconds`
 (wall time), `hardware_seconds` (duration of its experiments) and `raised` (its error). Where its last policy
 was tested, `test_episodes` has a 1 for each episode in which it succeeds and a 0 for each other,
+`lasting_episodes` a 1 for each that lasts to its own end,
 `long_success_rate` is the share of long episodes in which it lasts to the end, and `long_seconds` how long it
 does on average.
 """
@@ -27,11 +28,11 @@ from simbias.trial.summary import Outcome, TrialSummary
 DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
-EPISODES = "test_episodes"
+EPISODES = ("test_episodes", "lasting_episodes")
 # Columns that some published results lack, and what stands there then.
 LATER: Mapping[str, Any] = {
     "hardware_seconds": nan,
-    EPISODES: "",
+    **dict.fromkeys(EPISODES, ""),
     "long_success_rate": nan,
     "long_seconds": nan,
 }
@@ -46,9 +47,9 @@ def of_folders(
     A folder that cannot be read counts as none; `damaged` is called with the error that names it.
     """
     rows = {}
-    for trial in sweep.trials if trials else ():
+    for trial in sweep.trials:
         try:
-            summary = TrialFolder(trials / trial.hash).summary()
+            summary = TrialFolder(trials / trial.hash).summary() if trials else None
         except ConfigError as error:
             damaged(error)
             continue
@@ -75,7 +76,8 @@ def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
         "iterations": summary.iterations_until_success,
         "seconds": summary.seconds,
         "hardware_seconds": summary.hardware_seconds,
-        EPISODES: summary.test_episodes,
+        "test_episodes": summary.test_episodes,
+        "lasting_episodes": summary.lasting_episodes,
         "long_success_rate": summary.long_success_rate,
         "long_seconds": summary.long_seconds,
         "raised": summary.reason,
@@ -99,8 +101,8 @@ def published(sweep: Sweep) -> pd.DataFrame:
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")
-    numbers = (*COUNTS, "seconds", *(name for name in LATER if name != EPISODES))
-    types = {**dict.fromkeys((*names, EPISODES), str), **dict.fromkeys(numbers, float)}
+    numbers = (*COUNTS, "seconds", *(name for name in LATER if name not in EPISODES))
+    types = {**dict.fromkeys((*names, *EPISODES), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
     trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})

@@ -136,7 +136,8 @@ def run_sweep(
 def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
     """Trials with their results, as they end."""
     trials = state.missing
-    plans, cells = [state.plan(trial) for trial in trials], {trial.cell.identity: trial for trial in trials}
+    plans = [state.plan(trial, trials_engine.shares_disk) for trial in trials]
+    cells = {trial.cell.identity: trial for trial in trials}
     code = partial(packed, [trial.composition for trial in cells.values()])
     with stopping_workers(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
@@ -153,8 +154,9 @@ def changed_trials(sweep: Sweep, store: Tracking) -> str:
         folder = TrialFolder(store.folder / trial.hash)
         if folder.ended:
             finished += 1
-            study = studies.setdefault(trial.cell.identity, build(trial.composition))
-            if study.composition.code and (modules := changed_code(folder.description(), study)):
+            if trial.cell.identity not in studies:
+                studies[trial.cell.identity] = build(trial.composition)
+            if modules := changed_code(folder.description(), studies[trial.cell.identity]):
                 found.append(modules)
     if not found:
         return ""

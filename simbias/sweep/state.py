@@ -19,7 +19,7 @@ from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
-from simbias.sweep.worker import Plan, Result, pack, unpack
+from simbias.sweep.worker import GONE, Plan, Result, pack, unpack
 from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.origin import provenance
 from simbias.trial.run import TrialRecord, read_trial
@@ -91,19 +91,22 @@ class SweepState:
         ended = set(self.finished["hash"])
         return [trial for trial in self._sweep.trials if trial.hash not in ended]
 
-    def plan(self, trial: Trial) -> Plan:
-        """All that a worker needs of a trial."""
+    def plan(self, trial: Trial, shares_disk: bool) -> Plan:
+        """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
         if folder is None:
             return Plan(trial.composition)
-        kept = pack(folder) if TrialFolder(folder).steps() else b""
+        marker = "" if shares_disk else str(self._marker)
+        kept = pack(folder) if marker and TrialFolder(folder).steps() else b""
         pictures = _pictures(trial.repetition, self._store)
-        return Plan(trial.composition, str(folder.absolute()), str(self._marker), kept, pictures)
+        return Plan(trial.composition, str(folder.absolute()), marker, kept, pictures)
 
     def keep(self, trial: Trial, result: Result) -> None:
         """Note a trial that ended or stopped, and export it."""
         folder, summary = self._store.trial_folder(trial.hash), result.summary
         if folder is not None and result.packed:
+            if not self._marker.exists():
+                raise ConfigError("tracking", GONE.format(folder.parent))
             unpack(result.packed, folder)
         self._rows.pop(trial.hash, None)  # of an attempt that raised
         if summary.outcome in results.SHOWN:

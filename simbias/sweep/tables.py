@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from itertools import zip_longest
 from math import isnan, nan
 from typing import Any, NamedTuple
 
@@ -13,17 +11,16 @@ import numpy as np
 import pandas as pd
 
 from simbias.core.markdown import text
+from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
+from simbias.sweep.statistics import holds, interval
 
-RESAMPLES = 10_000
-AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
-CONFIDENCE = 0.95
 BLANK = "–"  # noqa: RUF001  where there is no number
 RELIABLE = 0.9  # success rate from which a policy counts as reliable
 MEASURES = (
     *("trials", "succeeded", "raised", "mean", "low", "high", "iterations", "hardware_seconds"),
-    *("success_rate", "reliable", "long_success_rate", "paper"),
+    *("success_rate", "reliable", "tested", "holding", "long_success_rate", "paper"),
 )
 
 
@@ -34,22 +31,6 @@ class Layout(NamedTuple):
     body: list[list[str]]
 
 
-def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
-    return _interval(tuple(sorted(values))) if len(values) > 1 else (nan, nan)
-
-
-@lru_cache(maxsize=1000)
-def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
-    """Of values in order; notes, tables and figures of a sweep ask for the same ones."""
-    rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
-    for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
-        some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(means, [tail, 100.0 - tail])
-    return float(low), float(high)
-
-
 def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     """A row for each cell of the grid, in its order: the axes' labels and the MEASURES.
 
@@ -57,31 +38,23 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
     trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
     none. Means too are `hardware_seconds`, `success_rate`, the share of test episodes in which the last
-    policies succeed (of those in which any of the sweep's does), `reliable`, the share of trials in which
-    this is at least RELIABLE, and `long_success_rate`, the share of long test episodes that last to their
-    end.
+    policies succeed, `reliable`, the share of trials in which this is at least RELIABLE, and
+    `long_success_rate`, the share of long test episodes that last to their end. Of `tested` last policies,
+    `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)
-    paper, possible = sweep.report.paper, attainable(trials)
-    rows = [[*labels, *_measures(own, possible), paper.get(labels, nan)] for labels, own in trials_of.items()]
+    report = sweep.report
+    rows = [
+        [*labels, *_measures(own, report.bar), report.paper.get(labels, nan)]
+        for labels, own in trials_of.items()
+    ]
     return pd.DataFrame(rows, columns=[*names, *MEASURES])
 
 
-def attainable(trials: pd.DataFrame) -> list[bool]:
-    """Test episodes, the same for all trials, in which any last policy succeeds; all, if none does.
-
-    So episodes in which nobody could succeed count against no policy. What one policy of a sweep does is
-    possible; the reverse is a guess, which more trials make better.
-    """
-    tested = [text for text in trials["test_episodes"] if text]
-    possible = [any(each == "1" for each in episodes) for episodes in zip_longest(*tested)]
-    return possible if any(possible) else [True] * len(possible)
-
-
-def _measures(trials: Sequence[Mapping[str, Any]], possible: Sequence[bool]) -> list[float]:
+def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     """The measures of a cell but the last."""
     outcomes = [trial["outcome"] for trial in trials]
     ended = [trial for trial in trials if trial["outcome"] != "error"]
@@ -92,15 +65,17 @@ def _measures(trials: Sequence[Mapping[str, Any]], possible: Sequence[bool]) -> 
     seconds, long = (
         [float(trial[name]) for trial in ended] for name in ("hardware_seconds", "long_success_rate")
     )
-    rates = [success_rate(trial["test_episodes"], possible) for trial in ended if trial["test_episodes"]]
+    tested = [trial for trial in ended if trial["test_episodes"]]
+    rates = [success_rate(trial["test_episodes"]) for trial in tested]
     reliable = [float(rate >= RELIABLE) for rate in rates]
-    tests = (_mean(seconds), _mean(rates), _mean(reliable), _mean(long))
+    holding = [holds(trial["lasting_episodes"] or trial["test_episodes"], bar) for trial in tested]
+    tests = (_mean(seconds), _mean(rates), _mean(reliable), len(tested), sum(holding), _mean(long))
     return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *tests]
 
 
-def success_rate(episodes: str, possible: Sequence[bool]) -> float:
-    """The share of test episodes in which a policy succeeds, "101" of three, among the possible ones."""
-    return _mean([float(each == "1") for each, counts in zip(episodes, possible, strict=False) if counts])
+def success_rate(episodes: str) -> float:
+    """The share of test episodes in which a policy succeeds, "101" of three."""
+    return episodes.count("1") / len(episodes)
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -163,9 +138,17 @@ def _experiments(row: Mapping[Any, Any]) -> str:
     return text if np.isnan(row["low"]) else f"{text} [{row['low']:.1f}, {row['high']:.1f}]"
 
 
+def share(k: int, n: int) -> str:
+    """A count with the Wilson interval of its share: 8/10 [49%, 94%]."""
+    if not n:
+        return BLANK
+    low, high = wilson(k, n)
+    return f"{k}/{n} [{low:.0%}, {high:.0%}]"
+
+
 def _succeeded(row: Mapping[Any, Any]) -> str:
-    """Success rate as a fraction, and what is in no number."""
-    text = f"{row['succeeded']}/{row['trials']}"
+    """How many succeeded, and what is in no number."""
+    text = share(row["succeeded"], row["trials"])
     return f"{text}, {row['raised']} raised" if row["raised"] else text
 
 
@@ -177,6 +160,7 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
     "hardware_seconds": lambda row: _number(row["hardware_seconds"]),
     "success_rate": lambda row: _share(row["success_rate"]),
     "reliable": lambda row: _share(row["reliable"]),
+    "holds": lambda row: share(row["holding"], row["tested"]),
     "long_success_rate": lambda row: _share(row["long_success_rate"]),
     "paper": lambda row: _number(row["paper"]),
 }
@@ -204,19 +188,20 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
-        f"interval]; {iterations}a trial that never succeeds counts all that it may make."
-        f"{_of_tests(sweep, trials)}"
+        f"interval]; {iterations}a trial that never succeeds counts all that it may make; beside counts: "
+        f"Wilson intervals of the share.{_of_tests(sweep, trials)}"
     )
 
 
 def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
     """What the numbers of test episodes are, where any is shown."""
-    possible = attainable(trials)
-    if not possible or not {"success_rate", "reliable", "long_success_rate"} & set(sweep.report.measures):
-        return ""
-    nobody = len(possible) - sum(possible)
-    return (
-        f" success_rate: mean share of {sum(possible)} test episodes in which a trial's last policy succeeds"
-        f"{f' (in {nobody} more none does)' if nobody else ''}; reliable: share of trials where that is at "
-        f"least {RELIABLE:.0%}; long_success_rate: share of long test episodes that last to their end."
-    )
+    count = max(map(len, trials["test_episodes"]), default=0)
+    texts = {
+        "success_rate": f"mean share of {count} test episodes in which a trial's last policy succeeds",
+        "reliable": f"share of trials where that is at least {RELIABLE:.0%}",
+        "holds": f"last policies of which the lower Wilson limit of all episodes, long ones to their end, is "
+        f"above {sweep.report.bar:.0%}",
+        "long_success_rate": "mean share of long test episodes that last to their end",
+    }
+    shown = [f"{name}: {words}" for name, words in texts.items() if name in sweep.report.measures]
+    return f" {'; '.join(shown)}." if count and shown else ""

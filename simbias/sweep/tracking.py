@@ -20,7 +20,12 @@ class Export(Observer):
     """
 
     def __init__(self, where: str = "") -> None:
-        self.where = where
+        self._where = where
+
+    @property
+    def where(self) -> str:
+        """How a person looks at it, in one line."""
+        return self._where
 
     def update(self, final: bool = False) -> None:
         """Bring it up to date with the folder; `final` tells that nothing more comes."""

@@ -83,7 +83,7 @@ def _method_counts_and_recalls(study: Study) -> None:
     for iteration, count in zip(first.iterations, counts, strict=True):
         total = iteration.total_experiments
         expect(total == count, "method.run", f"{count} experiments so far", total)
-    most = study.method.max_experiments
+    most = study.max_experiments
     expect(len(made) <= most, "method.run", f"at most {most} experiments", len(made))
     expected = "each search and each experiment to have a generator of its own"
     kept = [len(trial.iterations) for trial in (first, again)]

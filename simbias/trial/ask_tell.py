@@ -9,6 +9,7 @@ import numpy as np
 
 from simbias.core import Hardware, Policy, Task, Waiting
 from simbias.core.records import Array, Iteration, Optimum, Rollout
+from simbias.lab.checked_hardware import MakeExperiment
 from simbias.lab.checks import check_rollout
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.trial.replay import EndOfRecord, Record
@@ -108,6 +109,6 @@ class _Steps(Record):
             self._optima.append(optimum)
         return optimum
 
-    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+    def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         """The next experiment that was told; `make` asks for it."""
-        return next(self._experiments, None) or make()
+        return next(self._experiments, None) or make(rng)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from simbias.core import Model, Nominal
 from simbias.core.records import Array, Iteration, Search, Selection
+from simbias.learning.identification.directions import undetermined
+from simbias.learning.identification.identified import Identified
+from simbias.simulation.closed_loop import simulator
 
 
 class Remark(NamedTuple):
@@ -33,6 +38,33 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
             f"this is the policy of iteration {same[0]} again, which the hardware has refuted: what was "
             "learned since has changed nothing",
         )
+
+
+def of_model(theta: Array, model: Model | None) -> Iterator[Remark]:
+    """Whether a policy theta (p,) stands on what the data do not determine of its identified model.
+
+    It does if it lasts in simulation on the most probable model, but not on one that lies a standard
+    deviation of the posterior aside, in a direction along which the prior is hardly narrowed.
+    """
+    if model is None or not isinstance(nominal := model.nominal, Identified):
+        return
+
+    def fails(other: Nominal) -> bool:
+        rollout = simulator(replace(model, nominal=other)).rollout(theta, model.task.start_mean)
+        return rollout.failed_at is not None
+
+    directions = undetermined(nominal)
+    if not directions or fails(nominal.model):
+        return
+    for direction in directions:
+        aside = direction.deviation * direction.vector
+        if any(fails(nominal.at(nominal.mode + side * aside)) for side in (-1.0, 1.0)):
+            yield Remark(
+                "a policy stands on what the data do not determine",
+                f"this policy lasts in simulation, but not a standard deviation aside in {direction}, which "
+                "the experiments do not determine",
+            )
+            return
 
 
 def of_reset(iteration: Iteration, max_cost: float) -> Iterator[Remark]:

@@ -1,8 +1,12 @@
-"""Where a trial comes from: versions of packages, the checkout's commit, the user, the user's own code."""
+"""Where a trial comes from: versions of packages, the checkout's commit, the user, the user's own code.
+
+A comment is no other trial, so what changed is told, and the user decides whether results still count.
+"""
 
 from __future__ import annotations
 
 import getpass
+import hashlib
 import platform
 import re
 import subprocess
@@ -15,6 +19,7 @@ from typing import Any
 
 from simbias.trial.study import Study
 
+DIGITS = 12  # hexadecimal
 PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -28,14 +33,24 @@ def description(study: Study) -> dict[str, Any]:
         "seed": study.seed,
         "choices": {key: option for key, option in origin.choices.items() if key != "tracking"},
         "config": config,
-        "code": dict(origin.code),
+        "code": digests(study),
         **provenance(),
     }
 
 
+def digests(study: Study) -> dict[str, str]:
+    """Digests of the user's modules, and of the files that components read (`source_files`), by name."""
+    contents: dict[str, list[bytes]] = {}
+    for component in vars(study).values():
+        for file in getattr(component, "source_files", ()):
+            contents.setdefault("/".join(file.parts[-2:]), []).append(file.read_bytes())
+    files = {name: hashlib.sha256(b"".join(each)).hexdigest()[:DIGITS] for name, each in contents.items()}
+    return {**study.composition.code, **files}
+
+
 def changed_code(before: Mapping[str, Any], study: Study) -> str:
-    """Modules of the user's that changed since a study was described, in words; "" if none did."""
-    then, now = before.get("code", {}), study.composition.code
+    """Modules of the user's, and files, that changed since a study was described; "" if none did."""
+    then, now = before.get("code", {}), digests(study)
     return ", ".join(sorted(name for name in {*then, *now} if then.get(name) != now.get(name)))
 
 

@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from simbias.core import Task
+from simbias.core.proportions import counted_share
 from simbias.core.records import Array
 from simbias.trial.study import PolicyTest, Study
-
-SEED = 2015  # of starts and noise: no trial's seed touches it
 
 
 class Episode(NamedTuple):
@@ -42,6 +41,11 @@ class PolicyTestResult:
         return "".join(str(int(e.seconds >= self.horizon or e.failure is None)) for e in self.episodes)
 
     @property
+    def lasting(self) -> str:
+        """1 for each episode that lasts to its own end, 0 for each other."""
+        return "".join(str(int(episode.failure is None)) for episode in self.episodes)
+
+    @property
     def success_rate(self) -> float:
         """Share of episodes in which the policy lasts for the task's horizon."""
         return float(np.mean([each == "1" for each in self.successes]))
@@ -64,12 +68,13 @@ class PolicyTestResult:
     @property
     def words(self) -> str:
         """The result in one sentence."""
-        count = f"{self.successes.count('1')} of {len(self.episodes)} test episodes of {self.horizon:g} s"
+        succeeded = counted_share(self.successes.count("1"), len(self.episodes))
+        count = f"{succeeded} test episodes of {self.horizon:g} s"
         if not self.long_episodes:
             return f"Its last policy succeeds in {count}."
-        lasted = sum(each.failure is None for each in self.long_episodes)
+        lasted = counted_share(sum(e.failure is None for e in self.long_episodes), len(self.long_episodes))
         return (
-            f"Its last policy succeeds in {count}, and in {lasted} of {len(self.long_episodes)} of "
+            f"Its last policy succeeds in {count}, and in {lasted} of "
             f"{self.long_episodes[0].asked_seconds:g} s (they last {self.long_seconds:.0f} s on average)."
         )
 
@@ -98,7 +103,7 @@ def run_policy_test(
         for horizon in set(horizons)
     }
     episodes = []
-    for number, rng in enumerate(np.random.default_rng(SEED).spawn(test.episodes)):
+    for number, rng in enumerate(np.random.default_rng(test.seed).spawn(test.episodes)):
         own, start = studies[horizons[number]], task.draw_start(rng)
         trying(number, test.episodes)
         rollout = own.checked_hardware.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)

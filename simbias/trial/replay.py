@@ -11,6 +11,7 @@ import numpy as np
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
 from simbias.core.records import Array, Iteration, Optimum, Rollout
+from simbias.lab.checked_hardware import MakeExperiment
 
 
 class EndOfRecord(Exception):  # noqa: N818 (no error: as far as a trial came)
@@ -25,7 +26,7 @@ class Record(ABC):
         """The next search: replayed, or made and kept."""
 
     @abstractmethod
-    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+    def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         """The next experiment, with theta (p,): replayed, or made and kept."""
 
     def iteration(self, iteration: Iteration) -> Iteration:

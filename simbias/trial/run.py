@@ -16,8 +16,9 @@ from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.trial import diagnostics
-from simbias.trial.folder import FolderRecord
+from simbias.trial.folder import Withdrawal
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
+from simbias.trial.record import FolderRecord
 from simbias.trial.replay import EndOfRecord
 from simbias.trial.study import Observer, Study
 from simbias.trial.summary import Outcome, TrialSummary
@@ -33,6 +34,7 @@ class TrialRecord:
     unfinished: tuple[Rollout, ...] = ()  # experiments of an iteration that has not
     policy_test: PolicyTestResult | None = None  # of the last policy, if one was asked for
     traceback: str = ""
+    withdrawn: tuple[Withdrawal, ...] = ()  # experiments that a person withdrew
 
     @property
     def outcome(self) -> Outcome:
@@ -156,12 +158,13 @@ class _Run(Observer):
             reason=reason,
             experiments=len(made),
             iterations=len(self._iterations),
-            max_experiments=method.max_experiments,
+            max_experiments=self._study.max_experiments,
             max_iterations=method.max_iterations,
             ended=time.time(),
             seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
             hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in made),
             test_episodes=test.successes if test else "",
+            lasting_episodes=test.lasting if test else "",
             success_rate=test.success_rate if test else nan,
             long_success_rate=test.long_success_rate if test else nan,
             long_seconds=test.long_seconds if test else nan,
@@ -170,6 +173,5 @@ class _Run(Observer):
             processor=platform.processor(),
             diagnostics=tuple(sorted({remark.kind for remark in diagnostics.of_trial(self._iterations)})),
         )
-        return TrialRecord(
-            self._study, summary, tuple(self._iterations), tuple(self._unfinished), test, traceback
-        )
+        made_of = tuple(self._iterations), tuple(self._unfinished), test, traceback
+        return TrialRecord(self._study, summary, *made_of, tuple(before.withdrawals()) if before else ())

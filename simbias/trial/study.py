@@ -5,8 +5,10 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import inf
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,7 +29,7 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.ranges import CountOrZero, Seconds
+from simbias.core.ranges import Count, CountOrZero, Seconds, Seed
 from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
@@ -111,12 +113,45 @@ class Method(ABC):
 
 
 @dataclass(frozen=True)
+class Budget:
+    """Experiments on hardware that a trial may make by any method, and their seconds; None: no limit."""
+
+    experiments: Count | None = None
+    seconds: Seconds | None = None  # after which no experiment begins
+
+
+class BudgetSpent(Exception):  # noqa: N818 (no error: a trial that ends so has not succeeded)
+    """A trial asks for an experiment that its budget does not allow."""
+
+
+class _Spending(Observer):
+    """Ends a trial that has spent its budget."""
+
+    def __init__(self, budget: Budget, time_step: float) -> None:
+        self._budget, self._time_step = budget, time_step
+        self._experiments, self._seconds = 0, 0.0
+
+    def experimenting(self, theta: Array, start: Array) -> None:
+        """Refuse an experiment beyond the budget."""
+        if self._experiments >= (self._budget.experiments or inf) or self._seconds >= (
+            self._budget.seconds or inf
+        ):
+            raise BudgetSpent
+
+    def experimented(self, rollout: Rollout) -> None:
+        """Count an experiment."""
+        self._experiments += 1
+        self._seconds += rollout.frames * self._time_step
+
+
+@dataclass(frozen=True)
 class PolicyTest:
     """Test episodes of a trial's last policy, after the trial's end."""
 
     episodes: CountOrZero = 0
     long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
     long_seconds: Seconds = 60.0  # this long
+    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +174,7 @@ class Study:
     hardware_of: Callable[[Task], Hardware]  # constructs the hardware anew, for another horizon
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = PolicyTest()
+    budget: Budget = Budget()
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -165,8 +201,17 @@ class Study:
         return self.composition.hash
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
-        """Run the method; the same seed gives the same records on one kind of machine."""
-        return self.method.run(self, np.random.default_rng(self.seed), observer or Observer())
+        """Run the method within the budget; the same seed gives the same records on one kind of machine."""
+        watching = observer or Observer()
+        if self.budget != Budget():
+            watching = Observers(_Spending(self.budget, self.task.time_step), watching)
+        with suppress(BudgetSpent):
+            yield from self.method.run(self, np.random.default_rng(self.seed), watching)
+
+    @property
+    def max_experiments(self) -> int:
+        """Hardware experiments of a trial that never succeeds, at most."""
+        return min(self.method.max_experiments, self.budget.experiments or self.method.max_experiments)
 
     def simulate(
         self,
@@ -262,6 +307,10 @@ class Study:
         """The (identified) nominal model, corrected by a fitted bias; g = 0 without one."""
         bias = fitted_bias or self.bias.fit(self.no_data)
         return Model(self.task, self.policy, nominal or self.nominal, bias)
+
+    def first_model(self) -> Model:
+        """The model before any experiment: as declared, or as recordings have identified it."""
+        return self.model(nominal=self.identification.fit(self.nominal, ()))
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""

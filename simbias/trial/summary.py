@@ -48,6 +48,7 @@ class TrialSummary:
     seconds: float = 0.0  # wall time, of all processes that ran it but those that were killed
     hardware_seconds: float = 0.0  # duration of the experiments
     test_episodes: str = ""  # of the last policy: 1 for each in which it succeeds, 0 for each other
+    lasting_episodes: str = ""  # likewise, 1 for each that lasts to its own end
     success_rate: float = nan  # share of test episodes
     long_success_rate: float = nan  # likewise, of the long ones
     long_seconds: float = nan  # mean duration of these
@@ -134,7 +135,8 @@ def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) ->
     said = {remark.kind for remark in diagnostics.of_trial(earlier)}
     said |= {"model cleared" for each in earlier if each.learning and each.learning.reset}
     resets = diagnostics.of_reset(iteration, study.cost.max_cost)
-    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier)):  # in full once
+    of_model = diagnostics.of_model(iteration.parameters, iteration.model)
+    for remark in chain(resets, of_model, diagnostics.of_iteration(iteration, earlier)):  # in full once
         yield remark.kind if remark.kind in said else remark.words
 
 

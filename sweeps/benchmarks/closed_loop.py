@@ -28,10 +28,9 @@ from simbias.core import FittedBias, Nominal, Simulator, SlowWarning
 from simbias.core.records import Disturbance, Transitions
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import join, simulator
-from simbias.simulation.compiler.correction import corrections
-from simbias.simulation.compiler.points import Points
-from simbias.simulation.compiler.tracing import of_nominal
+from simbias.simulation.compiler import Points, of_nominal
 from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.simulation.open_loop import corrections
 from simbias.trial.study import Study
 
 ROUNDS, WORLDS = 7, 8

@@ -23,8 +23,8 @@ import simbias
 from simbias.core import FittedBias, SlowWarning
 from simbias.core.records import Array, Transitions
 from simbias.learning.bias.covariance import correlation
+from simbias.simulation.compiler import LANES
 from simbias.simulation.compiler.compilation import Compilation
-from simbias.simulation.compiler.kernels import LANES
 
 ROUNDS, STEPS, SLOW_STEPS = 15, 4 * LANES, 8
 SIZES = [50, 100, 200, 571, 1000, 2000, 4000]

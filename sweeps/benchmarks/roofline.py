@@ -21,8 +21,7 @@ from threadpoolctl import threadpool_limits
 import simbias
 from simbias.core import Kernel
 from simbias.learning.bias.none import ZeroBias
-from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.lanes import everywhere, fma, store
+from simbias.simulation.compiler import LANES, everywhere, fma, store
 from simbias.simulation.compiler.trigonometry import _by_polynomials
 from simbias.trial.study import Study
 

@@ -25,7 +25,7 @@ from simbias.core import FittedBias
 from simbias.core.records import Array, Transitions
 from simbias.pictures import save
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, plain
-from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler import LANES
 from simbias.trial.study import Study
 
 SAMPLES = [50, 100, 200, 400, 571, 1000, 2000, 4000]

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from simbias.config.build import build
 from simbias.core import Task
+from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.core.ranges import Coordinate, Count
 from simbias.core.records import Array
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, SMALL, label, literal, plain
@@ -21,7 +22,6 @@ from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.grid import Cell
 from simbias.sweep.picture import Picture
 
-CONFIDENCE = 0.95
 COLOURS = "cividis"  # even to the colour-blind, and in grey
 PANEL, ASIDE = 3.3, 2.6  # widths of a map and of the rates beside the maps, in
 
@@ -171,7 +171,7 @@ class SuccessRates(SweepFigure):
                 f"policies, {successes} of which had succeeded when learning ended)"
             )
         n = int(numbers.groupby(["cell", self._x.state, self._y.state])["experiments"].sum().max())
-        half = max(np.ptp(_interval(k, n)) / 2 for k in range(n + 1))
+        half = max(np.ptp(wilson(k, n)) / 2 for k in range(n + 1))
         return (
             f"Success rate on the same hardware of the policies with which learning ended, "
             f"over starts at {self._x.points} x {self._y.points} values of {self._x.state} and "
@@ -181,21 +181,13 @@ class SuccessRates(SweepFigure):
         )
 
 
-def _interval(succeeded: int, experiments: int) -> tuple[float, float]:
-    """Wilson's interval of a success rate."""
-    from scipy.stats import binomtest  # takes long to import
-
-    interval = binomtest(succeeded, experiments).proportion_ci(CONFIDENCE, method="wilson")
-    return float(interval.low), float(interval.high)
-
-
 def _of_policies(own: pd.DataFrame) -> pd.DataFrame:
     """Rate of each policy of a cell over the whole grid, with its interval."""
     policies = own.groupby("repetition").agg(
         learning=("learning", "first"), succeeded=("succeeded", "sum"), experiments=("experiments", "sum")
     )
     policies["rate"] = policies["succeeded"] / policies["experiments"]
-    bounds = [_interval(*pair) for pair in policies[["succeeded", "experiments"]].to_numpy().tolist()]
+    bounds = [wilson(*map(int, pair)) for pair in policies[["succeeded", "experiments"]].to_numpy().tolist()]
     policies["low"], policies["high"] = zip(*bounds, strict=True)
     return policies
 

@@ -17,7 +17,7 @@ from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
 
 import simbias
-from simbias.sweep import results, tables
+from simbias.sweep import results, statistics, tables
 from simbias.sweep.grid import Sweep, expand
 
 TRIALS = Path("trials")
@@ -39,7 +39,7 @@ def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
     texts = []
     for cell in sweep.cells:
         own = list(shares.get_group(cell.labels))
-        low, high = tables.interval(own)
+        low, high = statistics.interval(own)
         texts.append(f"{np.mean(own):.0%} [{low:.0%}, {high:.0%}]")
     body = [[*line, text] for line, text in zip(laid.body, texts, strict=True)]
     return tables.markdown(tables.Layout([*laid.head, "starts that the last policy balances"], body))

@@ -22,10 +22,10 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
-from scipy.stats import binomtest
 
 import simbias
 from simbias.core import Objective
+from simbias.core.proportions import wilson
 from simbias.core.records import Array
 from simbias.search.optimizer.nlopt import Algorithm
 from simbias.sweep.tables import BLANK
@@ -112,7 +112,7 @@ def search(name: str, overrides: list[str], seed: int, budget: int) -> dict[str,
 def rate(succeeded: pd.Series) -> str:
     """How many of how many, and Wilson's 95% interval of the share."""
     count, of = int(succeeded.sum()), len(succeeded)
-    interval = binomtest(count, of).proportion_ci(0.95, method="wilson")
+    interval = wilson(count, of)
     return f"{count} of {of} ({100 * interval.low:.0f} to {100 * interval.high:.0f} %)"
 
 

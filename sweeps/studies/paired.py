@@ -13,6 +13,7 @@ import pandas as pd
 
 from simbias.sweep import results
 from simbias.sweep.grid import expand
+from simbias.sweep.tables import share
 
 HEAD = (
     "experiments",
@@ -62,7 +63,7 @@ def row(trials: pd.DataFrame, reference: pd.DataFrame | None) -> list[str]:
         difference,
         differing,
         f"{trials['iterations'].mean():.2f}",
-        f"{succeeded}/{len(trials)}",
+        share(succeeded, len(trials)),
         f"{trials['seconds'].mean():.1f}",
     ]
 

@@ -9,12 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simbias.core.records import Rollout
+import simbias
+from simbias.core import Cost, Task
+from simbias.core.records import Array, Indices, Rollout, Transitions
 from simbias.cost.quadratic import Quadratic
+from simbias.simulation.closed_loop import simulator
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.study import Study
 
 R = np.diag([10, 10, 10, 0.1, 0.1, 0.1])  # Table I
 Q = np.diag([1e-6])
+TASK: Any = SimpleNamespace(states="abc", inputs="uv", horizon=100, time_step=0.01)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.booleans())
@@ -28,28 +33,80 @@ def test_cost_is_equation_8(study: Study, seed: int, frames: int, fails: bool) -
     assert study.cost.of(rollout) == pytest.approx(200 * (T - t_fail) + peak + effort, rel=1e-12)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 50), st.integers(0, 50))
-def test_the_kernel_sums_up_the_same_cost(seed: int, frames: int, lost: int) -> None:
-    """Frame by frame, as the compiled loop calls it; here by Python, with two inputs."""
-    rng = np.random.default_rng(seed)
-    task: Any = SimpleNamespace(states="abc", inputs="uv", horizon=100)
-    cost = Quadratic(task, 200.0, [10.0, 1.0, 0.1], [0.5, 2.0], 200.0)
-    x, u = rng.normal(size=(frames + 1, 3)), rng.normal(size=(frames, 2))
-    assert cost.kernel is not None
-    totals: tuple[float, ...] = cost.totals * (0.0,)
-    for state, forces in zip(x[1:], u, strict=True):
-        totals = cost.kernel.function(state, forces, cost.kernel.parameters, totals)
-    (found,) = cost.of_totals(np.array([totals]), np.array([lost]))
-    rollout = Rollout(x, u, failed_at=task.horizon - lost, failure="a fall")
-    assert found == pytest.approx(cost.of(rollout), rel=1e-12)
+def test_terms_of_frames_add_up_to_the_cost() -> None:
+    """Frame by frame, as the compiled loop sums up; here by Python, with two inputs."""
+    rng = np.random.default_rng(0)
+    cost = Quadratic(TASK, 200.0, [10.0, 1.0, 0.1], [0.5, 2.0], 200.0)
+    x, u = rng.normal(size=(51, 3)), rng.normal(size=(50, 2))
+    peak, effort = 0.0, 0.0
+    for t, (state, forces) in enumerate(zip(x[1:], u, strict=True), start=1):
+        distance, squares = cost.terms(state, forces, 0.01 * t)
+        peak, effort = max(peak, distance), effort + squares
+    found = cost.of_totals(np.array([peak, effort]), np.array(50))
+    assert found == pytest.approx(cost.of(Rollout(x, u, failed_at=50, failure="a fall")), rel=1e-12)
+
+
+class Tracking(Cost):
+    """Distance of the first state from a moving reference, and the inputs' latest change of sign."""
+
+    reductions = ("sum", "max")
+    max_cost = 10.0
+
+    def __init__(self, task: Task) -> None:
+        self.horizon, self.time_step = task.horizon, task.time_step
+
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        return np.stack([(x_next[..., 0] - np.sin(3 * t)) ** 2, np.where(u[..., 0] > 0, t, 0.0)], axis=-1)
+
+    def of_totals(self, totals: Array, lost: Indices) -> Array:
+        return totals.sum(axis=-1) + lost
+
+
+class OfAll(Tracking):
+    """The same, which says nothing of single frames."""
+
+    reductions = ()
+
+    def of(self, rollout: Rollout) -> float:
+        x, u = rollout.states[1:, 0], rollout.inputs[:, 0]
+        t = self.time_step * np.arange(1, len(x) + 1)
+        lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at
+        return float(np.sum((x - np.sin(3 * t)) ** 2) + np.max(t * (u > 0), initial=0.0) + lost)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bias", ["none", "sparse_gp"])
+def test_a_cost_knows_the_time_compiled_and_of_a_record(bias: str) -> None:
+    """Where a bias corrects all lanes at once, too."""
+    study = simbias.load(["tracking=none", f"bias={bias}", "task.horizon=200"])
+    rng, lower = np.random.default_rng(0), study.policy.bounds[0]
+    thetas = rng.uniform(lower, -lower, (40, len(lower)))
+    starts = np.array([study.task.draw_start(rng) for _ in thetas])
+    inputs = 0.1 * rng.normal(size=(20, 7))
+    fitted = study.bias.fit(Transitions(inputs, 1e-6 * np.tanh(inputs[:, :6])))
+    loop = simulator(study.model(fitted))
+    assert isinstance(loop, CompiledSimulator)
+    fast, frames = loop.costs(Tracking(study.task), thetas, starts)
+    slow, _ = loop.costs(OfAll(study.task), thetas, starts)
+    records = [Tracking(study.task).of(rollout) for rollout in loop.rollouts(thetas, starts)]
+    assert len(set(frames.tolist())) > 5
+    np.testing.assert_allclose(fast, slow, rtol=1e-9)
+    np.testing.assert_allclose(fast, records, rtol=1e-9)
+
+
+def test_a_cost_that_says_nothing_is_told_so(study: Study) -> None:
+    class Nothing(Cost):
+        max_cost, horizon, time_step = 1.0, 100, 0.01
+
+    with pytest.raises(NotImplementedError, match="Nothing has neither `terms` nor an `of` of its own"):
+        Nothing().of(Rollout(np.zeros((2, 6)), np.zeros((1, 1))))
 
 
 def test_every_state_and_input_has_a_weight() -> None:
-    task: Any = SimpleNamespace(states="abc", inputs="uv", horizon=100)
     with pytest.raises(ValueError, match="input_weights has 1 values; the task has 2"):
-        Quadratic(task, 200.0, [10.0, 1.0, 0.1], [0.5], 200.0)
+        Quadratic(TASK, 200.0, [10.0, 1.0, 0.1], [0.5], 200.0)
     with pytest.raises(ValueError, match="state_weights has 2 values; the task has 3"):
-        Quadratic(task, 200.0, [10.0, 1.0], [0.5, 2.0], 200.0)
+        Quadratic(TASK, 200.0, [10.0, 1.0], [0.5, 2.0], 200.0)
 
 
 def test_every_failure_costs_more_than_the_maximum(study: Study) -> None:
@@ -114,13 +171,8 @@ def test_weights_by_name_are_weights_by_place(study: Study) -> None:
 
 @pytest.mark.parametrize("far", [1e160, np.inf, np.nan])
 def test_a_state_beyond_all_numbers_costs_a_finite_number(study: Study, far: float) -> None:
-    """As of a model that explodes within a frame; the same by the kernel's totals."""
+    """As of a model that explodes within a frame."""
     states = np.array([study.task.start_mean, np.full(6, far)])
     rollout = Rollout(states, np.zeros((1, 1)), failed_at=1, failure="distance")
     cost = study.cost.of(rollout)
     assert study.cost.max_cost < cost < np.inf
-    totals = (0.0, 0.0)
-    with np.errstate(all="ignore"):
-        totals = study.cost.kernel.function(states[1], np.zeros(1), study.cost.kernel.parameters, totals)
-    (by_totals,) = study.cost.of_totals(np.array([totals]), np.array([study.task.horizon - 1]))
-    assert by_totals == pytest.approx(cost, rel=1e-12)

@@ -1,163 +1,185 @@
-"""The controller of an order is the policy, in C and in Python."""
+"""The controller of a request is the policy, in C and in Python."""
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from point_mass import PointMass
 
 import simbias
-from simbias.core import Kernel, Policy, Task
+from simbias.core import Policy, Quantity, Task
 from simbias.core.records import Array
-from simbias.lab.requests.controller import c_header, derive, python_module
-from simbias.lab.requests.request import ExperimentRequest
-from simbias.lab.requests.symbols import UntraceableError
+from simbias.lab.requests.controller import c_header, harmless, python_module
+from simbias.lab.requests.folder import files
+from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
+from simbias.lab.requests.verification import difference
 from simbias.lab.safety import Bounds
-from simbias.policy.output_feedback import OutputFeedback
+from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
+from simbias.simulation.compiler import formulas_of
 from simbias.trial.study import Study
 
-COMPILER = shutil.which("cc") or shutil.which("gcc")
+COMPILER = shutil.which("cc")
 THETA = np.array([1.0, -2.0, 3.0, 0.5, -1.0])
-
-
-def _integral(z, parameters, t, memory):
-    """A law with memory that depends on time."""
-    gain, limit = parameters
-    total = memory[0] + z[0]
-    return (min(max(-gain * total * t + abs(z[1]), -limit), limit),), (total,)
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2"]
 
 
 class Integral(Policy):
+    """A law with memory that depends on time, as somebody writes it."""
+
     n_parameters = 1
     memory_size = 1
     bounds = (np.zeros(1), np.ones(1))
 
     def __init__(self, task: Task) -> None:
-        self.kernel = lambda thetas: Kernel(_integral, np.array([[theta[0], 5.0] for theta in thetas]))
+        self._task = task
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        u, kept = _integral(x, (theta[0], 5.0), t, memory)
-        return np.array(u), np.array(kept)
+        total = memory + x[..., :1]
+        u = -theta * total * t + np.sign(x[..., 1:]) * np.sqrt(np.abs(x[..., 1:]))
+        return np.clip(u, *self._task.input_bounds), total
 
     def outputs(self, x: Array) -> Array:
         return x
 
 
 class Branching(Integral):
-    def __init__(self, task: Task) -> None:
-        self.kernel = lambda thetas: Kernel(lambda z, p: (z[0] if z[0] > 0 else -z[0],), thetas)
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        return (x[..., :1] if x[..., 0] > 0 else -x[..., :1]), memory
 
 
-def in_python(order: ExperimentRequest) -> Callable[..., Any]:
+def controller(request: ExperimentRequest) -> Any:
+    """The controller in Python."""
     names: dict[str, Any] = {}
-    law = derive(order.task, order.policy, order.theta)
-    exec(python_module(order.task, law, "a test", order.bounds), names)
-    return names["control"]
-
-
-def in_c(order: ExperimentRequest, states: Array, folder: Path) -> Array:
-    """What the header gives for states (k, n): whether to abort, then the inputs (k, 1 + m)."""
-    law = derive(order.task, order.policy, order.theta)
-    (folder / "controller.h").write_text(c_header(order.task, law, "a test", order.bounds))
-    n, m, s = len(order.task.states), len(order.task.inputs), order.policy.memory_size
-    more, declared = (", t, memory", f"double memory[{s}] = {{0}};") if s else ("", "")
-    (folder / "main.c").write_text(
-        f"""#include <stdio.h>
-#include "controller.h"
-int main(void) {{
-    double x[{n}], u[{m}], t = 0.0; {declared}
-    for (;;) {{
-        for (int i = 0; i < {n}; ++i) if (scanf("%lf", &x[i]) != 1) return 0;
-        printf("%d", simbias_control(x, u{more}));
-        for (int i = 0; i < {m}; ++i) printf(" %.17g", u[i]);
-        printf("\\n"); t += SIMBIAS_TIME_STEP;
-    }}
-}}
-"""
-    )
-    assert COMPILER is not None
-    flags = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2"]
-    program = folder / "main"
-    subprocess.run([COMPILER, *flags, "-o", program, folder / "main.c", "-lm"], check=True)
-    text = "\n".join(" ".join(map(repr, row)) for row in states.tolist())
-    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    exec(request.code("a test")[MODULE], names)
+    return names["Controller"]()
 
 
 @pytest.fixture
-def order(study: Study) -> ExperimentRequest:
+def request_(study: Study) -> ExperimentRequest:
     return ExperimentRequest(study.task, study.policy, THETA, study.task.start_mean)
 
 
-def test_python_gives_the_policys_inputs(order: ExperimentRequest, study: Study) -> None:
-    control, states = in_python(order), 0.3 * np.random.default_rng(0).standard_normal((50, 6))
+def with_everything(study: Study, integral_rate: float = 2.0) -> ExperimentRequest:
+    """Of feedback with all that it can remember."""
+    policy = DynamicOutputFeedback(
+        study.task,
+        filter_seconds=0.02,
+        integral_rate=integral_rate,
+        delay_seconds=0.004,
+        constant=0.1,
+    )
+    theta = np.array([*THETA, 0.01, integral_rate / 2, -20.0, 3.0])
+    return ExperimentRequest(study.task, policy, theta, study.task.start_mean)
+
+
+def test_the_code_is_the_policy_over_hundreds_of_frames(request_: ExperimentRequest, study: Study) -> None:
+    """In Python and C; at limits, with its memory, and after what is no number."""
+    mass = PointMass()
+    own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
+    for request in (request_, with_everything(study), own):
+        assert request.why_no_code == ""
+        assert {HEADER, MODULE} <= files(request).keys()
+
+
+def test_python_gives_the_policys_inputs(request_: ExperimentRequest, study: Study) -> None:
+    control, states = controller(request_), 0.3 * np.random.default_rng(0).standard_normal((50, 6))
     expected = study.policy.act(THETA, states, 0.0, np.zeros((50, 0)))[0]
     np.testing.assert_allclose([control(x) for x in states], expected, rtol=1e-12, atol=1e-12)
-    assert np.abs(expected).max() < 100.0  # none is cut off
+    assert 0.0 < np.abs(expected).max() < 100.0  # none is cut off
+
+
+def test_the_integral_grows_in_the_exported_controller(study: Study) -> None:
+    request = with_everything(study)
+    control, policy = controller(request), request.controller()
+    x = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    by_code, by_policy = ([float(each(x)[0]) for _ in range(300)] for each in (control, policy))
+    np.testing.assert_allclose(by_code, by_policy, rtol=1e-9)
+    assert control.memory[5] < -1e-4  # of x_p, which is negative
+
+
+def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
+    """And nothing of it is remembered."""
+    control = controller(with_everything(study))
+    fine = study.task.start_mean
+    control(fine)
+    before = control.memory.copy()
     with pytest.raises(ValueError, match="abort: x = "):
         control(np.full(6, np.nan))
+    with pytest.raises(ValueError, match="abort"):
+        control(fine)
+    np.testing.assert_array_equal(control.memory, before)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-def test_c_gives_the_policys_inputs_and_refuses_what_is_no_number(
-    order: ExperimentRequest, study: Study, tmp_path
+def test_the_header_compiles_without_a_warning_and_refuses_fast_mathematics(
+    study: Study, tmp_path: Path
 ) -> None:
-    states = 0.3 * np.random.default_rng(0).standard_normal((50, 6))
-    states[7, 2] = np.nan
-    expected = study.policy.act(THETA, states, 0.0, np.zeros((50, 0)))[0]
-    made = in_c(order, states, tmp_path)
-    assert np.flatnonzero(made[:, 0]).tolist() == [7]
-    expected[7] = 0.0
-    np.testing.assert_allclose(made[:, 1:], expected, rtol=1e-12, atol=1e-12)
+    mass = PointMass()
+    own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
+    (tmp_path / "main.c").write_text(
+        '#include "controller.h"\n'
+        "int main(void) { simbias_controller c; double x[8] = {0}, u[2]; simbias_start(&c);\n"
+        "return simbias_control(&c, x, u); }\n"
+    )
+    assert COMPILER is not None
+    for request in (own, with_everything(study)):
+        (tmp_path / "controller.h").write_text(request.code('a "*/ test')[HEADER])
+        command = [COMPILER, *STRICT, "-o", tmp_path / "main", tmp_path / "main.c", "-lm"]
+        subprocess.run(command, check=True)
+        assert subprocess.run([tmp_path / "main"]).returncode == 0
+    fast = subprocess.run([*command, "-ffast-math"], capture_output=True, text=True)
+    assert fast.returncode
+    assert "without -ffast-math" in fast.stderr
 
 
-@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-def test_memory_and_time_pass_from_frame_to_frame(tmp_path: Path) -> None:
+class Different(ExperimentRequest):
+    why_no_code = "in C, frame 3 gives something else"
+
+
+def test_code_that_is_not_the_policy_is_not_written(study: Study) -> None:
+    """Whichever of the two it is; a line says so."""
+    request = with_everything(study)
+    code = request.code("")
+    for name, language in ((MODULE, "Python"), (HEADER, "C")):
+        if language == "C" and COMPILER is None:
+            continue
+        wrong = code | {name: code[name].replace("0.21999999999999997", "0.2201")}
+        assert wrong != code
+        said = difference(
+            request.policy, study.task, request.theta, request.bounds, wrong[HEADER], wrong[MODULE]
+        )
+        assert said.startswith(f"in {language}, frame ")
+    made = files(Different(study.task, request.policy, request.theta, request.start))
+    assert not {HEADER, MODULE} & made.keys()
+    assert f"This policy cannot be written out as code ({Different.why_no_code})" in " ".join(
+        made["README.txt"].split()
+    )
+
+
+def test_a_policy_that_decides_by_values_says_why() -> None:
     task = PointMass()
-    order = ExperimentRequest(task, Integral(task), np.array([3.0]), task.start_mean)
-    states = np.random.default_rng(1).standard_normal((20, 2))
-    controller, control, memory = order.controller(), in_python(order), np.zeros(1)
-    expected, by_python = [], []
-    for frame, x in enumerate(states):
-        expected.append(controller(x))
-        u, memory = control(x, frame * task.time_step, memory)
-        by_python.append(u)
-    np.testing.assert_allclose(by_python, expected, rtol=1e-12)
-    np.testing.assert_allclose(in_c(order, states, tmp_path)[:, 1:], expected, rtol=1e-12)
+    request = ExperimentRequest(task, Branching(task), np.zeros(1), task.start_mean)
+    assert "Branching.act (test_controllers.py:" in request.why_no_code
+    assert "it decides by a value" in request.why_no_code
+    assert request.code("") == {}
+    words = simbias.core.Policy.law(Integral(task), np.ones(1)).words
+    assert words == "u = Integral.act(theta, x, t, memory)"
 
 
-def test_outputs_that_nobody_can_say_are_what_the_controller_is_given() -> None:
-    class Squares(PointMass):
-        def output(self, x: Array) -> Array:
-            return x**2
-
-    task = Squares()
-    order = ExperimentRequest(task, OutputFeedback(task), np.array([1.0, -1.0]), task.start_mean)
-    z = np.array([0.3, 0.2])
-    np.testing.assert_allclose(in_python(order)(z), OutputFeedback(task).gains(order.theta) @ z)
-    assert "def control(z)" in python_module(task, derive(task, order.policy, order.theta), "", order.bounds)
-
-
-def test_a_policy_that_is_no_formula_says_why() -> None:
-    task = PointMass()
-    with pytest.raises(UntraceableError, match="is no formula"):
-        derive(task, Branching(task), np.zeros(1))
-    own = simbias.core.Policy
-    with pytest.raises(UntraceableError, match="has no kernel"):
-        derive(task, type("Plain", (Integral,), {"__init__": lambda self, task: None})(task), np.zeros(1))
-    assert own.law(Integral(task), np.ones(1)).words == "u = Integral.act(theta, x, t, memory)"
-
-
-def test_limits_are_in_the_order_and_held_by_its_controller(order: ExperimentRequest, study: Study) -> None:
+def test_limits_are_in_the_request_and_held_by_its_controller(
+    request_: ExperimentRequest, study: Study
+) -> None:
     class Limited(ExperimentRequest):
         bounds = Bounds(
-            (np.array([-5.0]), np.array([5.0])), np.array([np.inf]), np.array([0.2, *[np.inf] * 5]), False
+            (np.array([-5.0]), np.array([5.0])), np.array([2000.0]), np.array([0.2, *[np.inf] * 5]), False
         )
 
     limited = Limited(study.task, study.policy, THETA, study.task.start_mean)
@@ -165,22 +187,49 @@ def test_limits_are_in_the_order_and_held_by_its_controller(order: ExperimentReq
     assert content["states"][0]["limit"] == 0.2
     assert content["states"][1]["limit"] is None
     assert content["inputs"] == [
-        {"name": "torque", "unit": "N m", "limit": 5.0, "limit_of_change_per_s": None}
+        {"name": "torque", "unit": "N m", "limit": 5.0, "limit_of_change_per_s": 2000.0}
     ]
-    control = in_python(limited)
-    assert np.abs(control(np.zeros(6))).max() == 0.0
-    with pytest.raises(ValueError, match="abort"):
-        control(np.array([0.21, 0, 0, 0, 0, 0]))
-    with pytest.raises(ValueError, match="abort"):
-        control(np.array([0.0, 0, 3.0, 0, 0, 0]))
+    assert np.abs(controller(limited)(np.zeros(6))).max() == 0.0
+    for x in ([0.21, 0, 0, 0, 0, 0], [0.0, 0, 3.0, 0, 0, 0]):
+        with pytest.raises(ValueError, match="abort"):
+            controller(limited)(np.array(x))
+    control = controller(limited)
+    assert control(np.array([0.0, 0, 0.1, 0, 0, 0])) == pytest.approx(1.85, abs=0.01)
+    with pytest.raises(ValueError, match="abort"):  # 3.6 N m in a frame of 1 ms
+        control(np.array([0.0, 0, -0.1, 0, 0, 0]))
 
 
-def test_an_orders_name_is_that_of_its_experiment(order: ExperimentRequest, study: Study) -> None:
-    again = ExperimentRequest(study.task, study.policy, THETA.copy(), order.start.copy())
-    assert again.name == order.name
+@given(st.text(max_size=60), st.sampled_from(["", "*/", "\\", "\n", '"""', "??/", "/*", "\u2028", "\r"]))
+@settings(max_examples=60, deadline=None)
+def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
+    """The Python module is the same but for its first string, the header but for its comments."""
+    task, plain = PointMass(), PointMass()
+    said = words + worst + words
+    task.states = tuple(Quantity(f"{said}{state.name}", said) for state in task.states)
+    task.inputs = tuple(Quantity(each.name, said) for each in task.inputs)
+    law = formulas_of(Integral(plain), plain, np.array([3.0]))
+    assert not isinstance(law, str)
+    bounds = Bounds(plain.input_bounds, np.full(1, np.inf), np.full(2, np.inf), False)
+    for line in harmless(said), python_module(task, law, said, bounds), c_header(task, law, said, bounds):
+        assert not set("\\\r\u2028?") & set(line.replace("?", "", line.count(" ? ")))
+    python, other = (ast.parse(python_module(each, law, said, bounds)) for each in (task, plain))
+    assert [ast.dump(node) for node in python.body[1:]] == [ast.dump(node) for node in other.body[1:]]
+    header, other_header = (_without_comments(c_header(each, law, said, bounds)) for each in (task, plain))
+    assert header == other_header
+
+
+def _without_comments(text: str) -> str:
+    """C without its comments, which end at the first `*/`."""
+    before, *rest = text.split("/*")
+    return before + "".join(each.partition("*/")[2] for each in rest)
+
+
+def test_a_requests_name_is_that_of_its_experiment(request_: ExperimentRequest, study: Study) -> None:
+    again = ExperimentRequest(study.task, study.policy, THETA.copy(), request_.start.copy())
+    assert again.name == request_.name
     for other in (
-        ExperimentRequest(study.task, study.policy, THETA + 1e-9, order.start),
-        ExperimentRequest(study.task, study.policy, THETA, order.start + 1e-9),
-        ExperimentRequest(study.task, study.policy, THETA, order.start, token=1),
+        ExperimentRequest(study.task, study.policy, THETA + 1e-9, request_.start),
+        ExperimentRequest(study.task, study.policy, THETA, request_.start + 1e-9),
+        ExperimentRequest(study.task, study.policy, THETA, request_.start, token=1),
     ):
-        assert other.name != order.name
+        assert other.name != request_.name

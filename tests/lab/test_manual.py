@@ -24,6 +24,7 @@ from simbias.lab.requests.manual import Manual
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.requests.trajectory import header
 from simbias.lab.safety import Safety
+from simbias.policy.output_feedback import OutputFeedback
 from simbias.trial.study import Study
 
 OWN = [*(each for each in POINT_MASS if "hardware" not in each), "optimizer.max_evaluations=40"]
@@ -120,7 +121,7 @@ def test_the_name_is_a_hash_of_everything_that_a_request_says(study: Study) -> N
         replace(base, token=1),
         replace(base, theta=base.theta + 1e-9),
         paper,
-        replace(paper, task=_with_outputs(study.task, 1.1)),
+        replace(paper, policy=OutputFeedback(_with_outputs(study.task, 1.1))),
     ]  # fmt: skip
     assert len({base.name, *(each.name for each in others)}) == 1 + len(others)
 
@@ -135,15 +136,16 @@ def _with(**values: object) -> PointMass:
 
 def _with_outputs(task, factor: float):
     """A task whose outputs have other constants, which only the generated code says."""
-    other, kernel = copy(task), task.output_kernel
-    other.output_kernel = kernel._replace(parameters=factor * kernel.parameters)
+    other = copy(task)
+    other.output = lambda x: factor * task.output(x)
     return other
 
 
 def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path: Path) -> None:
     safety = Safety(states={"velocity": 0.3}, input_rates={"force": 5.0})
     folder = write_request(requested(point_mass.task, np.array([0.5, 0.0]), safety), tmp_path)
-    assert {path.name for path in folder.iterdir()} == {"README.txt", "policy.json", "template.csv"}
+    files = ["README.txt", "controller.h", "controller.py", "policy.json", "template.csv"]
+    assert sorted(path.name for path in folder.iterdir()) == files
     text = (folder / "README.txt").read_text()
     for line in (
         "position = 0.5 m (within 0.2)",
@@ -153,7 +155,7 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     ):
         assert f"  {line}\n" in text
     assert "|position|" not in text
-    assert "has no kernel" in text
+    assert "The controller is in controller.h (C99) and controller.py (Python)" in text
 
 
 def test_a_trajectory_of_another_start_is_refused(point_mass: Study, tmp_path: Path) -> None:

@@ -19,8 +19,7 @@ from simbias.learning.bias.gp import GaussianProcess
 from simbias.learning.bias.inducing import Inducing
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import exact
-from simbias.simulation.compiler.fused import compiled_loop
-from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
@@ -211,12 +210,12 @@ def test_repeated_points_need_jitter_and_get_it(size: float) -> None:
 
 def test_warming_up_compiles_what_a_search_needs_once_something_is_learned(study: Study) -> None:
     """The kernel is another one with data; none of it is left for the first search through it."""
-    compiled_loop.cache_clear()
+    compile_closed_loop.cache_clear()
     study.warm_up()
-    before = compiled_loop.cache_info().misses
+    before = compile_closed_loop.cache_info().misses
     for transitions in (study.no_data, data(30)):
         model = study.model(study.bias.fit(transitions))
         evaluation = study.evaluation.objective(model, study.cost, np.random.default_rng(0))
         evaluation(np.zeros(study.policy.n_parameters))
         study.simulate(np.zeros(study.policy.n_parameters), model.bias)
-    assert compiled_loop.cache_info().misses == before
+    assert compile_closed_loop.cache_info().misses == before

@@ -21,8 +21,9 @@ import simbias
 from simbias.config import ConfigError
 from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
+from simbias.mlflow.pages import NOTE
 from simbias.mlflow.tracking import Mlflow
-from simbias.trial.folder import TRIAL, TrialFolder
+from simbias.trial.folder import TRIAL, TrialFolder, withdraw
 from simbias.trial.run import run_trial
 from simbias.trial.study import Observer, Observers, Study
 
@@ -174,6 +175,29 @@ def test_a_trial_that_resumes_or_begins_again(folder: Path) -> None:
     assert len(runs) == 6
 
 
+def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
+    """The run before it says so; a new store has the new one alone."""
+    export(uri(folder), folder / "trials")
+    trial = TrialFolder(folder / "trials" / study(0).hash)
+    withdrawal = withdraw(trial.steps()[1], "a loose cable")
+    client = MlflowClient(uri(folder))
+    experiment_id = client.get_experiment_by_name("simbias").experiment_id  # type: ignore[union-attr]
+    for status, resumes in (("KILLED", False), ("FINISHED", True)):
+        if resumes:
+            run_trial(study(0), trial.path)
+        export(uri(folder), folder / "trials")
+        new, old = client.search_runs([experiment_id], "params.seed = '0'", order_by=["start_time DESC"])
+        assert (new.info.status, old.info.status) == (status, "FINISHED")
+        assert old.data.tags["outcome"] == "superseded"
+        assert f"[a new run](#/experiments/{experiment_id}/runs/{new.info.run_id}" in old.data.tags[NOTE]
+        assert old.data.tags[NOTE].count("Superseded") == 1
+        assert f"**Withdrawn**: {withdrawal}." in new.data.tags[NOTE]
+        page(client, new)
+    export(f"sqlite:///{folder}/other.db", folder / "trials")
+    client.delete_run(old.info.run_id)
+    assert pages(f"sqlite:///{folder}/other.db") == pages(uri(folder))
+
+
 def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
     """Each iteration is logged as it ends."""
     shutil.rmtree(folder / "trials")
@@ -194,7 +218,7 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
     shown.update(final=True)
     live = pages(uri(folder))
     assert live["0"]["status"] == "FINISHED"
-    assert f" -m simbias ui {study().hash} tracking.uri=sqlite:///{folder}/mlflow.db" in shown.where
+    assert f" -m simbias ui {study().hash} tracking.uri=" in shown.where
     export(f"sqlite:///{folder}/other.db", folder / "trials")
     assert pages(f"sqlite:///{folder}/other.db") == live
 

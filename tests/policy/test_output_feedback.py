@@ -55,26 +55,14 @@ def test_what_is_not_a_number_stays_visible(study: Study) -> None:
     assert np.isnan(act(study, np.full(5, np.nan), study.task.start_mean)).all()
 
 
-@given(H_HATS, H_HATS)
-def test_kernel_agrees_with_act(study: Study, first: np.ndarray, second: np.ndarray) -> None:
-    """An ordinary function of numbers; its parameters are made for several policies at once."""
-    x, thetas = np.array([0.02, -0.01, 0.015, 0.1, -0.1, 0.05]), np.array([first, second])
-    function, parameters = study.policy.kernel(thetas)
-    u = [function(tuple(study.policy.outputs(x)), tuple(row)) for row in parameters]
-    together, _ = study.policy.act(thetas, np.array([x, x]), 0.0, np.empty((2, 0)))
-    np.testing.assert_allclose(u, together, rtol=1e-9, atol=1e-9)
-
-
 def test_several_inputs_have_rows_of_gains(point_mass: Study) -> None:
-    """H is (m, q), in the kernel as in `act`."""
+    """H is (m, q)."""
     task = copy(point_mass.task)
     task.inputs, task.input_limit = (Quantity("a", "N"), Quantity("b", "N")), np.array([0.5, 5.0])
     policy = OutputFeedback(task)
     theta, x = np.array([2.0, -1.0, 0.5, 3.0]), np.array([0.1, 0.2])
     expected = np.clip(policy.gains(theta) @ x, -task.input_limit, task.input_limit)
-    function, parameters = policy.kernel(theta[None])
     np.testing.assert_allclose(policy.controller(theta, 0.1)(x), expected, rtol=1e-12)
-    np.testing.assert_allclose(function(tuple(x), tuple(parameters[0])), expected, rtol=1e-12)
 
 
 def test_it_imitates_its_own_inputs(study: Study) -> None:

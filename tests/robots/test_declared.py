@@ -20,7 +20,7 @@ from simbias.config.identity import identity_fields
 from simbias.core import Task
 from simbias.robots.declared.task import Declared
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.compiler.expressions import Expressions
+from simbias.simulation.compiler import Expressions
 from simbias.trial.study import Study
 
 CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from mechanisms import QUADROTOR, cart_pole, mjcf, quadrotor
 
-from simbias.core import Model
+from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.model import Mujoco
-from simbias.simulation.closed_loop import simulator
+from simbias.simulation.closed_loop import join, simulator
 
 HOVER = np.full(4, 9.81 / 4)  # N of each propeller, for 1 kg
 
@@ -118,3 +118,33 @@ def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path, text: str, m
         Mechanism(cart_pole(), str(tmp_path / "endless.xml"))
     assert "\n" not in str(error.value)
     assert time.monotonic() - begin < 2.0
+
+
+def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
+    """What the engine says of a state; in rollouts as in the law."""
+    sensors = {"file": file, "sites": ["m1"]}
+    outputs = {"tilt": {"value": "up[2]"}, "corner": {"value": "m1[2] - z"}, "turn": {"value": "gyro[2]"}}
+    task = quadrotor(sensors=sensors, outputs=outputs, failure={"tips": {"value": "up[2]", "below": 0.9}})
+    x = np.tile(task.start_mean, (2, 1))
+    x[1, 3:7], x[:, 12] = turned(0.3, (1, 0, 0)), 0.7
+    expected = [[1.0, 0.0, 0.7], [np.cos(0.3), 0.1 * np.sin(0.3), 0.7]]
+    np.testing.assert_allclose(task.output(x), expected, atol=1e-9)
+    law, theta = OutputFeedback(task), np.full(12, 0.5)
+    with pytest.warns(SlowWarning, match="Declared.measure"):
+        loop = join([simulator(Model(task, law, Mujoco(task, file), ZeroBias(13)))])
+    (rollout,) = loop.rollouts(theta[None], task.start_mean[None], np.zeros(1, np.int64))
+    np.testing.assert_allclose(rollout.inputs[0], law.act(theta, rollout.states[0], 0.0, np.zeros(0))[0])
+    assert rollout.failure is None or task.measure(rollout.states[-1]) > -0.9
+
+
+@pytest.mark.parametrize(
+    ("sensors", "message"),
+    [
+        ({"sensors": ["felt"]}, "sensor 'felt' measures forces or accelerations; there is up, gyro"),
+        ({"sensors": ["nose"]}, "sensor 'nose' is not there"),
+        ({"sites": ["tip"]}, "no site 'tip'; there is m1, m2, m3, m4"),
+    ],
+)
+def test_a_sensor_that_cannot_be_read_is_one_line(file: str, sensors: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        quadrotor(sensors={"file": file, **sensors})

@@ -16,7 +16,7 @@ from in_numpy import by_value
 from numba import get_num_threads, set_num_threads
 
 import simbias
-from simbias.core import FittedBias, Kernel, Nominal, Policy, SlowWarning
+from simbias.core import FittedBias, Nominal, Policy, SlowWarning
 from simbias.core.records import Array, Disturbance, Transitions
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import Apart, join, simulator
@@ -270,12 +270,6 @@ class Filtered(Policy):
     def __init__(self, study: Study) -> None:
         self.n_parameters, self.bounds = 5, study.policy.bounds
         self._task, self._linear, self._dt = study.task, study.policy, study.task.time_step
-        self.kernel = lambda thetas: Kernel(
-            _filtered, np.hstack([self._linear.gains(thetas)[:, 0], self._constants(thetas)])
-        )
-
-    def _constants(self, thetas: Array) -> Array:
-        return np.tile([self._dt, self._task.input_limit[0]], (len(thetas), 1))
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         z = self.outputs(x)
@@ -287,15 +281,6 @@ class Filtered(Policy):
 
     def outputs(self, x: Array) -> Array:
         return self._task.output(x)
-
-
-def _filtered(z, parameters, t, memory):
-    smooth = memory[0] + 0.1 * (z[0] - memory[0])
-    total = memory[1] + parameters[5] * smooth * (t >= 0.5)
-    u = 5 * (smooth + total)
-    for j in range(5):
-        u += parameters[j] * z[j]
-    return (min(max(u, -parameters[6]), parameters[6]),), (smooth, total)
 
 
 @pytest.mark.slow

@@ -77,6 +77,10 @@ def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: P
     assert run(tmp_path) == "7.0 20.0 1"
     write()
     assert run(tmp_path) == "2.0 7.0 0"  # what it was is still there
+    (tmp_path / "helper.py").rename(tmp_path / "moved.py")
+    write_own = OWN.replace("from helper", "from moved")
+    (tmp_path / "own.py").write_text(write_own)
+    assert run(tmp_path) == "2.0 7.0 0"  # wherever it is now
 
 
 def test_closures_and_substitutes_are_part_of_it() -> None:

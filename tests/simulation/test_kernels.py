@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from simbias.simulation.compiler.kernels import elementwise
-from simbias.simulation.compiler.trigonometry import sincos
+from simbias.simulation.compiler import elementwise, sincos
 
 
 def law(x, parameters):

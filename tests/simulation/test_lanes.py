@@ -10,8 +10,7 @@ from hypothesis.extra.numpy import arrays
 from in_lanes import from_python
 from numba import njit
 
-from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.lanes import everywhere, exp, load, store
+from simbias.simulation.compiler import LANES, everywhere, exp, load, store
 
 rows = arrays(np.float32, (3, LANES), elements=st.floats(-1e3, 1e3, width=32))
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
+from simbias.simulation.compiler import arctan, sincos
 from simbias.simulation.compiler.compilation import Compilation
-from simbias.simulation.compiler.trigonometry import arctan, sincos
 
 compiled = Compilation().compiled(sincos)
 

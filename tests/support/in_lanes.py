@@ -10,8 +10,8 @@ from numba import njit
 
 from simbias.core import FittedBias
 from simbias.core.records import Array
+from simbias.simulation.compiler import LANES
 from simbias.simulation.compiler.compilation import Compilation
-from simbias.simulation.compiler.kernels import LANES
 
 
 def from_python(function: Callable, inline: bool = True) -> Any:

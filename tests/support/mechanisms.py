@@ -105,19 +105,25 @@ QUADROTOR = f"""
         for name, (_, _, drag) in _PROPELLERS.items()
     )
 }</actuator>
+  <sensor>
+    <framezaxis name="up" objtype="site" objname="m1"/>
+    <gyro name="gyro" site="m1"/>
+    <accelerometer name="felt" site="m1"/>
+  </sensor>
 </mujoco>
 """
 
 
-def quadrotor(limit: float = 6.0, lower: float | None = 0.0) -> Declared:
+def quadrotor(limit: float = 6.0, lower: float | None = 0.0, **changes: Any) -> Declared:
     """A task for that file: to stay near (0, 0, 1), upright."""
     units = {"x": "m", "y": "m", "z": "m", "qw": "1", "qx": "1", "qy": "1", "qz": "1"}
     units |= {"vx": "m/s", "vy": "m/s", "vz": "m/s", "wx": "rad/s", "wy": "rad/s", "wz": "rad/s"}
     states = {name: {"unit": unit, "deviation": 0.05} for name, unit in units.items()}
     for name in ("z", "qw"):
         states[name]["mean"] = 1.0
-    return cart_pole(
-        states=states,
-        inputs={name: {"unit": "N", "limit": limit, "lower": lower} for name in _PROPELLERS},
-        failure={"falls": {"value": "qw", "below": 0.5}, "away": {"value": "abs(z - 1)", "above": 1.0}},
-    )
+    config: dict[str, Any] = {
+        "states": states,
+        "inputs": {name: {"unit": "N", "limit": limit, "lower": lower} for name in _PROPELLERS},
+        "failure": {"falls": {"value": "qw", "below": 0.5}, "away": {"value": "abs(z - 1)", "above": 1.0}},
+    }
+    return cart_pole(**config | changes)

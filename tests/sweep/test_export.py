@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sweeping import NO_FIGURES, QUICK, client_of, runs
+from sweeping import NO_FIGURES, QUICK, client_of, runs, write_sweep
 
 import simbias
 from simbias.__main__ import main
@@ -46,6 +46,14 @@ def test_a_finished_sweep_started_again_adds_nothing(folder: Path) -> None:
     assert main(command) == 0
     assert histories(folder) == before
     assert runs(folder)[0][0].info.end_time == parent.info.end_time
+
+
+def test_a_trial_that_waits_has_one_run(folder: Path) -> None:
+    write_sweep(folder, "mine", "sweep:\n  trials: 1\n  axes:\n    bias: [none, gp]\n")
+    command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "hardware=manual", "engine=sequential"]
+    for _ in range(2):
+        assert main([*command, f"tracking.uri=sqlite:///{folder}/mlflow.db"]) == 3
+        assert [run.info.status for run in runs(folder)[1]] == ["SCHEDULED"] * 2
 
 
 def test_a_finished_sweep_says_so_before_its_store_is_reached(

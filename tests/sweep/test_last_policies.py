@@ -10,7 +10,7 @@ from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.last_policies import LastPolicies
 from simbias.sweep.grid import expand
 
-STARTS = {"slope 0.02 rad": ["1110", "1100"], "slope 0.05 rad": ["0000", "1110"]}  # nobody holds the last
+STARTS = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "1111"]}
 
 
 def made_up(starts: dict[str, list[str]]) -> SweptTrials:
@@ -25,12 +25,12 @@ def made_up(starts: dict[str, list[str]]) -> SweptTrials:
     return SweptTrials(expand(["+sweep=gaps"]), pd.DataFrame([*rows, raised]), lambda _: None)  # type: ignore[arg-type]
 
 
-def test_shares_are_of_the_starts_that_a_policy_holds() -> None:
+def test_shares_are_of_all_starts() -> None:
     picture = LastPolicies().draw(made_up(STARTS), ())
-    assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 2 / 3, 0, 1])
+    assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
-    assert "of 3 test episodes" in picture.caption
-    assert "2 of 4 trials end" in picture.caption
+    assert "of 4 test episodes" in picture.caption
+    assert "2/4 [15%, 85%] trials end" in picture.caption
     assert "in 0 of 2 cells" in picture.caption
 
 

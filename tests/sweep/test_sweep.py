@@ -57,7 +57,7 @@ def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.Capt
     quick += ["policy_test.long_episodes=0", "policy_test.episodes=1", "tracking=none", "engine=sequential"]
     assert main([f"+sweep={name}", *QUICK, *quick, *shorter]) == 0
     out = capsys.readouterr().out
-    cells = math.prod(len(axis.values) for axis in axes)
+    cells = math.prod(len(axis.points) for axis in axes)
     assert f"{cells} cells x 1 trials = {cells}" in out
     assert f"[{cells}/{cells}]" in out
     assert ("the paper's" in out.partition("experiments: ")[2]) == (

@@ -38,15 +38,15 @@ def test_a_failure_counts_all_experiments_and_an_error_none() -> None:
     assert first["low"] <= first["mean"] <= first["high"]
     assert (second["trials"], second["succeeded"], second["raised"]) == (2, 2, 1)
     text = markdown(layout(cells(frame, sweep), sweep))
-    assert "| 2/3 |" in text
-    assert "| 2/2, 1 raised |" in text
+    assert "| 2/3 [21%, 94%] |" in text
+    assert "| 2/2 [34%, 100%], 1 raised |" in text
 
 
 def test_measures_are_those_that_the_report_names() -> None:
     sweep = expand(["+sweep=smoke", "sweep.trials=3", "+sweep.report.measures=[iterations,succeeded]"])
     laid = layout(cells(made_up(sweep), sweep), sweep)
     assert [head.rpartition(": ")[2] for head in laid.head[-2:]] == ["iterations", "succeeded"]
-    assert [line[-2:] for line in laid.body] == [["2.0", "3/3"]] * 2
+    assert [line[-2:] for line in laid.body] == [["2.0", "3/3 [44%, 100%]"]] * 2
     assert "iterations: likewise" in legend(sweep, results.in_order({}, sweep))
 
 

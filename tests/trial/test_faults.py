@@ -15,7 +15,7 @@ from trial_process import start
 import simbias
 from simbias.core import Hardware, HardwareError, Policy
 from simbias.core.records import Array, Rollout
-from simbias.trial import folder as folders
+from simbias.trial import record as folders
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.study import Study

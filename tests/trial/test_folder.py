@@ -23,7 +23,7 @@ from simbias.config.stored import read_folder
 from simbias.core import platform
 from simbias.core.records import Iteration, Rollout
 from simbias.terminal.trial import changed_since
-from simbias.trial import folder as folders
+from simbias.trial import record as records
 from simbias.trial.disk import LOCK, is_locked, write_whole
 from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
 from simbias.trial.run import TrialRecord, read_trial, run_trial
@@ -249,7 +249,7 @@ def test_a_full_disk_loses_nothing(
 
         folder = tmp_path / str(room)
         with monkeypatch.context() as patch:
-            patch.setattr(folders, "write_whole", until_full)
+            patch.setattr(records, "write_whole", until_full)
             record = run_trial(short, folder)
         assert (record.outcome, len(step_names(folder))) == (Outcome.ERROR, room)
         assert "No space left on device" in record.summary.reason

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
+import simbias
+from simbias.terminal.trial import changed_since
 from simbias.trial import origin
+from simbias.trial.run import run_trial
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -27,6 +30,62 @@ def test_commit_of_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert commit() == {"commit": head, "changed": False}
     (tmp_path / "code.py").write_text("a = 2")
     assert commit() == {"commit": head, "changed": True}
+
+
+ROBOT = """
+<mujoco>
+  <compiler meshdir="shapes"/>
+  <include file="parts.xml"/>
+  <worldbody>
+    <body><joint name="angle" type="hinge" axis="0 1 0"/><geom type="mesh" mesh="rod"/></body>
+  </worldbody>
+  <actuator><motor name="torque" joint="angle" ctrlrange="-2 2" ctrllimited="true"/></actuator>
+</mujoco>
+"""
+TASK = """
+_target_: simbias.robots.declared.task.Declared
+time_step: 0.01
+horizon: 50
+states: {angle: {unit: rad, kind: angle, mean: 0.1}, rate: {unit: rad/s, kind: velocity}}
+inputs: {torque: {unit: N m, limit: 1.0}}
+failure: {far: {value: abs(angle), above: 1.0, unit: rad, words: too far}}
+figure: {file: robot.xml}
+"""
+ROD = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.5\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+
+
+def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path) -> None:
+    """A model with its includes and meshes, a figure, recordings; a file that nobody reads is not."""
+    conf = tmp_path / "conf"
+    files = {
+        "robot.xml": ROBOT,
+        "parts.xml": '<mujoco><asset><mesh name="rod" file="rod.obj"/></asset></mujoco>',
+        "shapes/rod.obj": ROD,
+        "recordings/1.csv": "time,angle,rate,torque\n0,0.1,0,0\n1,0.1,0,0\n",
+        "conf/task/mine.yaml": TASK,
+        "conf/nominal/mine.yaml": "_target_: simbias.robots.mujoco.model.Mujoco\nfile: robot.xml\n",
+        "notes.txt": "nobody reads this",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    overrides = [
+        "task=mine",
+        "nominal=mine",
+        "hardware=recorded",
+        "cost=acrobot",
+        "samples=thresholds",
+        "bias=none",
+    ]
+    study = simbias.load([*overrides, "tracking=none", "optimizer.max_evaluations=5"], conf)
+    run_trial(study, tmp_path / "trial")
+    assert changed_since(study, tmp_path / "trial") == ""
+    for name, text in files.items():
+        (tmp_path / name).write_text(text.replace("0.5", "0.4") + "\n")
+        said = changed_since(study, tmp_path / "trial")
+        read = not name.startswith(("conf", "notes"))
+        assert (f"({'/'.join((tmp_path / name).parts[-2:])})" in said) == read, name
+        (tmp_path / name).write_text(text)
 
 
 def test_versions_of_all_that_is_required() -> None:

@@ -90,7 +90,7 @@ def test_an_iteration_is_kept_before_anyone_sees_it(
         raise OSError("disk full")
 
     observer = Everything()
-    monkeypatch.setattr("simbias.trial.folder.FolderRecord._keep", full)
+    monkeypatch.setattr("simbias.trial.record.FolderRecord._keep", full)
     record = run_trial(scripted(point_mass), tmp_path, observer)
     assert observer.heard == EXPERIMENTS
     assert (record.outcome, record.summary.reason) == (Outcome.ERROR, "OSError: disk full")

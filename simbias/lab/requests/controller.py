@@ -1,203 +1,196 @@
-"""A policy's law as a C header and as a Python function, for control loops without simbias."""
+"""A policy's law as a C header and as a Python module, for control loops without simbias.
+
+Both are written of the trace of `Policy.act`, and keep the policy's memory and the time themselves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import indent
-from typing import Any
 
 import numpy as np
 
-from simbias.core import Policy, Quantity, Task
+from simbias.core import Quantity, Task
 from simbias.core.records import Array
-from simbias.lab.requests.symbols import UntraceableError, formulas, scalar, shared, vector
 from simbias.lab.safety import Bounds
+from simbias.simulation.compiler import NUMPY, C, Formulas
 
-C_HEADER = """\
+HARMLESS = " .,:;+-*/^%()[]<>=|_'°"  # besides letters and digits, in the comments of generated code
+
+HEADER = """\
 /* {title}
  *
- * Call simbias_control once a frame, every {time_step!r} s.
- *   {seen}: {seen_words}
- *   u: {u_words}{memory_words}
- * It returns 0, or 1 if a limit is exceeded or something is no number: then u is zero, and the experiment has
- * to be aborted.
+ * Call simbias_start before an experiment, then simbias_control once a frame, every {time_step!r} s.
+ *   x: {states}
+ *   u: {inputs}
+ * It returns 0, or 1 if a limit is exceeded or something is no number. Then u is zero, and it returns 1
+ * until simbias_start is called again: abort the experiment.
  */
 #ifndef SIMBIAS_CONTROLLER_H
 #define SIMBIAS_CONTROLLER_H
 #include <math.h>
 
+#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
+#error "without -ffast-math, please: it does not see what is no number"
+#endif
+
 #define SIMBIAS_TIME_STEP {time_step!r} /* s */
 
-static inline int simbias_control(const double {seen}[{n}], double u[{m}]{memory_argument})
+typedef struct {{
+    long frame;
+    int aborted;
+    double u[{m}]; /* in the frame before */
+{memory_field}}} simbias_controller;
+
+static inline void simbias_start(simbias_controller *controller)
 {{
-{constants}{body}    int safe = 1;
+    static const simbias_controller start = {{0}};
+    *controller = start;
+}}
+
+static inline int simbias_control(simbias_controller *controller, const double x[{n}], double u[{m}])
+{{
+{constants}{locals}{body}    int safe = !controller->aborted;
     for (int i = 0; i < {n}; ++i)
-        safe = safe && fabs({seen}[i]) <= SEEN_LIMIT[i];
+        safe = safe && fabs(x[i]) <= STATE_LIMIT[i];
+    for (int i = 0; i < {m}; ++i) {{
+        safe = safe && u[i] >= INPUT_LOWER[i] && u[i] <= INPUT_UPPER[i];
+        safe = safe && (controller->frame == 0 || fabs(u[i] - controller->u[i]) <= INPUT_CHANGE[i]);
+    }}
+{memory_check}    controller->aborted = !safe;
     for (int i = 0; i < {m}; ++i)
-        safe = safe && fabs(u[i]) <= INPUT_LIMIT[i];
-    for (int i = 0; i < {m}; ++i)
-        u[i] = safe ? u[i] : 0.0;
-    return !safe;
+        controller->u[i] = u[i] = safe ? u[i] : 0.0;
+    if (!safe)
+        return 1;
+{memory_update}    ++controller->frame;
+    return 0;
 }}
 
 #endif
 """
-PYTHON = '''\
-"""{title}
-
-Call control once a frame, every {time_step!r} s.
-  {seen}: {seen_words}
-  returns u: {u_words}{memory_words}
-It raises ValueError if a limit is exceeded or something is no number: abort the experiment then.
+MEMORY_CHECK = """\
+    for (int i = 0; i < {s}; ++i)
+        safe = safe && isfinite(next[i]);
+"""
+MEMORY_UPDATE = """\
+    for (int i = 0; i < {s}; ++i)
+        controller->memory[i] = next[i];
 """
 
-import math
+MODULE = '''\
+"""{title}
+
+Make a Controller for each experiment, and call it once a frame, every {time_step!r} s: u = controller(x).
+  x: {states}
+  u: {inputs}
+It raises ValueError if a limit is exceeded or something is no number, and ever after: abort the experiment.
+"""
 
 import numpy as np
 
 TIME_STEP = {time_step!r}  # s
 {constants}
 
-def control({seen}{memory_argument}):
-{body}    if not (np.abs({seen}) <= SEEN_LIMIT).all() or not (np.abs(u) <= INPUT_LIMIT).all():
-        raise ValueError(f"abort: {seen} = {{{seen}}}, u = {{u}}")
-    return u{kept}
+def law(x, t, memory):
+    """Inputs u ({m},), and the memory ({s},) for the next frame."""
+{body}    return np.array([{u}]), np.array([{memory}])
+
+
+class Controller:
+    """The inputs u ({m},) at states x ({n},), frame by frame."""
+
+    def __init__(self):
+        self.frame, self.aborted = 0, False
+        self.u, self.memory = np.zeros({m}), np.zeros({s})
+
+    def __call__(self, x):
+        x = np.asarray(x, dtype=float)
+        with np.errstate(all="ignore"):
+            u, memory = law(x, self.frame * TIME_STEP, self.memory)
+            safe = not self.aborted and (np.abs(x) <= STATE_LIMIT).all()
+            safe = safe and (u >= INPUT_LOWER).all() and (u <= INPUT_UPPER).all()
+            safe = safe and (self.frame == 0 or (np.abs(u - self.u) <= INPUT_CHANGE).all())
+        if not (safe and np.isfinite(memory).all()):
+            self.aborted = True
+            raise ValueError(f"abort: x = {{x}}, u = {{u}}")
+        self.frame, self.u, self.memory = self.frame + 1, u, memory
+        return u
 '''
-
-
-@dataclass(frozen=True)
-class Formulas:
-    """A law as assignments: intermediate results, inputs and the memory for the next frame."""
-
-    parameters: tuple[tuple[str, Array], ...]  # named constants
-    steps: list[tuple[str, Any]]
-    u: list[Any]
-    memory: list[Any]
-    seen: str  # what they are formulas of: "x", or "z" where nothing says how outputs come from states
-
-
-def derive(task: Task, policy: Policy, theta: Array) -> Formulas:
-    """The formulas of the policy theta (p,).
-
-    Raises
-    ------
-    UntraceableError
-        If the policy has no kernel, or one that is no formula.
-    """
-    if policy.kernel is None:
-        raise UntraceableError(f"{type(policy).__name__} has no kernel")
-    kernel = policy.kernel(np.atleast_2d(theta))
-    seen, numbers = _outputs(task)
-    own = np.asarray(kernel.parameters, dtype=np.float64)[0]
-    p = vector("P", len(own))
-    if policy.memory_size:
-        memory = vector("memory", policy.memory_size)
-        u, kept = formulas(kernel.function, seen.outputs, p, scalar("t"), memory)
-    else:
-        u, kept = formulas(kernel.function, seen.outputs, p), ()
-    steps, rest = shared([*u, *kept], "s")
-    m = len(task.inputs)
-    constants = tuple((name, value) for name, value in (("P", own), ("D", numbers)) if len(value))
-    return Formulas(constants, steps, rest[:m], rest[m:], seen.name)
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What a controller is given, and the outputs in terms of it."""
-
-    name: str
-    outputs: tuple[Any, ...]
-
-
-def _outputs(task: Task) -> tuple[_Seen, Array]:
-    """The outputs as formulas of the states, and the constants in them; else the outputs themselves."""
-    n, q = len(task.states), len(task.outputs)
-    x = vector("x", n)
-    if task.output_kernel is not None:
-        own = np.asarray(task.output_kernel.parameters, dtype=np.float64)
-        try:
-            return _Seen("x", formulas(task.output_kernel.function, x, vector("D", len(own)))), own
-        except UntraceableError:
-            pass
-    elif n == q and _are_states(task):
-        return _Seen("x", x), np.empty(0)
-    return _Seen("z", vector("z", q)), np.empty(0)
-
-
-def _are_states(task: Task) -> bool:
-    """Whether the outputs are the states themselves, as far as a few states tell."""
-    some = np.random.default_rng(0).standard_normal((8, len(task.states)))
-    return np.array_equal(task.output(some), some)
 
 
 def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     """The law in C99."""
-    from sympy import ccode
-
-    lines = [f"const double {name} = {ccode(value)};" for name, value in law.steps]
-    lines += [f"const double next{k} = {ccode(value)};" for k, value in enumerate(law.memory)]
-    lines += [f"u[{k}] = {ccode(value)};" for k, value in enumerate(law.u)]
-    lines += [f"memory[{k}] = next{k};" for k in range(len(law.memory))]
+    lines, u, memory = law.written(C)
+    lines += [f"u[{i}] = {value};" for i, value in enumerate(u)]
+    lines += [f"next[{i}] = {value};" for i, value in enumerate(memory)]
+    s = len(memory)
+    before = ["const double t = controller->frame * SIMBIAS_TIME_STEP;"] * law.time_dependent
+    before += ["const double *memory = controller->memory;", f"double next[{s}];"] * (s > 0)
     constants = [
-        f"    static const double {name}[{len(values)}] = {{{', '.join(map(repr, values.tolist()))}}};\n"
-        for name, values in _constants(task, law, bounds)
+        f"static const double {name}[{len(values)}] = {{{', '.join(map(C.number, values.tolist()))}}};"
+        for name, values in _limits(task, bounds).items()
     ]
-    return C_HEADER.format(
-        **_words(task, law, title),
-        memory_argument=f", double t, double memory[{len(law.memory)}]" if law.memory else "",
-        constants="".join(constants),
-        body=indent("\n".join(lines) + "\n", "    "),
+    return HEADER.format(
+        **_words(task, title),
+        memory_field=f"    double memory[{s}];\n" if s else "",
+        constants=_indented(constants),
+        locals=_indented(before),
+        body=_indented(lines),
+        memory_check=MEMORY_CHECK.format(s=s) if s else "",
+        memory_update=MEMORY_UPDATE.format(s=s) if s else "",
     )
 
 
 def python_module(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
-    """The law in Python."""
-    from sympy import pycode
-
-    lines = [f"{name} = {pycode(value)}" for name, value in law.steps]
-    lines.append(f"u = np.array([{', '.join(map(pycode, law.u))}])")
-    constants = [f"{name} = {values.tolist()!r}\n" for name, values in _constants(task, law, bounds)]
-    return PYTHON.format(
-        **_words(task, law, title),
-        memory_argument=", t, memory" if law.memory else "",
-        kept=f", np.array([{', '.join(map(pycode, law.memory))}])" if law.memory else "",
-        constants="".join(constants),
-        body=indent("\n".join(lines) + "\n", "    "),
+    """The law in Python, with NumPy."""
+    lines, u, memory = law.written(NUMPY)
+    return MODULE.format(
+        **_words(task, title),
+        constants="".join(
+            f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items()
+        ),
+        s=len(memory),
+        body=_indented(lines),
+        u=", ".join(u),
+        memory=", ".join(memory),
     )
 
 
-def _constants(task: Task, law: Formulas, bounds: Bounds) -> list[tuple[str, Array]]:
-    """Named numbers; where there is no limit, it is that of a finite number."""
+def harmless(words: str) -> str:
+    """Words of a config that neither end a comment nor a string of generated code, nor begin another line."""
+    kept = "".join(each if each.isalnum() or each in HARMLESS else " " for each in words)
+    return kept.replace("*/", "* /").replace("/*", "/ *")
+
+
+def _limits(task: Task, bounds: Bounds) -> dict[str, Array]:
+    """Named limits; where there is none, it is that of a finite number."""
     largest = np.finfo(np.float64).max
-    seen = bounds.states if law.seen == "x" else np.full(len(task.outputs), largest)
-    return [
-        *law.parameters,
-        ("SEEN_LIMIT", np.fmin(seen, largest)),
-        ("INPUT_LIMIT", np.fmin(bounds.inputs, largest)),
-    ]
-
-
-def _words(task: Task, law: Formulas, title: str) -> dict[str, Any]:
-    """What both languages say."""
-    quantities = task.states if law.seen == "x" else task.outputs
-    memory = (
-        f"\n    t: s since the start; memory: {len(law.memory)} numbers for the next frame, at first 0"
-        if law.memory
-        else ""
-    )
+    lower, upper = bounds.input_bounds
     return {
-        "title": title,
-        "time_step": task.time_step,
-        "seen": law.seen,
-        "seen_words": _list(quantities),
-        "u_words": _list(task.inputs),
-        "n": len(quantities),
+        "STATE_LIMIT": np.fmin(bounds.states, largest),
+        "INPUT_LOWER": np.fmax(lower, -largest),
+        "INPUT_UPPER": np.fmin(upper, largest),
+        "INPUT_CHANGE": np.fmin(bounds.input_rates * task.time_step, largest),
+    }
+
+
+def _words(task: Task, title: str) -> dict[str, object]:
+    """What both languages say."""
+    return {
+        "title": harmless(title),
+        "time_step": float(task.time_step),
+        "states": _list(task.states),
+        "inputs": _list(task.inputs),
+        "n": len(task.states),
         "m": len(task.inputs),
-        "memory_words": memory,
     }
 
 
 def _list(quantities: Sequence[Quantity]) -> str:
     """Names and units, in order."""
-    return ", ".join(f"{quantity.name} ({quantity.unit})" for quantity in quantities)
+    return ", ".join(harmless(f"{quantity.name} ({quantity.unit})") for quantity in quantities)
+
+
+def _indented(lines: Sequence[str]) -> str:
+    """Lines of a function's body."""
+    return indent("".join(f"{line}\n" for line in lines), "    ")

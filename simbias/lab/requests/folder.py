@@ -9,7 +9,6 @@ from textwrap import fill
 import numpy as np
 
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
-from simbias.lab.requests.symbols import UntraceableError
 from simbias.lab.requests.trajectory import template
 
 TRAJECTORY = "trajectory.csv"  # the answer to a request
@@ -31,12 +30,12 @@ Start the same command again: it resumes with the file, or says in one line what
 
 {controller}
 
-Abort beyond any of these limits{held}:
+Abort beyond any of these limits:
 {limits}
 """
 CODE = (
-    f"The controller is in {HEADER} (C99) and {MODULE} (Python); its gains and limits are in {POLICY}, in "
-    "the units named there."
+    f"The controller is in {HEADER} (C99) and {MODULE} (Python), and aborts beyond the limits below; its "
+    f"gains and limits are in {POLICY}, in the units named there."
 )
 NO_CODE = (
     "This policy cannot be written out as code ({why}). Its parameters are in "
@@ -72,14 +71,14 @@ def files(request: ExperimentRequest) -> dict[str, str]:
         POLICY: request.text(),
         TEMPLATE: template(request.task, request.start),
         README: _readme(request),
-        **request.code(f"Request {request.name}: {law}"),
+        **({} if request.why_no_code else request.code(f"Request {request.name}: {law}")),
     }
 
 
 def _readme(request: ExperimentRequest) -> str:
     """Instructions for a person."""
     task, bounds = request.task, request.bounds
-    why = request.formulas
+    why = request.why_no_code
     start = zip(task.states, request.start, request.start_tolerance, strict=True)
     failures = [f"{each.words} ({each.name} above {each.limit:g} {each.unit})" for each in task.criteria]
     limits = [
@@ -102,8 +101,7 @@ def _readme(request: ExperimentRequest) -> str:
         failures=_indented(failures or ["continuing is not safe"]),
         trajectory=TRAJECTORY,
         template=TEMPLATE,
-        controller=fill(NO_CODE.format(why=why) if isinstance(why, UntraceableError) else CODE, 110),
-        held=" (the code above holds all but the changes)" if np.isfinite(bounds.input_rates).any() else "",
+        controller=fill(NO_CODE.format(why=why) if why else CODE, 110),
         limits=_indented(f"{name} <= {v:g} {unit}" for name, v, unit in limits if np.isfinite(v)),
     )
 

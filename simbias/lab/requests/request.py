@@ -13,9 +13,10 @@ import numpy as np
 
 from simbias.core import Controller, Policy, Quantity, Task
 from simbias.core.records import Array
-from simbias.lab.requests.controller import Formulas, c_header, derive, python_module
-from simbias.lab.requests.symbols import UntraceableError
+from simbias.lab.requests.controller import c_header, python_module
+from simbias.lab.requests.verification import difference
 from simbias.lab.safety import Bounds, SafetyLimitedPolicy
+from simbias.simulation.compiler import Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
 DIGITS = 12  # hexadecimal, of a request's name
@@ -58,17 +59,22 @@ class ExperimentRequest:
         return np.where(deviation > 0, START_DEVIATIONS * deviation, np.inf)
 
     @cached_property
-    def formulas(self) -> Formulas | UntraceableError:
+    def formulas(self) -> Formulas | str:
         """The controller's formulas, or why it has none."""
-        try:
-            return derive(self.task, self.policy, self.theta)
-        except UntraceableError as error:
-            return error
+        return formulas_of(self.policy, self.task, self.theta)
+
+    @cached_property
+    def why_no_code(self) -> str:
+        """Why the controller is not to be had as code; "" if its code does what the policy does."""
+        if isinstance(self.formulas, str):
+            return self.formulas
+        code = self.code("")
+        return difference(self.policy, self.task, self.theta, self.bounds, code[HEADER], code[MODULE])
 
     def code(self, title: str) -> dict[str, str]:
         """The controller in C and in Python, by the names of their files; empty without formulas."""
         law = self.formulas
-        if isinstance(law, UntraceableError):
+        if isinstance(law, str):
             return {}
         return {
             HEADER: c_header(self.task, law, title, self.bounds),

@@ -14,8 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.core.records import Array
-from simbias.simulation.compiler.kernels import LANES
-from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, load, store
+from simbias.simulation.compiler import LANES, broadcast, everywhere, exp, fma, load, store
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 
@@ -96,7 +95,7 @@ def means(weights, k, n):
 
 
 def factor(norm, constants):
-    """What W^T k has to be multiplied by (Eq. 7), from |U k|^2."""
+    """Factor of W^T k in Eq. 7, from |U k|^2."""
     alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
     variance = prior - alpha_squared**2 * norm  # Eq. 5
     return alpha_squared * np.exp(-d_n * variance)

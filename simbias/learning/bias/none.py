@@ -4,18 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from simbias.core import Bias, FittedBias, Kernel
+from simbias.core import Bias, FittedBias
 from simbias.core.records import Array, Transitions
-
-
-def _constant(x, u, parameters):
-    """The parameters themselves: a constant."""
-    return parameters
-
-
-def zero(n: int) -> Kernel:
-    """The kernel of the zero correction of n states."""
-    return Kernel(_constant, np.zeros(n))
+from simbias.simulation.compiler import zero
 
 
 class ZeroBias(FittedBias):

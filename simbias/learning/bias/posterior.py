@@ -13,7 +13,7 @@ from simbias.core.records import Array, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.learning.bias.gp_kernel import correct, pack, pack_triangle
 from simbias.learning.bias.inducing import Inducing, choose, view
-from simbias.learning.bias.none import zero
+from simbias.simulation.compiler import zero
 
 ROWS = 32
 MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, at cost N^3

@@ -3,48 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Indices
-from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import Windows, memories
 
 STEP = 1e-5  # of a state, for derivatives by differences
 BATCH = 64  # windows differentiated at once, to bound memory
 
 
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
-    """Derivatives (w, J, n, n R) of chunk means by the weights of R features in each of n states."""
+def sensitivities(nominal: Nominal, windows: Windows, features: Callable[[Array], Array]) -> Array:
+    """Derivatives (w, J, n, n R) of chunk means by the weights of R features in each of n states.
 
-    parts: list[Array]  # along w
-
-    @staticmethod
-    def of(nominal: Nominal, windows: Windows, features: Callable[[Array], Array]) -> Sensitivity:
-        """Differentiate along the nominal model's predictions; features (k, R) are of inputs (k, n+m)."""
-        starts, memory = windows.starts, memories(nominal, windows)
-        cuts = range(0, len(starts), BATCH)
-        return Sensitivity(
-            [
-                _of(
-                    nominal,
-                    windows,
-                    features,
-                    starts[first : first + BATCH],
-                    memory[first : first + BATCH],
-                )
-                for first in cuts
-            ]
-        )
-
-    def whiten(self, errors: ErrorDistribution) -> Array:
-        """Derivatives (w, J n, n R) of the whitened predictions."""
-        inverse = errors.inverse
-        each = [part.reshape(len(part), len(inverse), -1) for part in self.parts]
-        return np.concatenate([inverse @ part for part in each])
+    They are taken along the nominal model's predictions; features (k, R) are of inputs (k, n+m).
+    """
+    starts, memory = windows.starts, memories(nominal, windows)
+    batches = [slice(first, first + BATCH) for first in range(0, len(starts), BATCH)]
+    return np.concatenate([_of(nominal, windows, features, starts[some], memory[some]) for some in batches])
 
 
 def _of(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -14,9 +14,9 @@ from simbias.core.ranges import Count, Positive, Seconds
 from simbias.core.records import Array, Indices, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.bias.inducing import Inducing, choose
-from simbias.learning.bias.none import NoBias
+from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import GPSample
-from simbias.learning.bias.sensitivity import Sensitivity
+from simbias.learning.bias.sensitivity import sensitivities
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import Windows, World, predict
 
@@ -64,50 +64,36 @@ class WindowGP(Bias):
         frames = window / task.time_step
         self._chunk = max(1, round(frames / chunks))
         self._window = max(1, round(frames / self._chunk)) * self._chunk
-        self._candidates = [(length, signal) for length in length_scales for signal in signals]
+        self._length_scales, self._signals = sorted(length_scales), list(signals)
         self._segment = max(1, round(segment / window))  # windows
         self._folds = folds
         self._points = points
-        self._none = NoBias()
 
     def fit(self, transitions: Transitions) -> FittedBias:
         """The zero bias: single transitions are not used."""
-        return self._none.fit(transitions)
+        return ZeroBias(transitions.residuals.shape[1])
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
         """Learn from the residuals of the nominal model over windows of the rollouts."""
         windows = Windows.of(rollouts, self._window, self._chunk) if rollouts else None
-        if not windows:
-            return self.fit(transitions)
-        fold = self._fold(windows)
-        if len(np.unique(fold)) < 2:
+        fold = self._fold(windows) if windows else np.zeros(0, np.int64)
+        if not windows or len(np.unique(fold)) < 2:
             return self.fit(transitions)
         residuals = windows.means - predict([World(nominal)], windows)[0]
         errors = ErrorDistribution.of(residuals, windows)
         last = residuals[:, -1]
-        signal = np.sqrt(np.mean(np.clip(last, *_outlier_limits(last)) ** 2, axis=0)) / self._window
-        signal = np.maximum(signal, LEAST_SIGNAL)
-        best: _Candidate | None = None
-        for length in sorted({length for length, _ in self._candidates}):
+        unit = np.sqrt(np.mean(np.clip(last, *_outlier_limits(last)) ** 2, axis=0)) / self._window
+        unit = np.maximum(unit, LEAST_SIGNAL)
+        for length in self._length_scales:
             hyper, Z = self._inducing(windows, length)
-            sensitivity = Sensitivity.of(nominal, windows, features(hyper, Z))
-            fits = _Fits.of(sensitivity, residuals, errors, fold, windows.experiments)
-            for own, times in self._candidates:
-                if own == length:
-                    gain = fits.gain(times * signal)
-                    if gain > (best.gain if best else 0.0):
-                        best = _Candidate(gain, hyper, Z, fits, times * signal)
-            if best is not None:
-                break
-        if best is None:
-            return self.fit(transitions)
-        mean, covariance = best.fits.posterior(best.signal)
-        diagnostics = {
-            "gain": best.gain,
-            "inducing_points": len(best.Z),
-            "length_scale": float(best.hyper.length_scale[0]),
-        }
-        return WindowPosterior(best.hyper, best.Z, mean, covariance, best.signal, diagnostics)
+            derivatives = sensitivities(nominal, windows, features(hyper, Z))
+            fits = _Fits.of(derivatives, residuals, errors, fold, windows.experiments)
+            gains = [fits.gain(times * unit) for times in self._signals]
+            gain, signal = max(gains), self._signals[int(np.argmax(gains))] * unit
+            if gain > 0.0:
+                diagnostics = {"gain": gain, "inducing_points": len(Z), "length_scale": length}
+                return WindowPosterior(hyper, Z, *fits.posterior(signal), signal, diagnostics)
+        return self.fit(transitions)
 
     def _fold(self, windows: Windows) -> Indices:
         """Index (w,) of the fit that each window is left out of."""
@@ -136,16 +122,6 @@ def _outlier_limits(values: Array) -> tuple[Array, Array]:
     return -most, most
 
 
-class _Candidate(NamedTuple):
-    """Hyper-parameters, their regression, and their cross-validated gain."""
-
-    gain: float
-    hyper: Hyperparameters
-    Z: Array
-    fits: _Fits
-    signal: Array
-
-
 @dataclass(frozen=True, eq=False)
 class _Fits:
     """Linear regression of whitened residuals on feature weights, with leave-one-fold-out posteriors."""
@@ -160,16 +136,16 @@ class _Fits:
 
     @staticmethod
     def of(
-        sensitivity: Sensitivity,
+        derivatives: Array,
         residuals: Array,
         errors: ErrorDistribution,
         fold: Indices,
         experiments: Indices,
     ) -> _Fits:
-        """Weight windows by their residuals (w, J, n) without a bias."""
+        """Weight windows by their residuals (w, J, n) without a bias; derivatives (w, J, n, n R)."""
         b = errors.whiten(residuals)
         weights = np.sqrt(errors.weights(b))
-        A = sensitivity.whiten(errors) * weights[:, None, None]
+        A = (errors.inverse @ derivatives.reshape(*b.shape, -1)) * weights[:, None, None]
         b = b * weights[:, None]
         folds = range(fold.max() + 1)
         products = np.array([_product(A[fold == f]) for f in folds])

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import final
+from copy import copy
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
 from simbias.core import Identification, Nominal, Task
-from simbias.core.parameters import Estimate, values_at
+from simbias.core.parameters import values_at
 from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
+from simbias.learning.identification.directions import undetermined
+from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import Windows, World, predict
@@ -22,7 +24,6 @@ LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
 ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
 SPREAD_ROUNDS = 2  # of estimating the errors' covariance, with the part that fitted parameters removed
 TOLERANCE = 0.05  # of the mode's convergence, in standard deviations of the posterior
-QUANTILE = 1.6449  # 95% of a standard normal
 
 
 class Posterior(Identification):
@@ -53,6 +54,13 @@ class Posterior(Identification):
         weight for outliers, and once more with the t distribution of the errors.
     evaluations
         Largest number of steps of the search for the mode in a round.
+    known
+        An earlier posterior, as of recordings, in place of the declared prior.
+
+    Raises
+    ------
+    ValueError
+        If `known` is not of the nominal model's parameters (`fit`).
     """
 
     def __init__(
@@ -63,17 +71,51 @@ class Posterior(Identification):
         starts: Count = 32,
         rounds: Count = 4,
         evaluations: Count = 12,
+        known: Known | None = None,
     ) -> None:
-        frames = window / task.time_step
-        self._chunk = max(1, round(frames / chunks))
-        self._window = max(1, round(frames / self._chunk)) * self._chunk
+        self._time_step = task.time_step
+        self._chunks = chunks
+        self._set_window(window)
+        self._known = known
         self._starts = starts
         self._rounds = rounds
         self._evaluations = evaluations
 
+    def _set_window(self, window: float) -> None:
+        """Round its duration in s to a whole number of chunks."""
+        frames = window / self._time_step
+        self._chunk = max(1, round(frames / self._chunks))
+        self._window = max(1, round(frames / self._chunk)) * self._chunk
+
+    @property
+    def window(self) -> float:
+        """Duration of a prediction in s."""
+        return self._window * self._time_step
+
+    def with_window(self, window: float) -> Posterior:
+        """The same with predictions of another duration in s."""
+        other = copy(self)
+        other._set_window(window)
+        return other
+
+    def windows(self, rollouts: Sequence[Rollout]) -> Windows:
+        """Experiments, cut as predictions are compared with them."""
+        return Windows.of(rollouts, self._window, self._chunk)
+
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
-        """The model at the mode, which draws from the posterior; without a whole window, the model itself."""
-        windows = Windows.of(rollouts, self._window, self._chunk) if rollouts else None
+        """The model at the mode, which draws from the posterior.
+
+        Without a whole window it is the model itself, or the one that is known.
+        """
+        if self._known is None:
+            return self._fit(nominal, rollouts)
+        prior = KnownPrior(nominal, self._known)
+        fitted = self._fit(prior, rollouts)
+        return prior.posterior(fitted if isinstance(fitted, Identified) else None)
+
+    def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+        """The posterior, with the declared prior."""
+        windows = self.windows(rollouts) if rollouts else None
         if not nominal.parameters or not windows:
             return nominal
         z = self._start(nominal, windows)
@@ -84,8 +126,14 @@ class Posterior(Identification):
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        diagnostics = {"windows": len(windows), "share": problem.errors.independent_share}
-        return Identified(nominal, z, problem.spread(z), diagnostics)
+        fitted = Identified(nominal, z, problem.spread(z), {}, problem.errors)
+        share = problem.errors.independent_share
+        fitted.diagnostics = {
+            "windows": len(windows),
+            "share": share,
+            "undetermined": len(undetermined(fitted)),
+        }
+        return fitted
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
         """The likeliest coordinates (p,) among the prior's median and draws from it."""
@@ -130,6 +178,12 @@ class Problem:
             xtol=1e-4,
             max_nfev=evaluations,
         ).x
+
+    def information(self, z: Array) -> Array:
+        """Fisher information (p, p) about coordinates that these windows would hold if z were the truth."""
+        each = self._errors(z + STEP * np.eye(len(z) + 1, len(z), -1))
+        J = self.errors.whiten(each[1:] - each[0]).reshape(len(z), -1) / STEP
+        return self.errors.independent_share * J @ J.T
 
     def precision(self, z: Array) -> Array:
         """Curvature (p, p) of the negative logarithm of the density at z."""
@@ -191,49 +245,3 @@ class Problem:
             residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
             self._last = z.tobytes(), residuals, derivatives
         return self._last[1], self._last[2]
-
-
-@final
-class Identified(Nominal):
-    """The nominal model at the mode of its parameters; `draw` samples their posterior."""
-
-    def __init__(self, prior: Nominal, mode: Array, spread: Array, diagnostics: dict[str, float]) -> None:
-        self._prior = prior
-        self.mode = mode  # (p,) coordinates
-        self.model = prior.with_parameters(values_at(prior.parameters, mode))
-        self.kernel = self.model.kernel
-        self.parameters = prior.parameters
-        self.memory_size = self.model.memory_size
-        self.diagnostics = diagnostics
-        self._spread = spread  # (p, p)
-        self.covariance = spread @ spread.T  # (p, p) of the coordinates
-        deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
-        self.estimates = tuple(
-            Estimate(p.name, p.unit, p.value, float(p.at(z)), float(p.at(z - d)), float(p.at(z + d)))
-            for p, z, d in zip(prior.parameters, mode, deviations, strict=True)
-        )
-
-    def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n) of the most probable model."""
-        return self.model.step(x, u)
-
-    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
-        """x_next (..., n), and the memory (..., s), of the most probable model."""
-        return self.model.advance(x, u, memory)
-
-    def memories(self, states: Array, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record, from its start on."""
-        return self.model.memories(states, inputs)
-
-    def with_parameters(self, values: Array) -> Nominal:
-        """The model with other values (k,) of its parameters."""
-        return self._prior.with_parameters(values)
-
-    def narrowed(self, scale: float) -> Identified:
-        """The model at the same mode, with `scale` times the standard deviations of the posterior."""
-        return Identified(self._prior, self.mode, scale * self._spread, dict(self.diagnostics))
-
-    def draw(self, rng: np.random.Generator) -> Nominal:
-        """A model with parameters drawn from the posterior."""
-        e = self._spread @ rng.standard_normal(len(self.mode))
-        return self._prior.with_parameters(values_at(self._prior.parameters, self.mode + e))

@@ -1,9 +1,10 @@
-"""What the bongoboard is in any physics engine: its bodies, where they begin, and which of them touch."""
+"""The bongoboard in any physics engine: its bodies, where they begin, and which of them touch."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from simbias.robots.bongoboard.task import Bongoboard, Robot
 
 Feet = Literal["plate", "separate", "fixed"]
 Place = Sequence[float]  # x, y in m and global angle in rad
+Turn = Sequence[float]  # global angle in rad, and its rate
 
 SETTLING_STEPS = 20  # of the first frame, repeated: a solver goes on from the forces it last found
 FLOOR_END = 10.0  # m, on either side
@@ -25,88 +27,84 @@ FLOOR, WHEEL, BOARD, FOOT = 1, 2, 4, 8
 TOUCHES = {FLOOR: WHEEL | BOARD, WHEEL: FLOOR | BOARD, BOARD: FLOOR | WHEEL | FOOT, FOOT: BOARD}
 
 
-def inertias(
-    robot: Robot, feet: Feet, scale: float = 1.0, gaps: Gaps = NO_GAPS
-) -> dict[str, tuple[float, float]]:
-    """Mass (kg) and moment of inertia about the centre (kg m^2) of every body.
+@dataclass(frozen=True)
+class Assembly:
+    """The bodies of a bongoboard as an engine begins with them; a payload is one body with the pelvis."""
 
-    Those of the robot are multiplied by the scale. A payload is one body with the pelvis.
-    """
-    leg = _bar(robot.leg_mass, robot.leg_length, 0.0)
-    bodies = {
-        "wheel": (robot.wheel_mass, robot.wheel_mass * robot.wheel_radius**2 / 2),
-        "board": _bar(robot.board_mass, robot.board_length, robot.board_thickness),
-        "left leg": leg,
-        "right leg": leg,
-        "pelvis": (robot.pelvis_mass, robot.pelvis_inertia),
-    }
-    if feet == "separate":
-        foot = _bar(robot.foot_mass / 2, robot.foot_length / 2, robot.ankle_height)
-        bodies |= {"left foot": foot, "right foot": foot}
-    else:
-        bodies["foot"] = _bar(robot.foot_mass, robot.foot_length, robot.ankle_height)
-    scaled = {name: (scale * mass, scale * inertia) for name, (mass, inertia) in bodies.items()}
-    if gaps.payload_mass:
-        mass, inertia = scaled["pelvis"]
-        both = mass + gaps.payload_mass
-        apart = gaps.payload_x**2 + gaps.payload_y**2
-        scaled["pelvis"] = both, inertia + mass * gaps.payload_mass / both * apart
-    if gaps.backlash:
-        scaled |= dict.fromkeys(ROTORS, (ROTOR_MASS, gaps.rotor_inertia / 2))
-    return scaled
+    task: Bongoboard
+    scale: float = 1.0  # of every mass and moment of inertia of the robot
+    feet: Feet = "plate"
+    overlap: float = 0.0  # m, by which bodies in contact may overlap
+    gaps: Gaps = NO_GAPS
+
+    def inertias(self) -> dict[str, tuple[float, float]]:
+        """Mass (kg) and moment of inertia about the centre (kg m^2) of every body."""
+        robot, gaps = self.task.robot, self.gaps
+        leg = _bar(robot.leg_mass, robot.leg_length, 0.0)
+        bodies = {
+            "wheel": (robot.wheel_mass, robot.wheel_mass * robot.wheel_radius**2 / 2),
+            "board": _bar(robot.board_mass, robot.board_length, robot.board_thickness),
+            "left leg": leg,
+            "right leg": leg,
+            "pelvis": (robot.pelvis_mass, robot.pelvis_inertia),
+        }
+        if self.feet == "separate":
+            foot = _bar(robot.foot_mass / 2, robot.foot_length / 2, robot.ankle_height)
+            bodies |= {"left foot": foot, "right foot": foot}
+        else:
+            bodies["foot"] = _bar(robot.foot_mass, robot.foot_length, robot.ankle_height)
+        scaled = {name: (self.scale * mass, self.scale * inertia) for name, (mass, inertia) in bodies.items()}
+        if gaps.payload_mass:
+            mass, inertia = scaled["pelvis"]
+            both = mass + gaps.payload_mass
+            apart = gaps.payload_x**2 + gaps.payload_y**2
+            scaled["pelvis"] = both, inertia + mass * gaps.payload_mass / both * apart
+        if gaps.backlash:
+            scaled |= dict.fromkeys(ROTORS, (ROTOR_MASS, gaps.rotor_inertia / 2))
+        return scaled
+
+    def places(self, angles: Array) -> dict[str, Array]:
+        """Centre (x, y) and global angle of every body, (3,), at (alpha_w, alpha_b, theta), real or complex.
+
+        Bodies in contact overlap by half of what they may, so that they touch from the first frame on.
+        """
+        robot, pose, gaps = self.task.robot, self.task.pose(angles), self.gaps
+        phi = pose.board_angle
+        spacing = robot.foot_length / 2 if self.feet == "separate" else robot.ankle_spacing
+        aside = spacing / 2 * np.array([np.cos(phi), np.sin(phi)])
+        foot = pose.ankles - robot.ankle_height / 2 * np.array([-np.sin(phi), np.cos(phi)])
+        leg = (pose.ankles + pose.pelvis) / 2
+        share = gaps.payload_mass / (gaps.payload_mass + self.scale * robot.pelvis_mass)
+        x, y = share * gaps.payload_x, share * gaps.payload_y
+        off_centre = np.array([x * np.cos(phi) - y * np.sin(phi), x * np.sin(phi) + y * np.cos(phi)])
+        bodies = {  # centre, angle, contacts below
+            "wheel": (pose.wheel, pose.wheel_angle, 1),
+            "board": (pose.board, phi, 2),
+            "foot": (foot, phi, 3),
+            "left foot": (foot - aside, phi, 3),
+            "right foot": (foot + aside, phi, 3),
+            "left leg": (leg - aside, pose.leg_angle, 3),
+            "right leg": (leg + aside, pose.leg_angle, 3),
+            "pelvis": (pose.pelvis + off_centre, phi, 3),
+            "left rotor": (leg - aside, pose.leg_angle, 3),
+            "right rotor": (leg + aside, pose.leg_angle, 3),
+        }
+        return {
+            name: np.array([x, y - contacts * self.overlap / 2, angle])
+            for name, ((x, y), angle, contacts) in bodies.items()
+        }
+
+    def motion(self, start: Array) -> dict[str, tuple[Array, Array]]:
+        """Place x, y, angle and velocity of every body, (3,) each, at a start (6,)."""
+        h = 1e-30  # complex step: the velocities are exact
+        placed = self.places(start[:3] + 1j * h * start[3:])
+        return {name: (place.real, place.imag / h) for name, place in placed.items()}
 
 
-def places(
-    task: Bongoboard,
-    angles: Array,
-    feet: Feet,
-    overlap: float = 0.0,
-    gaps: Gaps = NO_GAPS,
-    scale: float = 1.0,
-) -> dict[str, Array]:
-    """Centre (x, y) and global angle of every body, (3,), at (alpha_w, alpha_b, theta), real or complex.
-
-    Bodies in contact overlap by half of what they may, so that they touch from the first frame on.
-    """
-    robot, pose = task.robot, task.pose(angles)
-    phi = pose.board_angle
-    spacing = robot.foot_length / 2 if feet == "separate" else robot.ankle_spacing
-    aside = spacing / 2 * np.array([np.cos(phi), np.sin(phi)])
-    foot = pose.ankles - robot.ankle_height / 2 * np.array([-np.sin(phi), np.cos(phi)])
-    leg = (pose.ankles + pose.pelvis) / 2
-    share = gaps.payload_mass / (gaps.payload_mass + scale * robot.pelvis_mass)
-    x, y = share * gaps.payload_x, share * gaps.payload_y
-    pelvis = pose.pelvis + np.array([x * np.cos(phi) - y * np.sin(phi), x * np.sin(phi) + y * np.cos(phi)])
-    bodies = {  # centre, angle, contacts below
-        "wheel": (pose.wheel, pose.wheel_angle, 1),
-        "board": (pose.board, phi, 2),
-        "foot": (foot, phi, 3),
-        "left foot": (foot - aside, phi, 3),
-        "right foot": (foot + aside, phi, 3),
-        "left leg": (leg - aside, pose.leg_angle, 3),
-        "right leg": (leg + aside, pose.leg_angle, 3),
-        "pelvis": (pelvis, phi, 3),
-        "left rotor": (leg - aside, pose.leg_angle, 3),
-        "right rotor": (leg + aside, pose.leg_angle, 3),
-    }
-    return {
-        name: np.array([x, y - contacts * overlap / 2, angle])
-        for name, ((x, y), angle, contacts) in bodies.items()
-    }
-
-
-def motion(
-    task: Bongoboard,
-    start: Array,
-    feet: Feet,
-    overlap: float = 0.0,
-    gaps: Gaps = NO_GAPS,
-    scale: float = 1.0,
-) -> dict[str, tuple[Array, Array]]:
-    """Place x, y, angle and velocity of every body, (3,) each, at a start (6,)."""
-    h = 1e-30  # complex step: the velocities are exact
-    placed = places(task, start[:3] + 1j * h * start[3:], feet, overlap, gaps, scale)
-    return {name: (place.real, place.imag / h) for name, place in placed.items()}
+def state_of(wheel: Turn, board: Turn, left: Turn, right: Turn) -> list[float]:
+    """The task's state (6,) of the bodies' global angles and rates: wheel, board and legs."""
+    each = zip(wheel, board, left, right, strict=True)  # angles, then rates
+    return [part for w, b, one, other in each for part in (w, b - w, (one + other) / 2 - b)]
 
 
 def contact(robot: Robot, wheel: Place, board: Place) -> tuple[float, float]:

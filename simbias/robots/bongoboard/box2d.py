@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any, final
 
-import numpy as np
-
 from simbias.core.extras import library
 from simbias.core.ranges import Count
 from simbias.core.records import Array
@@ -17,12 +15,12 @@ from simbias.robots.bongoboard.bodies import (
     SETTLING_STEPS,
     TOUCHES,
     WHEEL,
+    Assembly,
     Place,
-    inertias,
-    motion,
+    state_of,
 )
 from simbias.robots.bongoboard.hardware import Depth, EngineBongoboard, InertiaError
-from simbias.robots.bongoboard.task import Bongoboard
+from simbias.robots.bongoboard.task import Bongoboard, Robot
 from simbias.simulation.control_loop import Record
 from simbias.simulation.noise import QUIET, Variances
 
@@ -32,7 +30,7 @@ OVERLAP = 0.005 * UNIT  # m
 
 
 def box2d() -> Any:
-    """The library."""
+    """Box2D, imported when it is needed; ValueError if it is not installed."""
     return library("Box2D", "Box2D", "box2d")
 
 
@@ -67,26 +65,27 @@ class Box2dBongoboard(EngineBongoboard):
     ) -> None:
         box2d()
         super().__init__(task, inertia_error, noise, record, detachment)
+        self._assembly = Assembly(task, self._scale, overlap=OVERLAP)
         self._iterations = iterations
 
     def build(self, start: Array) -> World:
         """The engine's world at a start (6,), as an experiment begins with it."""
-        return World(self._task, start, self._scale, self._iterations)
+        return World(self._assembly, start, self._iterations)
 
 
 class World:
     """The engine's world in the pose and motion of a start (6,), contact forces found."""
 
-    def __init__(self, task: Bongoboard, start: Array, scale: float, iterations: int) -> None:
-        self._time_step, self._iterations = task.time_step, iterations
-        robot = task.robot
+    def __init__(self, assembly: Assembly, start: Array, iterations: int) -> None:
+        robot, inertias = assembly.task.robot, assembly.inertias()
+        self._time_step, self._iterations = assembly.task.time_step, iterations
         world = self._world = box2d().b2World(gravity=(0.0, -robot.gravity / UNIT), doSleep=False)
         world.continuousPhysics = False
-        begin = motion(task, start, "plate", OVERLAP)
-        self.bodies = bodies = {name: world.CreateDynamicBody() for name in inertias(robot, "plate", scale)}
+        begin = assembly.motion(start)
+        self.bodies = bodies = {name: world.CreateDynamicBody() for name in inertias}
         self._put(begin)
-        self._add_shapes(task)
-        for name, (mass, inertia) in inertias(robot, "plate", scale).items():
+        self._add_shapes(robot)
+        for name, (mass, inertia) in inertias.items():
             bodies[name].massData = box2d().b2MassData(mass=mass, center=(0, 0), I=inertia / UNIT**2)
         half_leg = robot.leg_length / 2 / UNIT
         for name in ("left leg", "right leg"):
@@ -106,9 +105,9 @@ class World:
             body.transform = ((x / UNIT, y / UNIT), angle)
             body.linearVelocity, body.angularVelocity = (d_x / UNIT, d_y / UNIT), d_angle
 
-    def _add_shapes(self, task: Bongoboard) -> None:
+    def _add_shapes(self, robot: Robot) -> None:
         """The shapes of floor, wheel, board and foot plate; polygons without their skin are smaller by it."""
-        engine, robot = box2d(), task.robot
+        engine = box2d()
 
         def box(length: float, height: float) -> Any:
             return engine.b2PolygonShape(box=(length / 2 / UNIT - SKIN, height / 2 / UNIT - SKIN))
@@ -134,13 +133,10 @@ class World:
         self.bodies["foot"].ApplyTorque(-asked, True)
         self._world.Step(self._time_step, self._iterations, self._iterations)
 
-    def state(self) -> Array:
-        """The task's state (6,), of the bodies' angles and rates."""
-        wheel, board, left, right = (
-            np.array([self.bodies[name].angle, self.bodies[name].angularVelocity])
-            for name in ("wheel", "board", "left leg", "right leg")
-        )
-        return np.column_stack([wheel, board - wheel, (left + right) / 2 - board]).ravel()
+    def state(self) -> list[float]:
+        """State (6,) of the task, of the bodies' angles and rates."""
+        bodies = (self.bodies[name] for name in ("wheel", "board", "left leg", "right leg"))
+        return state_of(*((body.angle, body.angularVelocity) for body in bodies))
 
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""

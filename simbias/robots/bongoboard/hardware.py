@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -32,7 +32,7 @@ class World(Protocol):
     def step(self, torque: float) -> None:
         """One frame under an ankle torque (N m), half on each leg."""
 
-    def state(self) -> Sequence[float] | Array:
+    def state(self) -> list[float]:
         """The task's state (6,), of the bodies' angles and rates."""
 
     def wheel_and_board(self) -> tuple[Place, Place]:
@@ -114,11 +114,11 @@ class _Running(Robot):
         return self._states[-1]
 
     def reading(self) -> Array:
-        """What the sensors say of it."""
+        """Readings (6,) of the sensors, without noise."""
         return self._sensor.read(self._states, len(self._states) - 1)
 
     def step(self, u: Array) -> None:
-        """One frame."""
+        """Step the world by one frame, under what the motor makes of u (1,)."""
         if self._world is None:
             self._world = self._build(self._states[0])
         (torque,) = self._drive(u.tolist())

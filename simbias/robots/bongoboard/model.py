@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from copy import copy
 from dataclasses import replace
-from typing import final
+from functools import cache
+from typing import Any, final
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from simbias.robots.bongoboard.uncertainty import (
     priors,
 )
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
-from simbias.simulation.compiler.kernels import elementwise
+from simbias.simulation.compiler import elementwise
 
 _CERTAIN = Uncertainty()
 
@@ -78,10 +79,9 @@ class LagrangianBongoboard(Nominal):
         self._is_disturbed = not MECHANICAL.keys().isdisjoint(present)
         if self._is_disturbed:
             parameters = losses.parameters(robot, self._time_step, known)
-            mechanics = Kernel(losses.step, parameters)
         else:
-            lumped = equations.coefficients(robot, known["foot_mass"])
-            mechanics = Kernel(equations.step, np.concatenate(([self._time_step], lumped)))
+            parameters = np.array([self._time_step, *equations.coefficients(robot, known["foot_mass"])])
+        mechanics = Kernel(_semi_implicit(self._equations.accelerations), parameters)
         self._mechanics = self.kernel = mechanics
         self._actuators: Actuators | None = None
         self.memory_size = 0
@@ -141,12 +141,39 @@ class LagrangianBongoboard(Nominal):
         """x_next (..., 6) under a torque (..., 1) that acts."""
         return elementwise(self._mechanics.function, x, torque, parameters=self._mechanics.parameters)
 
+    @property
+    def _equations(self) -> Any:
+        """The module of the equations of motion."""
+        return losses if self._is_disturbed else equations
+
     def accelerations(self, x: Array, u: Array) -> Array:
         """Accelerations (..., 3) of alpha_w, alpha_b, theta in rad/s^2 at x (..., 6), acting u (..., 1)."""
-        mechanics = losses if self._is_disturbed else equations
-        return elementwise(mechanics.accelerations, x, u, parameters=self._mechanics.parameters)
+        return elementwise(self._equations.accelerations, x, u, parameters=self._mechanics.parameters)
 
     def energy(self, x: Array) -> Array:
         """Kinetic and potential energy (...) in J at x (..., 6), heights counted from the wheel's centre."""
-        mechanics = losses if self._is_disturbed else equations
-        return mechanics.energy(np.moveaxis(x, -1, 0), self._mechanics.parameters)
+        return self._equations.energy(np.moveaxis(x, -1, 0), self._mechanics.parameters)
+
+
+@cache
+def _semi_implicit(accelerations: Callable) -> Callable:
+    """A step of semi-implicit Euler: velocities first, then positions; the time step is parameter 0."""
+
+    def step(x, u, parameters):
+        """x_next (6,) after x (6,) under u (1,)."""
+        time_step = parameters[0]
+        alpha_w, alpha_b, theta, d_alpha_w, d_alpha_b, d_theta = x
+        dd_alpha_w, dd_alpha_b, dd_theta = accelerations(x, u, parameters)
+        d_alpha_w = d_alpha_w + time_step * dd_alpha_w
+        d_alpha_b = d_alpha_b + time_step * dd_alpha_b
+        d_theta = d_theta + time_step * dd_theta
+        return (
+            alpha_w + time_step * d_alpha_w,
+            alpha_b + time_step * d_alpha_b,
+            theta + time_step * d_theta,
+            d_alpha_w,
+            d_alpha_b,
+            d_theta,
+        )
+
+    return step

@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.core.ranges import Count
 from simbias.core.records import Array
-from simbias.robots.bongoboard.bodies import Place, inertias, motion
+from simbias.robots.bongoboard.bodies import Assembly, Place, state_of
 from simbias.robots.bongoboard.hardware import Depth, EngineBongoboard, InertiaError
 from simbias.robots.bongoboard.task import Bongoboard, Robot
 from simbias.robots.mujoco.parameters import mujoco
@@ -53,12 +53,12 @@ class MujocoBongoboard(EngineBongoboard):
     ) -> None:
         super().__init__(task, inertia_error, noise, record, detachment)
         self._steps = steps
-        self._text = mjcf(task, self._scale, steps)
-        self.model = mujoco().MjModel.from_xml_string(self._text)
+        self._assembly = Assembly(task, self._scale, overlap=OVERLAP)
+        self.model = mujoco().MjModel.from_xml_string(mjcf(self._assembly, steps))
 
     def build(self, start: Array) -> World:
         """The engine's world at a start (6,), as an experiment begins with it."""
-        return World(self._task, self.model, start, self._steps)
+        return World(self._assembly, self.model, start, self._steps)
 
 
 class World:
@@ -68,10 +68,10 @@ class World:
     the right leg.
     """
 
-    def __init__(self, task: Bongoboard, model: object, start: Array, steps: int) -> None:
+    def __init__(self, assembly: Assembly, model: object, start: Array, steps: int) -> None:
         self._model, self._steps = model, steps
         self.data = mujoco().MjData(model)
-        begin = motion(task, start, "plate", OVERLAP)
+        begin = assembly.motion(start)
         for values, part in ((self.data.qpos, 0), (self.data.qvel, 1)):
             foot, leg = begin["foot"][part][2], begin["left leg"][part][2]
             bodies = (begin[name][part] for name in ("wheel", "board", "foot"))
@@ -82,11 +82,11 @@ class World:
         self.data.ctrl[:] = torque / 2
         mujoco().mj_step(self._model, self.data, nstep=self._steps)
 
-    def state(self) -> Array:
-        """The task's state (6,), of the bodies' angles and rates."""
-        both = np.stack([self.data.qpos, self.data.qvel])
-        wheel, board, leg = both[:, 2], both[:, 5], both[:, 8] + both[:, LEGS].mean(axis=1)
-        return np.stack([wheel, board - wheel, leg - board], axis=1).ravel()
+    def state(self) -> list[float]:
+        """State (6,) of the task, of the engine's positions and velocities."""
+        turns = np.stack([self.data.qpos, self.data.qvel], axis=1)
+        leg = (turns[8] + turns[LEGS].mean(axis=0)).tolist()
+        return state_of(*turns[[2, 5]].tolist(), leg, leg)
 
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""
@@ -94,9 +94,9 @@ class World:
         return places[:3], places[3:6]
 
 
-def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
+def mjcf(assembly: Assembly, steps: int) -> str:
     """The robot as MJCF; angles are counter-clockwise, seen with x to the right and z up."""
-    robot, seconds = task.robot, task.time_step / steps
+    robot, seconds = assembly.task.robot, assembly.task.time_step / steps
     soft = f'solref="{STIFFNESS * seconds} 1" solimp="0.99 0.999 0.0001"'
     return f"""
     <mujoco model="bongoboard">
@@ -104,7 +104,7 @@ def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
       <option timestep="{seconds}" gravity="0 0 {-robot.gravity}" integrator="implicitfast" cone="elliptic"
         impratio="100" iterations="100" tolerance="1e-10"/>
       <default><geom contype="0" conaffinity="0"/></default>
-      <worldbody>{_bodies(robot, scale)}</worldbody>
+      <worldbody>{_bodies(robot, assembly.inertias())}</worldbody>
       <contact>{_pairs(robot.friction, soft)}</contact>
       <equality>
         <joint joint1="right leg" joint2="left leg" polycoef="0 1 0 0 0" {soft}/>
@@ -117,9 +117,8 @@ def mjcf(task: Bongoboard, scale: float, steps: int) -> str:
     </mujoco>"""
 
 
-def _bodies(robot: Robot, scale: float) -> str:
+def _bodies(robot: Robot, masses: dict[str, tuple[float, float]]) -> str:
     """Floor, wheel, board and foot plate, which carries the legs, and the left one the pelvis."""
-    masses = inertias(robot, "plate", scale)
     mass, inertia = masses["pelvis"]
     pelvis = (
         f'<body name="pelvis" pos="0 0 {robot.leg_length}">{_hinge("hip")}'
@@ -153,7 +152,7 @@ def _inertial(mass: float, inertia: float, height: float = 0.0) -> str:
 
 
 def _hinge(name: str) -> str:
-    """A joint in the plane."""
+    """MJCF of a joint that turns in the plane."""
     return f'<joint name="{name}" type="hinge" axis="0 -1 0"/>'
 
 
@@ -169,7 +168,7 @@ def _box(name: str, length: float, height: float) -> str:
 
 
 def _pairs(friction: float, soft: str) -> str:
-    """What touches what."""
+    """Pairs of shapes that may touch, with their friction."""
     return "".join(
         f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{friction} {friction} 0 0 0" {soft}/>'
         for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))

@@ -28,8 +28,7 @@ from simbias.core.ranges import (
     TimeStep,
 )
 from simbias.core.records import Array
-from simbias.simulation.compiler.kernels import elementwise
-from simbias.simulation.compiler.trigonometry import sincos
+from simbias.simulation.compiler import elementwise, sincos
 
 SixNumbers = Annotated[list[Coordinate], Field(min_length=6, max_length=6)]
 

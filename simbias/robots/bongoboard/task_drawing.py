@@ -7,14 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Polygon
 
 from simbias.core.records import Array
 from simbias.robots.bongoboard.task import Bongoboard
+from simbias.robots.drawing.parts import LINE, Disc, draw_parts, move_parts
 
-LINE, BOARD, WHEEL = "0.2", "0.55", "0.88"  # greys
+BOARD, WHEEL = "0.55", "0.88"  # greys
 GREYS = {"wheel": WHEEL, "sector": LINE, "board": BOARD}
-PALE = 0.4  # opacity of what has failed
 LEG_WIDTH, JOINT_RADIUS = 0.04, 0.012  # m; neither is a parameter of the task
 
 
@@ -26,33 +25,19 @@ def draw(
     Lengths are the task's, but the upper body is a sketch: of it the task knows only mass and inertia.
     A dark sector shows how the wheel has turned. The robot is of the given colour; a muted drawing is pale.
     """
-    axes.set_aspect("equal")
-    axes.axis("off")
-    artists: dict[str, Artist] = {"floor": axes.axhline(0.0, color=LINE, linewidth=1.0, zorder=0)}
-    for order, (name, place) in enumerate(_parts(task, state).items(), start=1):
-        patch = _disc(task, name, place) if place.ndim == 1 else Polygon(place, joinstyle="round")
-        patch.set_facecolor(LINE if name.endswith(("ankle", "hip")) else GREYS.get(name, color))
-        patch.set_edgecolor(LINE)
-        patch.set_linewidth(0.5)
-        patch.set_alpha(PALE if muted else 1.0)
-        patch.set_zorder(order)
-        artists[name] = axes.add_patch(patch)
-    return artists
+    parts = _parts(task, state)
+    colors = {name: LINE if name.endswith(("ankle", "hip")) else GREYS.get(name, color) for name in parts}
+    artists = draw_parts(axes, parts, colors, muted)
+    return {"floor": axes.axhline(0.0, color=LINE, linewidth=1.0, zorder=0), **artists}
 
 
 def move(artists: Mapping[str, Artist], task: Bongoboard, state: Array, *, muted: bool = False) -> None:
-    """Move what `draw` has drawn to another state (6,); much faster than drawing anew."""
-    for name, place in _parts(task, state).items():
-        artist = artists[name]
-        if isinstance(artist, Polygon):
-            artist.set_xy(place)
-        elif isinstance(artist, Circle):
-            artist.set_center((place[0], place[1]))
-        artist.set_alpha(PALE if muted else 1.0)
+    """Move what `draw` has drawn to another state (6,)."""
+    move_parts(artists, _parts(task, state), muted)
 
 
-def _parts(task: Bongoboard, state: Array) -> dict[str, Array]:
-    """Corners (k, 2) or, of discs, the centre (2,) of every part at the state (6,), from back to front."""
+def _parts(task: Bongoboard, state: Array) -> dict[str, Disc | Array]:
+    """Every part at the state (6,), from back to front."""
     robot, pose = task.robot, task.pose(state[:3])
     phi, r = pose.board_angle, robot.wheel_radius
     aside = robot.ankle_spacing / 2 * np.array([np.cos(phi), np.sin(phi)])
@@ -62,15 +47,15 @@ def _parts(task: Bongoboard, state: Array) -> dict[str, Array]:
     sector = r * np.vstack([(0.0, 0.0), np.column_stack([-np.sin(around), np.cos(around)])])
     joints = {"ankle": pose.ankles, "hip": pose.pelvis}
     return {
-        "wheel": pose.wheel,
+        "wheel": Disc(pose.wheel, r),
         "sector": _place(sector, pose.wheel, pose.wheel_angle),
         "board": _place(_box(robot.board_length, robot.board_thickness), pose.board, phi),
         "foot": _place(_box(robot.foot_length, robot.ankle_height), foot, phi),
         "upper body": _place(_upper_body(task), pose.pelvis, phi),
         "left leg": _place(_box(LEG_WIDTH, robot.leg_length), legs - aside, pose.leg_angle),
         "right leg": _place(_box(LEG_WIDTH, robot.leg_length), legs + aside, pose.leg_angle),
-        **{f"left {name}": place - aside for name, place in joints.items()},
-        **{f"right {name}": place + aside for name, place in joints.items()},
+        **{f"left {name}": Disc(place - aside, JOINT_RADIUS) for name, place in joints.items()},
+        **{f"right {name}": Disc(place + aside, JOINT_RADIUS) for name, place in joints.items()},
     }
 
 
@@ -92,8 +77,3 @@ def _place(points: Array, centre: Array, angle: float) -> Array:
     """The points (k, 2), turned by the angle (rad) and moved by the centre (2,)."""
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([(c, s), (-s, c)]) + centre
-
-
-def _disc(task: Bongoboard, name: str, centre: Array) -> Circle:
-    """The wheel or a joint about the centre (2,)."""
-    return Circle((centre[0], centre[1]), task.robot.wheel_radius if name == "wheel" else JOINT_RADIUS)

@@ -9,12 +9,13 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from simbias.core import Criterion, Kernel, Quantity, Task
+from simbias.core import Criterion, Quantity, Task
 from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, TimeStep
 from simbias.core.records import Array
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
-from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.robots.mujoco.sensors import SensorFile, Sensors
+from simbias.simulation.compiler import Expression, Expressions
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """What a policy may feed back."""
+    """A quantity that a policy may feed back."""
 
     value: Expression
     unit: str = ""
@@ -71,7 +72,7 @@ _Value = TypeVar("_Value")
 
 
 def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
-    """What a mapping holds, so that its order counts in a trial's identity."""
+    """Items of a mapping, so that their order counts in a trial's identity."""
     return tuple(values.items())
 
 
@@ -108,10 +109,10 @@ class Declared(Task):
         Parts by name, from back to front, all lengths in one unit, y upwards.
     figure
         In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
+    sensors
+        The file of a MuJoCo model, whose sensors and sites' positions expressions may use too: a number by
+        its name, a vector as `tip[0]`. They are the engine's, so that rollouts are simulated in NumPy.
     """
-
-    measure_kernel: Kernel
-    output_kernel: Kernel
 
     def __init__(
         self,
@@ -125,6 +126,7 @@ class Declared(Task):
         where: Named[Expression] | None = None,
         drawing: Named[Part] | None = None,
         figure: FigureFile | None = None,
+        sensors: SensorFile | None = None,
     ) -> None:
         states, inputs, failure = dict(states), dict(inputs), dict(failure)
         for name, some in (("states", states), ("inputs", inputs), ("failure", failure)):
@@ -142,8 +144,9 @@ class Declared(Task):
         self._input_bounds, self.input_limit = (lower, upper), np.maximum(-lower, upper)
         self.start_mean = np.array([state.mean for state in states.values()])
         self.start_deviation = np.array([state.deviation for state in states.values()])
+        self._sensors = None if sensors is None else Sensors(self, sensors)
         self._known: dict[str, Any] = {
-            "variables": tuple(states),
+            "variables": (*states, *(self._sensors.names if self._sensors else ())),
             "constants": dict(constants or {}),
             "where": dict(where or {}),
         }
@@ -152,8 +155,12 @@ class Declared(Task):
         self.criteria = tuple(_criterion(name, each, tuple(states)) for name, each in failure.items())
         self._measure = self.expressions({name: _measure(name, each) for name, each in failure.items()})
         self._output = self.expressions({name: output.value for name, output in given.items()})
-        self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
+        if not self._sensors:
+            self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
         self._figure = None if figure is None else Figure(self, figure)
+        self.source_files = [
+            file for part in (self._figure, self._sensors) if part for file in part.source_files
+        ]
         self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
         self._points = self.expressions(
             {
@@ -171,22 +178,26 @@ class Declared(Task):
 
     def measure(self, x: Array) -> Array:
         """Measures (..., c) of the failure criteria at states x (..., n)."""
-        return self._measure(x)
+        return self._measure(self._seen(x))
 
     def output(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
-        return self._output(x)
+        return self._output(self._seen(x))
+
+    def _seen(self, x: Array) -> Array:
+        """States (..., n), followed by what sensors say of them."""
+        return np.concatenate([x, self._sensors(x)], axis=-1) if self._sensors else x
 
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
         if self._figure:
             return self._figure.points(x)
-        points = self._points(x).reshape(-1, 2)
+        points = self._points(self._seen(x)).reshape(-1, 2)
         ends = np.cumsum([len(part.points) for part in self.drawing.values()])
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
-        """How MuJoCo renders the state x (n,); None if the drawing is of parts."""
+        """Image of the state x (n,) as MuJoCo renders it; None if the drawing is of parts."""
         return self._figure.image(x) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:

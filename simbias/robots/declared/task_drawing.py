@@ -9,14 +9,12 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.image import AxesImage
-from matplotlib.patches import Circle, Polygon
 
 from simbias.core.records import Array
-from simbias.robots.declared.task import Declared, Part
+from simbias.robots.declared.task import Declared
+from simbias.robots.drawing.parts import PALE, Disc, draw_parts, move_parts
 
-LINE = "0.2"  # grey
 IMAGE = "rendered"  # its artist's name
-PALE = 0.4  # opacity of what has failed
 
 
 def draws(task: Declared) -> bool:
@@ -32,27 +30,18 @@ def draw(
     Parts that have no grey of their own are of the given colour, and an image is tinted with it; a muted
     drawing is pale.
     """
+    if (image := task.image(state)) is None:
+        colors = {name: color if part.grey is None else str(part.grey) for name, part in task.drawing.items()}
+        return draw_parts(axes, _parts(task, state), colors, muted)
     axes.set_aspect("equal")
     axes.axis("off")
-    artists: dict[str, Artist] = {}
-    if (image := task.image(state)) is not None:
-        picture = AxesImage(axes, origin="upper", extent=image.extent)
-        picture.set_data(_tinted(image.pixels, color))
-        picture.set_alpha(PALE if muted else 1.0)
-        picture.set_gid(color)  # for `move`
-        axes.add_image(picture)
-        axes.update_datalim(np.reshape(image.extent, (2, 2)).T)
-        return {IMAGE: picture}
-    for order, (name, points) in enumerate(task.points(state).items()):
-        part = task.drawing[name]
-        patch = _disc(points[0], part) if len(points) == 1 else Polygon(_corners(points, part.thickness))
-        patch.set_facecolor(color if part.grey is None else str(part.grey))
-        patch.set_edgecolor(LINE)
-        patch.set_linewidth(0.5)
-        patch.set_alpha(PALE if muted else 1.0)
-        patch.set_zorder(order)
-        artists[name] = axes.add_patch(patch)
-    return artists
+    picture = AxesImage(axes, origin="upper", extent=image.extent)
+    picture.set_data(_tinted(image.pixels, color))
+    picture.set_alpha(PALE if muted else 1.0)
+    picture.set_gid(color)  # for `move`
+    axes.add_image(picture)
+    axes.update_datalim(np.reshape(image.extent, (2, 2)).T)
+    return {IMAGE: picture}
 
 
 def move(artists: Mapping[str, Artist], task: Declared, state: Array, *, muted: bool = False) -> None:
@@ -63,13 +52,16 @@ def move(artists: Mapping[str, Artist], task: Declared, state: Array, *, muted: 
         picture.set_extent(image.extent)
         picture.set_alpha(PALE if muted else 1.0)
         return
-    for name, points in task.points(state).items():
-        artist = artists[name]
-        if isinstance(artist, Polygon):
-            artist.set_xy(_corners(points, task.drawing[name].thickness))
-        elif isinstance(artist, Circle):
-            artist.set_center(_pair(points[0]))
-        artist.set_alpha(PALE if muted else 1.0)
+    move_parts(artists, _parts(task, state), muted)
+
+
+def _parts(task: Declared, state: Array) -> dict[str, Disc | Array]:
+    """The parts at a state (n,): a disc for one point, a bar for two, a polygon for more."""
+    points, thickness = task.points(state), {name: part.thickness for name, part in task.drawing.items()}
+    return {
+        name: Disc(each[0], thickness[name] / 2) if len(each) == 1 else _corners(each, thickness[name])
+        for name, each in points.items()
+    }
 
 
 def _tinted(pixels: Array, color: str) -> Array:
@@ -79,11 +71,6 @@ def _tinted(pixels: Array, color: str) -> Array:
     return np.concatenate([(pixels[..., :3] + shade) / 2, pixels[..., 3:]], axis=-1)
 
 
-def _disc(centre: Array, part: Part) -> Circle:
-    """A disc about the centre (2,)."""
-    return Circle(_pair(centre), part.thickness / 2)
-
-
 def _corners(points: Array, thickness: float) -> Array:
     """The corners (k, 2) of a polygon, or of a bar (4, 2) between two points."""
     if len(points) > 2:
@@ -91,8 +78,3 @@ def _corners(points: Array, thickness: float) -> Array:
     along = points[1] - points[0]
     across = thickness / 2 * np.array([-along[1], along[0]]) / max(float(np.hypot(*along)), 1e-12)
     return np.array([points[0] + across, points[1] + across, points[1] - across, points[0] - across])
-
-
-def _pair(point: Array) -> tuple[float, float]:
-    """The coordinates of a point (2,)."""
-    return float(point[0]), float(point[1])

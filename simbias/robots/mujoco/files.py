@@ -1,13 +1,16 @@
-"""MJCF and URDF files, read by MuJoCo."""
+"""MJCF and URDF files, read by MuJoCo, and written."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from math import prod
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+
+import numpy as np
 
 from simbias.core.messages import quote, words
 from simbias.robots.mujoco.parameters import mujoco
@@ -15,6 +18,13 @@ from simbias.robots.mujoco.parameters import mujoco
 # Limits within which a file is read in seconds.
 MOST_COPIES = 10_000  # of an element, by replicate, composite and flexcomp
 MOST_CELLS = 10**8  # of a height field or a texture
+
+FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes that name folders,
+NAMING = (
+    "file",
+    "filename",
+    *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")),
+)  # files
 
 
 def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
@@ -35,25 +45,72 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
     ValueError
         If the file cannot be read, in one line that names it.
     """
-    engine, path = mujoco(), _path(file)
+    path = _path(file)
     if not path.is_file():
         raise ValueError(f"no such file: {path}")
     try:
-        _check_size(path)
-        spec = engine.MjSpec.from_file(str(path))
-        _name(spec.joints, "joint", [joint.parent.name for joint in spec.joints])
-        _name(spec.actuators, "actuator", [actuator.target for actuator in spec.actuators])
-        known = {actuator.name for actuator in spec.actuators}
-        for name in actuators:
-            if name not in known and any(joint.name == name for joint in spec.joints):
-                spec.add_actuator(name=name, target=name, trntype=engine.mjtTrn.mjTRN_JOINT)
-        return spec.compile()
+        return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
         raise ValueError(f"{file}: {words(error)}") from error
 
 
+def source_files(file: str) -> list[Path]:
+    """A file, and all that it names: includes, attached models, meshes, textures, height fields."""
+    found: list[Path] = []
+    homes, folders, names = {_path(file).parent}, {""}, {_path(file).name}
+    while new := [
+        path
+        for path in {home / folder / name for home in homes for folder in folders for name in names}
+        if path not in found and path.is_file()
+    ]:
+        for path in new:
+            with suppress(ElementTree.ParseError):  # which is no XML
+                for element in ElementTree.parse(path).iter():
+                    folders |= {element.attrib[name] for name in FOLDERS if name in element.attrib}
+                    names |= {element.attrib[name] for name in NAMING if name in element.attrib}
+                homes.add(path.parent)
+        found += new
+    return sorted(found)
+
+
+def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
+    """The MJCF of a compiled model that was read from a file, and changed since; numbers have six digits.
+
+    Inertias are written out; paths of meshes and textures are absolute.
+    """
+    engine, path = mujoco(), _path(file)
+    spec = _spec(path, actuators)
+    spec.compile()
+    spec.compiler.inertiafromgeom = engine.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    for body in spec.bodies[1:]:
+        i, body.explicitinertial, body.fullinertia = body.id, True, [np.nan] * 6
+        body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
+        body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+    spec.compile()
+    spec.copy_back(model)
+    spec.stat.meaninertia = np.nan  # which copying sets; it affects nothing, and a file may not say it
+    for folder in ("meshdir", "texturedir"):
+        own = path.parent / (getattr(spec.compiler, folder) or "")
+        setattr(spec.compiler, folder, str(own.resolve()))
+    return str(spec.to_xml())
+
+
+def _spec(path: Path, actuators: Sequence[str]) -> Any:
+    """Specification of a file, elements without a name named, with motors at joints named as actuators."""
+    engine = mujoco()
+    _check_size(path)
+    spec = engine.MjSpec.from_file(str(path))
+    _name(spec.joints, "joint", [joint.parent.name for joint in spec.joints])
+    _name(spec.actuators, "actuator", [actuator.target for actuator in spec.actuators])
+    known = {actuator.name for actuator in spec.actuators}
+    for name in actuators:
+        if name not in known and any(joint.name == name for joint in spec.joints):
+            spec.add_actuator(name=name, target=name, trntype=engine.mjtTrn.mjTRN_JOINT)
+    return spec
+
+
 def _path(file: str) -> Path:
-    """Where a file is; `package:path` lies in a package."""
+    """Path of a file, which may be `package:path`."""
     package, colon, inside = file.partition(":")
     if not colon or not package.isidentifier():
         return Path(file).expanduser()

@@ -50,6 +50,7 @@ class Mujoco(Hardware):
         record: Record = "true_state",
     ) -> None:
         robot = Mechanism(task, file, joints, actuators)
+        self.source_files = robot.source_files
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._task = task
         self._delay = delay
@@ -65,7 +66,7 @@ class Mujoco(Hardware):
 
 
 class _Running(Robot):
-    """The engine under way."""
+    """An experiment under way in the engine."""
 
     def __init__(self, task: Task, robot: Mechanism, start: Array, delay: int) -> None:
         self._task = task

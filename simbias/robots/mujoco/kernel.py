@@ -25,7 +25,7 @@ from simbias.core import Kernel
 from simbias.core.records import Array
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import mujoco
-from simbias.simulation.compiler.compilation import compiled_as, function_of
+from simbias.simulation.compiler import compiled_as, function_of
 
 ABSURD = 1e4  # m, rad, m/s, rad/s: what gets there has blown up, and the engine would write files about it
 FREE, TAKEN = 0, 1
@@ -53,7 +53,7 @@ class EngineModel:
 
 
 class Places:
-    """Where the engine works on models of one file; a step depends on nothing that was left there."""
+    """Data of the engine for models of one file, one a thread; no step depends on what is left there."""
 
     def __init__(self, model: EngineModel) -> None:
         self.table = np.full((_SETTINGS.NUMBA_NUM_THREADS, WORDS), FREE, np.int64)

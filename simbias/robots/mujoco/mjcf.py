@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core import Task
 from simbias.core.messages import quote
 from simbias.core.records import Array
-from simbias.robots.mujoco.files import read_model
+from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
 
 MOST_STEPS = 10_000  # of the engine in a frame
@@ -52,7 +52,9 @@ class Mechanism:
         actuators: Sequence[str] | None = None,
     ) -> None:
         engine = mujoco()
-        model = self.model = read_model(file, actuators or ())
+        self._file, self._added = file, actuators or ()
+        model = self.model = read_model(file, self._added)
+        self.source_files = source_files(file)
         known = names_of(model, "joint")
         joints = known if joints is None else list(joints)
         actuators = names_of(model, "actuator") if actuators is None else list(actuators)
@@ -106,6 +108,10 @@ class Mechanism:
         put_values(changed.model, values)
         return changed
 
+    def text(self) -> str:
+        """The mechanism as MJCF."""
+        return mjcf(self._file, self._added, self.model)
+
     def physics(self, x: Array) -> Array:
         """MuJoCo's full states (k, .) at states x (k, n)."""
         size = mujoco().mj_stateSize(self.model, mujoco().mjtState.mjSTATE_FULLPHYSICS)
@@ -132,12 +138,12 @@ def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key:
 
 
 def _places(addresses: Array, count: int, joint: int) -> Array:
-    """Where a joint's numbers lie among so many: from its own address on, up to the next joint's."""
+    """Indices of a joint's numbers among `count`: from its own address up to that of the next joint."""
     return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 
 
 def _unit(engine: Any, model: Any, i: int) -> float:
-    """What a control of 1 gives, in the unit of the input: the force of a motor, else 1."""
+    """Input that a control of 1 gives: the force or torque of a motor, else 1."""
     motor = (
         model.actuator_gaintype[i] == engine.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[i] == engine.mjtBias.mjBIAS_NONE

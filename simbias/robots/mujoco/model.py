@@ -57,6 +57,7 @@ class Mujoco(Nominal):
         uncertainty: dict[str, NonNegative] | None = None,
     ) -> None:
         robot = Mechanism(task, file, joints, actuators)
+        self.source_files = robot.source_files
         if robot.hidden:
             raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
@@ -86,7 +87,7 @@ class Mujoco(Nominal):
         return x_next.reshape(*leading, -1)
 
     def _step_possible(self, x: Array, u: Array) -> Array:
-        """x_next (k, n)."""
+        """x_next (k, n) of finite x (k, n) and u (k, m), on all threads if there are many."""
         from mujoco.rollout import Rollout
 
         robot = self._robot
@@ -97,6 +98,10 @@ class Mujoco(Nominal):
                 robot.model, data, robot.physics(x), robot.controls(u)[:, None], nstep=robot.substeps
             )
         return robot.states(after[:, -1])
+
+    def mjcf(self) -> str:
+        """The model as an MJCF file's text, to six digits."""
+        return self._robot.text()
 
     def with_parameters(self, values: Array) -> Mujoco:
         """The model with other values (k,) of its parameters."""

@@ -1,1 +1,68 @@
-"""Components in NumPy are traced, written for Numba and run in the lanes of vector registers."""
+"""Components in NumPy are traced, written for Numba and run in the lanes of vector registers.
+
+Everything that others use of it is imported from here.
+
+| what for | from |
+| --- | --- |
+| components that are fast in NumPy, or have a kernel | `kernels`, `trigonometry`, `compilation`, `text` |
+| kernels for all lanes at once | `lanes` |
+| components that are written in YAML | `expressions` |
+| kernels of a model, its policy and cost | `tracing`, `points` |
+| a policy's formulas, in C and in Python | `tracing`, `written` |
+| the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
+"""
+
+from simbias.simulation.compiler.closed_loop import Composition, compile_closed_loop
+from simbias.simulation.compiler.compilation import compiled_as, function_of
+from simbias.simulation.compiler.expressions import Expression, Expressions
+from simbias.simulation.compiler.kernels import LANES, elementwise
+from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, load, store
+from simbias.simulation.compiler.loop import Function, zero
+from simbias.simulation.compiler.open_loop import compile_open_loop
+from simbias.simulation.compiler.points import Points
+from simbias.simulation.compiler.text import sum_of
+from simbias.simulation.compiler.threads import in_threads
+from simbias.simulation.compiler.tracing import (
+    PolicyKernel,
+    formulas_of,
+    of_bias,
+    of_cost,
+    of_nominal,
+    parts_of,
+)
+from simbias.simulation.compiler.trigonometry import arctan, sincos
+from simbias.simulation.compiler.written import NUMPY, C, Formulas
+
+__all__ = [
+    "LANES",
+    "NUMPY",
+    "C",
+    "Composition",
+    "Expression",
+    "Expressions",
+    "Formulas",
+    "Function",
+    "Points",
+    "PolicyKernel",
+    "arctan",
+    "broadcast",
+    "compile_closed_loop",
+    "compile_open_loop",
+    "compiled_as",
+    "elementwise",
+    "everywhere",
+    "exp",
+    "fma",
+    "formulas_of",
+    "function_of",
+    "in_threads",
+    "load",
+    "of_bias",
+    "of_cost",
+    "of_nominal",
+    "parts_of",
+    "sincos",
+    "store",
+    "sum_of",
+    "zero",
+]

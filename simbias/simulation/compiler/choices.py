@@ -24,6 +24,28 @@ def _chosen(condition, a, b):
     return a if condition else b
 
 
+def _at_most(a, limit):
+    """The lesser number; nan if the first is."""
+    return min(a, limit)
+
+
+def _at_least(a, limit):
+    """The greater number; nan if the first is."""
+    return max(a, limit)
+
+
+@compiled_as(_at_most)
+def at_most(a: Any, limit: Any) -> Any:
+    """The lesser of two numbers or, element by element, of arrays; the limit is a number."""
+    return np.minimum(a, limit)
+
+
+@compiled_as(_at_least)
+def at_least(a: Any, limit: Any) -> Any:
+    """The greater of two numbers or, element by element, of arrays; the limit is a number."""
+    return np.maximum(a, limit)
+
+
 @compiled_as(_lesser)
 def lesser(a: Any, b: Any) -> Any:
     """The lesser of two numbers or, element by element, of arrays."""

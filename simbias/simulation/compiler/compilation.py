@@ -9,6 +9,7 @@ in the functions that it calls.) The folder of the cache may be deleted at any t
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 import sys
 import tempfile
@@ -21,7 +22,7 @@ import llvmlite
 import numba
 import numpy as np
 from numba import njit
-from numba.core.dispatcher import Dispatcher
+from numba.extending import is_jitted
 
 from simbias.core.cache import cache_folder
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 # Of functions that only compiled code calls: entry points for Python take up to a third of compiling.
 NOT_FROM_PYTHON: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-VERSIONS = (sys.version, numba.__version__, llvmlite.__version__)
+VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, __name__)
 
 
 def _use_whole_registers() -> None:
@@ -123,7 +124,7 @@ class Compilation:
     def _hashed(self, function: Callable, inline: bool) -> tuple[str, Any, Callable]:
         """The hash of a function and of all that it calls, it compiled, and the function itself."""
         function = getattr(function, "substitute", function)
-        function = function.py_func if isinstance(function, Dispatcher) else function
+        function = function.py_func if is_jitted(function) else function
         key = id(function)
         if key not in self._known:
             self._known[key] = "itself", None, function
@@ -142,19 +143,21 @@ class Compilation:
         cells = function.__closure__ or ()
         closure = tuple(CellType(self._value(cell.cell_contents, inline, digest)) for cell in cells)
         _note(digest, inline, function.__name__, *_description(code), function.__defaults__)
-        linked |= {"__builtins__": __builtins__, "__name__": function.__module__}
+        # Compiled code is loaded with the module of each function in it: with this one, wherever that is.
+        linked |= {"__builtins__": __builtins__, "__name__": __name__}
         copy = FunctionType(code, linked, function.__name__, function.__defaults__, closure)
+        copy.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:16]}"  # names its machine code
         return copy, digest.hexdigest()
 
     def _value(self, value: Any, inline: bool, digest: _Digest) -> Any:
         """What a name stands for in compiled code."""
-        if isinstance(value, FunctionType | Dispatcher):
+        if isinstance(value, FunctionType) or is_jitted(value):
             hashed, value, _ = self._hashed(value, inline)
             _note(digest, hashed)
         elif isinstance(value, np.ndarray):
             _note(digest, value.dtype, value.shape, value.tobytes())
-        elif hasattr(value, "_defn"):  # an intrinsic of Numba's: whatever its file holds
-            _note(digest, Path(value._defn.__code__.co_filename).read_bytes())
+        elif isinstance(wrapped := inspect.unwrap(value), FunctionType):  # an intrinsic: its file
+            _note(digest, value.__module__, Path(wrapped.__code__.co_filename).read_bytes())
         elif isinstance(value, ModuleType):
             _note(digest, value.__name__, getattr(value, "__version__", None))
         else:

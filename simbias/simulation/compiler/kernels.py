@@ -36,14 +36,15 @@ has failed. Such a function also takes arrays in place of numbers, as long as it
 branches: so the plain method can be `elementwise(_step, x, u, parameters=...)`.
 
     Task.measure_kernel      (x, parameters) -> measures
-    Task.output_kernel       (x, parameters) -> z
-    Policy.kernel(thetas)    (z, parameters) -> u                       parameters (k, r) of thetas (k, p)
-                             (z, parameters, t, memory) -> u, memory    memory is zero at the start
     Nominal.kernel           (x, u, parameters) -> x_next               parameters may differ between worlds
                              (x, u, parameters, memory) -> x_next, memory
     FittedBias.kernel        (x, u, parameters) -> correction
                              (x (n, LANES), u (m, LANES), data, correction (n, LANES)) -> None
-    Cost.kernel              (x_next, u, parameters, totals) -> totals  totals are zero at the start
+
+Policies and costs are always traced, and what is computed of thetas alone is computed once for each:
+
+    Policy.act               (parameters, x, t, memory, constants) -> u, memory    memory is zero at the start
+    Cost.terms               (x_next, u, t, constants) -> terms
 
 What the bias does for all lanes at once may need linear algebra; its data is a tuple of arrays.
 """

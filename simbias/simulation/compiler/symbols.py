@@ -171,16 +171,34 @@ def _of_bits(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
 
 add, subtract, multiply = _operation("add"), _operation("subtract"), _operation("multiply")
 quotient, power, absolute = _operation("divide"), _operation("power"), _operation("abs")
-sine, cosine, square_root, floor = (
-    _operation("sin"),
-    _operation("cos"),
-    _operation("sqrt"),
-    _operation("floor"),
-)
-lesser, greater, negative = _operation("minimum"), _operation("maximum"), _operation("negative")
+square_root, floor = _operation("sqrt"), _operation("floor")
+negative = _operation("negative")
 less, less_equal = _operation("less", True), _operation("less_equal", True)
 equal, unequal = _operation("equal", True), _operation("not_equal", True)
 both, either, neither = _of_conditions("and"), _of_conditions("or"), _of_conditions("not")
+
+
+def _extreme(name: str, of_known: str) -> Callable[[Symbol, Symbol], Symbol]:
+    """The lesser or the greater; one that is known is a number, so that less has to be asked."""
+
+    def extreme(a: Symbol, b: Symbol) -> Symbol:
+        a, b = (b, a) if a.name == "number" else (a, b)
+        return a.trace.operation(of_known if b.name == "number" else name, numeric(a), numeric(b))
+
+    return extreme
+
+
+lesser, greater = _extreme("minimum", "at_most"), _extreme("maximum", "at_least")
+
+
+def sine(a: Symbol) -> Symbol:
+    """A sine, which shares what it needs of the angle with the cosine."""
+    return a.trace.operation("sin", a.trace.operation("angle", numeric(a)))
+
+
+def cosine(a: Symbol) -> Symbol:
+    """A cosine; see `sine`."""
+    return a.trace.operation("cos", a.trace.operation("angle", numeric(a)))
 
 
 def divide(a: Symbol, b: Symbol) -> Symbol:

@@ -4,29 +4,40 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import cache
 from itertools import pairwise
 
+import numpy as np
 from numba import get_num_threads
 
+from simbias.core.records import Array
 from simbias.simulation.compiler.kernels import LANES
 
 
-def in_threads(run: Callable[[int, int], object], count: int) -> None:
-    """Call run(begin, end) for parts of range(count), one on each thread, if they fill the lanes."""
-    threads = max(1, min(get_num_threads(), math.ceil(count / LANES)))
+def in_threads(run: Callable[[int, int, Array], object], count: int) -> None:
+    """Call run(begin, end, interrupted) for parts of range(count), one on each thread if they fill the lanes.
+
+    An exception in this thread, as of Ctrl-C, sets `interrupted` (1,), and the loops end. This thread only
+    waits, since Python handles signals between two of its instructions.
+    """
+    interrupted = np.zeros(1, np.int64)
+    if count <= LANES:  # too short to wait for another thread
+        run(0, count, interrupted)
+        return
+    threads = min(get_num_threads(), math.ceil(count / LANES))
     cuts = [count * part // threads for part in range(threads + 1)]
-    at_once([partial(run, begin, end) for begin, end in pairwise(cuts)])
-
-
-def at_once(calls: Sequence[Callable[[], object]]) -> None:
-    """Make these calls, one on each thread."""
-    if len(calls) == 1:
-        calls[0]()
-    else:
-        list(_pool(len(calls)).map(lambda call: call(), calls))
+    calls: list[Future] = []
+    run(0, 0, interrupted)  # compiles it, here where a signal is handled
+    try:
+        for begin, end in pairwise(cuts):
+            calls.append(_pool(threads).submit(run, begin, end, interrupted))
+        for call in calls:
+            call.result()
+    finally:
+        interrupted[0] = 1
+        wait(calls)
 
 
 @cache

@@ -21,39 +21,35 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simbias.core import FittedBias, Kernel, Model, Nominal, Policy, Task
+from simbias.core import Cost, FittedBias, Kernel, Model, Nominal, Policy, Task
 from simbias.core.error_origin import is_users
 from simbias.core.messages import with_type
 from simbias.core.records import Array
 from simbias.simulation.compiler.points import ROWS, Points
-from simbias.simulation.compiler.symbolic_arrays import row, symbols_in
+from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
 from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError
-from simbias.simulation.compiler.written import Written, columns, needed, written
+from simbias.simulation.compiler.written import Formulas, Written, columns, needed, written
 
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
+FRAMES = 100  # over which a policy with memory is held against its kernel
 
 
 class Part(NamedTuple):
     """A part of a closed loop: its kernel, or why it has none."""
 
-    kernel: Any  # of a policy, a function of thetas; None
+    kernel: Any  # of a policy, a `PolicyKernel`; None
     why_not: str = ""
 
 
 Given = tuple[dict[str, Array], list[int]]  # vectors (ROWS, .) that a method takes; sizes of what it gives
 
 
-def parts_of(model: Model) -> tuple[Part, Part, Part, Part, Part]:
-    """The parts of a closed loop: measures, outputs, policy, nominal model, bias."""
-    task, policy, points = model.task, model.policy, Points.of(model.task)
-    if policy.kernel is None:  # `act` takes states, and computes the outputs that it needs
-        control, output = of_policy(policy, task, points), Part(Kernel(_states, np.empty(0)))
-    else:
-        control, output = Part(policy.kernel), of_output(task, points)
+def parts_of(model: Model) -> tuple[Part, Part, Part, Part]:
+    """The parts of a closed loop: measures, policy, nominal model, bias."""
+    task, points = model.task, Points.of(model.task)
     return (
         of_measure(task, points),
-        output,
-        control,
+        of_policy(model.policy, task, points),
         of_nominal(model.nominal, points),
         of_bias(model.bias, points),
     )
@@ -65,10 +61,16 @@ def of_measure(task: Task, points: Points) -> Part:
     return _own_or_traced(task.measure_kernel, task, "measure", lambda: ({"x": points.x}, sizes))
 
 
-def of_output(task: Task, points: Points) -> Part:
-    """The task's outputs."""
-    sizes = [len(task.outputs)]
-    return _own_or_traced(task.output_kernel, task, "output", lambda: ({"x": points.x}, sizes))
+def of_cost(cost: Cost, task: Task) -> Part:
+    """A cost's terms, if it has any."""
+    if not cost.reductions:
+        return Part(None, f"{type(cost).__name__} says no `reductions`")
+
+    def find() -> Part:
+        points, t = Points.of(task), task.time_step * np.arange(1.0, ROWS + 1)
+        return _traced(cost, "terms", {"x": points.x, "u": points.u, "t": t}, [len(cost.reductions)])
+
+    return _once(cost, "terms", find)
 
 
 def of_nominal(nominal: Nominal, points: Points) -> Part:
@@ -101,17 +103,15 @@ def _own_or_traced(kernel: Kernel | None, component: Any, method: str, given: Ca
     return _once(component, method, lambda: _traced(component, method, *given()))
 
 
-def _states(x, parameters):
-    """Outputs for a policy that takes states."""
-    return x
-
-
 def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> Part:
     """The kernel of a method that takes these vectors (k, .) and gives some of these sizes."""
 
     def trace(subject: Callable) -> Kernel:
         trace = Trace()
-        given = [row(trace, name, rows.shape[1]) for name, rows in vectors.items()]
+        given = [
+            row(trace, name, rows.shape[1]) if rows.ndim > 1 else array([trace.given(name)])
+            for name, rows in vectors.items()
+        ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
         names = [name for name in vectors if name != "memory"]
@@ -128,54 +128,89 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
     return _part(component, method, trace, check)
 
 
-class TracedPolicy:
-    """A policy's kernel for any thetas: what depends on them alone is computed once for each."""
+class PolicyKernel(NamedTuple):
+    """A policy's `act` for any thetas: what depends on them alone is computed once for each."""
 
-    def __init__(self, prepare: Written, control: Written, remembers: bool) -> None:
-        self._prepare = prepare
-        self._control = control
-        self.remembers = remembers  # whether it takes time and memory
+    prepare: Written
+    control: Written
+    size: int  # r, of the parameters
+    memory_size: int  # s
 
-    def __call__(self, thetas: Array) -> Kernel:
-        """The kernel of thetas (k, p)."""
-        prepared = columns(self._prepare.function, thetas, tuple(self._prepare.numbers))
-        values = [*prepared, *self._control.numbers]
-        own = np.empty((len(thetas), len(values)))
-        for index, value in enumerate(values):
-            own[:, index] = value
-        return Kernel(self._control.function, own)
+    @property
+    def function(self) -> Callable:
+        """(parameters, x, t, memory, constants) -> u, memory."""
+        return self.control.function
+
+    @property
+    def constants(self) -> Array:
+        """Numbers (c,) that all thetas share."""
+        return self.control.numbers
+
+    def parameters(self, thetas: Array) -> Array:
+        """Those (k, r) of thetas (k, p)."""
+        return _rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
 
 
 def of_policy(policy: Policy, task: Task, points: Points) -> Part:
-    """The kernel of a policy's `act`, which takes states in the place of outputs."""
-    p, n, m, s = policy.n_parameters, len(task.states), len(task.inputs), policy.memory_size
+    """The kernel of a policy's `act`."""
+    p, s = policy.n_parameters, policy.memory_size
 
-    def trace(subject: Callable) -> TracedPolicy:
+    def trace(subject: Callable) -> PolicyKernel:
         trace = Trace()
-        theta, x, time = row(trace, "theta", p), row(trace, "x", n), trace.given("t")
-        u, kept = _vectors(subject(theta, x, time, row(trace, "memory", s)), (m, s), trace)
+        _, u, kept = _formulas(trace, subject, policy, task, row(trace, "theta", p))
         fixed = _of_thetas_alone(trace, [u, kept])
-        known = {symbol.index for symbol in fixed}
-        remembers = s > 0 or any(symbol is time for symbol in needed(trace, [u], known))
-        results, arguments = ([u, kept], "x, p, t, memory") if remembers else ([u], "x, p")
-        return TracedPolicy(
-            written(trace, [fixed], "theta, p"), written(trace, results, arguments, fixed), remembers
+        return PolicyKernel(
+            written(trace, [fixed], "theta, p"),
+            written(trace, [u, kept], "p, x, t, memory, c", fixed, "c"),
+            len(fixed),
+            s,
         )
 
-    def check(subject: Callable, traced: TracedPolicy) -> None:
+    def check(subject: Callable, traced: PolicyKernel) -> None:
         rng = np.random.default_rng(2)
         lower, upper = (np.clip(bound, -1e3, 1e3) for bound in policy.bounds)
         thetas, memory = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
-        function, parameters = traced(thetas)
+        parameters = traced.parameters(thetas)
         for t in (0.0, 0.1 * task.horizon * task.time_step, 0.7 * task.horizon * task.time_step):
-            made = columns(function, points.x, parameters, *((t, memory) if traced.remembers else ()))
+            made = columns(traced.function, parameters, points.x, t, memory, tuple(traced.constants))
             _compare(
-                lambda theta, x, memory, t=t: subject(theta, x, t, memory),
-                [thetas, points.x, memory],
-                made if traced.remembers else (made, tuple(memory.T)),
+                lambda theta, x, memory, t=t: subject(theta, x, t, memory), [thetas, points.x, memory], made
             )
 
+        if s:  # what a frame gets right to rounding may still not add up
+            _compare_frames(subject, traced, thetas, points)
+
     return _once(policy, "act", lambda: _part(policy, "act", trace, check))
+
+
+def _compare_frames(act: Callable, traced: PolicyKernel, thetas: Array, points: Points) -> None:
+    """Raise unless policies (ROWS, p) and their kernel agree over many frames, each with its own memory."""
+    rng, parameters, constants = np.random.default_rng(3), traced.parameters(thetas), tuple(traced.constants)
+    kept = memory = np.zeros((ROWS, traced.memory_size))
+    for frame in range(FRAMES):
+        x, t = points.x[rng.permutation(ROWS)], 0.01 * frame
+        u, memory = act(thetas, x, t, memory)
+        columns_u, columns_kept = columns(traced.function, parameters, x, t, kept, constants)
+        kept = _rows(columns_kept)
+        _expect_equal(_rows(columns_u), np.asarray(u, np.float64))
+        _expect_equal(kept, np.asarray(memory, np.float64))
+
+
+def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
+    """What the policy theta (p,) computes in each frame, or why that cannot be written down."""
+
+    def trace(subject: Callable) -> Formulas:
+        return _formulas(Trace(), subject, policy, task, theta[None])
+
+    part = _part(policy, "act", trace, lambda subject, formulas: None)
+    return part.kernel or part.why_not
+
+
+def _formulas(trace: Trace, act: Callable, policy: Policy, task: Task, theta: Array) -> Formulas:
+    """What a policy's `act` computes of theta (1, p)."""
+    x, memory = row(trace, "x", len(task.states)), row(trace, "memory", policy.memory_size)
+    made = act(theta, x, trace.given("t"), memory)
+    return Formulas(trace, *_vectors(made, (len(task.inputs), policy.memory_size), trace))
 
 
 def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[Symbol]:
@@ -213,16 +248,27 @@ def _compare(method: Callable, rows: Sequence[Array], made: Sequence[Sequence[An
         expected = np.asarray(one, np.float64)
         if not np.array_equal(expected, other, equal_nan=True):
             raise TraceError("it gives other numbers when it is asked again")
-        traced = np.empty((ROWS, len(values)))
-        for index, column in enumerate(values):
-            traced[:, index] = column
+        traced = _rows(values)
         if expected.shape != traced.shape:
             raise TraceError(f"of {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
         if not np.isfinite(expected).all(axis=1).sum() >= ROWS // 2:
             raise TraceError("it gives what is no number at most states near the start")
-        size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
-        if not np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True).all():
-            raise TraceError("what was written down gives other numbers")
+        _expect_equal(traced, expected)
+
+
+def _expect_equal(traced: Array, expected: Array) -> None:
+    """Raise unless rows (ROWS, r) agree."""
+    size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
+    if not np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True).all():
+        raise TraceError("what was written down gives other numbers")
+
+
+def _rows(values: Sequence[Any], count: int = ROWS) -> Array:
+    """Rows (count, r) of columns, some of which may be single numbers."""
+    rows = np.empty((count, len(values)))
+    for index, column in enumerate(values):
+        rows[:, index] = column
+    return rows
 
 
 def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part:

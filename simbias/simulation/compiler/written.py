@@ -1,51 +1,177 @@
-"""The text of a kernel, from the operations of a trace."""
+"""What a trace computes, as text: in Python for Numba and for NumPy's numbers, and in C."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from simbias.core.records import Array
-from simbias.simulation.compiler.choices import chosen, greater, lesser
+from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.symbols import OF_NUMPY, Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos
 
 NAMES = {"np": np, "sincos": sincos, "arctan": arctan, "lesser": lesser, "greater": greater, "chosen": chosen}
+NAMES |= {"at_most": at_most, "at_least": at_least}
+SHORT = 70  # characters of what is written within the line that uses it
 
-# What is written of each operation, for numbers and for NumPy's arrays; sine and cosine are written together.
-TEXTS: Mapping[str, str] = {
-    **{name: f"np.{name}({{}})" for name in OF_NUMPY},
-    "arctan2": "np.arctan2({}, {})",
-    "copysign": "np.copysign({}, {})",
-    "sqrt": "np.sqrt({})",
-    "floor": "np.floor({})",
+_IN_ALL = {
     "add": "{} + {}",
     "subtract": "{} - {}",
     "multiply": "{} * {}",
     "divide": "{} / {}",
     "inverse": "1.0 / {}",
     "negative": "-{}",
-    "power": "{} ** {}",
-    "abs": "abs({})",
-    "sign": "chosen({0} > 0.0, 1.0, chosen({0} < 0.0, -1.0, {0}))",
-    "arctan": "arctan({})",
-    "minimum": "lesser({}, {})",
-    "maximum": "greater({}, {})",
-    "chosen": "chosen({}, {}, {})",
-    "indicator": "chosen({}, 1.0, 0.0)",
     "is_true": "{} != 0.0",
-    "finite": "{0} - {0} == 0.0",
     "less": "{} < {}",
     "less_equal": "{} <= {}",
     "equal": "{} == {}",
     "not_equal": "{} != {}",
+}
+_IN_NUMPY = {
+    **_IN_ALL,
+    **{name: f"np.{name}({{}})" for name in ("sqrt", "floor", "arctan", "sign", *OF_NUMPY)},
+    **{name: f"np.{name}({{}}, {{}})" for name in ("arctan2", "copysign", "power", "minimum", "maximum")},
+    "angle": "{}",
+    "sin": "np.sin({})",
+    "cos": "np.cos({})",
+    "at_most": "np.minimum({}, {})",
+    "at_least": "np.maximum({}, {})",
+    "abs": "abs({})",
+    "chosen": "np.float64({1} if {0} else {2})",
+    "indicator": "np.float64({})",
+    "finite": "np.isfinite({})",
+    "and": "{} and {}",
+    "or": "{} or {}",
+    "not": "not {}",
+}
+_IN_NUMBA = {  # for NumPy's arrays, too
+    **_IN_NUMPY,
+    "angle": "sincos({})",
+    "sin": "{}[0]",
+    "cos": "{}[1]",
+    "arctan": "arctan({})",
+    "power": "{} ** {}",
+    "sign": "chosen({0} > 0.0, 1.0, chosen({0} < 0.0, -1.0, {0}))",
+    "minimum": "lesser({}, {})",
+    "maximum": "greater({}, {})",
+    "at_most": "at_most({}, {})",
+    "at_least": "at_least({}, {})",
+    "chosen": "chosen({}, {}, {})",
+    "indicator": "chosen({}, 1.0, 0.0)",
+    "finite": "{0} - {0} == 0.0",
     "and": "{} & {}",
     "or": "{} | {}",
     "not": "{} == False",
 }
+_C_NAMES = {
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+    "arctan2": "atan2",
+    "power": "pow",
+    "arcsinh": "asinh",
+    "arccosh": "acosh",
+    "arctanh": "atanh",
+    "abs": "fabs",
+}
+_IN_C = {
+    **_IN_ALL,
+    **{
+        name: f"{_C_NAMES.get(name, name)}({{}})" for name in ("sqrt", "floor", "sin", "cos", "arctan", "abs")
+    },
+    **{name: f"{_C_NAMES.get(name, name)}({{}})" for name in OF_NUMPY},
+    **{name: f"{_C_NAMES.get(name, name)}({{}}, {{}})" for name in ("arctan2", "copysign", "power")},
+    "angle": "{}",
+    "sign": "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
+    "minimum": "{0} < {1} || {0} != {0} ? {0} : {1}",
+    "maximum": "{0} > {1} || {0} != {0} ? {0} : {1}",
+    "at_most": "{0} > {1} ? {1} : {0}",
+    "at_least": "{0} < {1} ? {1} : {0}",
+    "chosen": "{} ? {} : {}",
+    "indicator": "{} ? 1.0 : 0.0",
+    "finite": "isfinite({})",
+    "and": "{} && {}",
+    "or": "{} || {}",
+    "not": "!{}",
+}
+
+
+@dataclass(frozen=True)
+class Language:
+    """How operations, numbers and statements are written."""
+
+    operations: Mapping[str, str]
+    infinity: str = "np.inf"
+    nan: str = "np.nan"
+    statement: str = "{} = {}"
+    condition: str = "{} = {}"  # the statement of what holds or not
+
+    def number(self, value: float) -> str:
+        """A number, as an operand."""
+        if math.isfinite(value):
+            return repr(value) if math.copysign(1.0, value) > 0 else f"({value!r})"
+        return self.nan if math.isnan(value) else self.infinity if value > 0 else f"(-{self.infinity})"
+
+
+NUMBA, NUMPY = Language(_IN_NUMBA), Language(_IN_NUMPY)
+C = Language(_IN_C, "INFINITY", "NAN", "const double {} = {};", "const int {} = {};")
+
+
+def statements(
+    trace: Trace, results: Sequence[Sequence[Symbol]], language: Language, names: dict[int, str]
+) -> list[str]:
+    """Lines that compute these vectors of what has a name by its index; the results have names afterwards.
+
+    What is used once becomes part of the line that uses it, as long as that is short.
+    """
+    order = needed(trace, results, names)
+    uses = Counter(symbol.index for vector in results for symbol in vector)
+    for symbol in order:
+        text = language.operations.get(symbol.name, "")
+        repeated = text == "{}" or text.count("{0}") > 1
+        uses.update([operand.index for operand in symbol.operands] * (2 if repeated else 1))
+    lines: list[str] = []
+    for symbol in order:
+        if symbol.name in ("given", "number"):
+            names[symbol.index] = symbol.value if symbol.name == "given" else language.number(symbol.value)
+            continue
+        operands = [names[operand.index] for operand in symbol.operands]
+        text = language.operations[symbol.name].format(*operands)
+        if text == operands[0]:
+            names[symbol.index] = text
+        elif uses[symbol.index] == 1 and len(text) < SHORT:
+            names[symbol.index] = f"({text})"
+        else:
+            names[symbol.index] = f"v{len(lines)}"
+            statement = language.condition if symbol.truth else language.statement
+            lines.append(statement.format(names[symbol.index], text))
+    return lines
+
+
+class Formulas(NamedTuple):
+    """What is computed of x (n,), the time t and the memory (s,) in a frame."""
+
+    trace: Trace
+    u: list[Symbol]
+    memory: list[Symbol]
+
+    def written(self, language: Language) -> tuple[list[str], list[str], list[str]]:
+        """Lines, and what u and the memory for the next frame are after them."""
+        names: dict[int, str] = {}
+        lines = statements(self.trace, [self.u, self.memory], language, names)
+        u, memory = ([names[symbol.index] for symbol in vector] for vector in (self.u, self.memory))
+        return lines, u, memory
+
+    @property
+    def time_dependent(self) -> bool:
+        """Whether they take the time."""
+        return any(symbol.value == "t" for symbol in needed(self.trace, [self.u, self.memory]))
 
 
 class Written(NamedTuple):
@@ -60,37 +186,22 @@ def written(
     results: Sequence[Sequence[Symbol]],
     arguments: str,
     before: Sequence[Symbol] = (),
+    numbers_name: str = "p",
 ) -> Written:
-    """The function that gives these vectors; its parameters p are what is computed before, then the numbers.
+    """The function for Numba that gives these vectors; p is what is computed before, numbers have a name too.
 
     Of the same operations it is the same function.
     """
     names = {symbol.index: f"p[{index}]" for index, symbol in enumerate(before)}
-    lines: list[str] = []
-    numbers: list[float] = []
-    pairs: dict[int, str] = {}  # sine and cosine of an angle
-    for symbol in needed(trace, results, set(names)):
-        operands = [names[operand.index] for operand in symbol.operands]
-        if symbol.name == "given":
-            names[symbol.index] = symbol.value
-            continue
-        if symbol.name == "number":
-            names[symbol.index] = f"p[{len(before) + len(numbers)}]"
-            numbers.append(symbol.value)
-            continue
-        if symbol.name in ("sin", "cos"):
-            angle = symbol.operands[0].index
-            if angle not in pairs:
-                pairs[angle] = f"v{len(lines)}"
-                lines.append(f"{pairs[angle]} = sincos({operands[0]})")
-            names[symbol.index] = f"{pairs[angle]}[{0 if symbol.name == 'sin' else 1}]"
-            continue
-        names[symbol.index] = f"v{len(lines)}"
-        lines.append(f"v{len(lines)} = {TEXTS[symbol.name].format(*operands)}")
+    numbers = [symbol for symbol in needed(trace, results, names) if symbol.name == "number"]
+    names |= {symbol.index: f"{numbers_name}[{index}]" for index, symbol in enumerate(numbers)}
+    lines = statements(trace, results, NUMBA, names)
     vectors = ["(" + "".join(f"{names[symbol.index]}, " for symbol in vector) + ")" for vector in results]
     lines.append(f"return {', '.join(vectors)}")
     text = f"def traced({arguments}):\n    " + "\n    ".join(lines) + "\n"
-    return Written(function_of(text, "traced", **NAMES), np.array(numbers, dtype=np.float64))
+    return Written(
+        function_of(text, "traced", **NAMES), np.array([each.value for each in numbers], np.float64)
+    )
 
 
 def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[int] = ()) -> list[Symbol]:
@@ -103,7 +214,7 @@ def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[
 
 
 def columns(function: Callable, *arguments: Any) -> tuple[Any, ...]:
-    """What the function gives (..., r) for rows of vectors (k, n): its columns; numbers go as they are."""
-    given = [tuple(each.T) if isinstance(each, np.ndarray) else each for each in arguments]
+    """What the function gives (..., r) for rows of vectors (k, n), numbers of each row (k,) and others."""
+    given = [tuple(each.T) if isinstance(each, np.ndarray) and each.ndim > 1 else each for each in arguments]
     with np.errstate(all="ignore"):
         return function(*given)

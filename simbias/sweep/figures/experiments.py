@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from simbias.core.proportions import CONFIDENCE
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
-from simbias.sweep.tables import CONFIDENCE, cells
+from simbias.sweep.tables import cells
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

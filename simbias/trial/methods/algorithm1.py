@@ -34,7 +34,7 @@ class Algorithm1(Method):
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration; comments give the listing's lines."""
         search_rng, hardware_rng = rng.spawn(2)
-        data, model = study.no_data, study.model()  # 1
+        data, model = study.no_data, study.first_model()  # 1
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
         for i in range(self.max_iterations):  # 2, 3, 15

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from simbias.core.errors import ConfigError
-from simbias.core.ranges import Count, Scale
+from simbias.core.ranges import Count, NonNegative, Scale
 from simbias.core.records import Iteration, Rollout
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
@@ -27,6 +27,9 @@ class Lqr(Method):
     identified
         A failure is learned from: the nominal model's parameters are identified from all experiments, and the
         policy is designed again.
+    integral_weight
+        Weight of the squared integrals over time of what the policy integrates, which makes it LQI: a steady
+        disturbance leaves no error. 0: no integral.
     max_iterations
         Designs, with identification; without, there is one.
     """
@@ -37,11 +40,13 @@ class Lqr(Method):
         experiments: Count = 2,
         identified: bool = False,
         max_iterations: Count = 10,
+        integral_weight: NonNegative = 0.0,
     ) -> None:
         self.max_iterations = max_iterations if identified else 1
         self.max_experiments = self.max_iterations * experiments
         self._input_weight = input_weight
         self._experiments = experiments
+        self._integral_weight = integral_weight
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration.
@@ -51,16 +56,17 @@ class Lqr(Method):
         ConfigError
             If the model has no LQR, or the policy cannot imitate it.
         """
-        model, experiments = study.model(), list[Rollout]()
+        model, experiments = study.first_model(), list[Rollout]()
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("learning"):
                 if experiments:
                     model = study.model(None, study.identification.fit(study.nominal, experiments))
             with clock("design"):
-                policies = lqr_policies(model, (self._input_weight,))
+                policies = lqr_policies(model, (self._input_weight,), self._integral_weight)
             if not policies:
-                problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
+                kind = "LQI" if self._integral_weight else "LQR"
+                problem = f"{type(study.policy).__name__} imitates no {kind}, or the model has none"
                 raise ConfigError("method", problem)
             (theta,) = policies
             observer.designed(theta, model)

@@ -79,7 +79,7 @@ class ModelBased(Method):
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""
         search_rng, hardware_rng = rng.spawn(2)
-        data, model = study.no_data, study.model()
+        data, model = study.no_data, study.first_model()
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
         for index in range(self.max_iterations):

@@ -1,0 +1,60 @@
+"""Shares that were counted, k of n, with their confidence intervals."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import betaincinv, ndtri  # scipy.stats has both intervals, but takes a second to import
+
+CONFIDENCE = 0.95
+
+
+class Interval(NamedTuple):
+    """Bounds of a number."""
+
+    low: float
+    high: float
+
+
+def wilson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+    """The score interval of a share of which k of n were seen (E. B. Wilson, JASA 22, 1927); nan if n is 0.
+
+    Its coverage is near the confidence on average over shares.
+    """
+    if not n:
+        return Interval(np.nan, np.nan)
+    z, share = float(ndtri(0.5 + confidence / 2)), k / n
+    centre = share + z**2 / (2 * n)
+    spread = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
+    low, high = (centre - spread) / (1 + z**2 / n), (centre + spread) / (1 + z**2 / n)
+    return Interval(float(low) if k else 0.0, float(high) if k < n else 1.0)
+
+
+def clopper_pearson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
+    """The exact interval of such a share (C. Clopper and E. Pearson, Biometrika 26, 1934); nan if n is 0.
+
+    Its coverage is at least the confidence, whatever the share.
+    """
+    if not n:
+        return Interval(np.nan, np.nan)
+    tail = (1 - confidence) / 2
+    low = betaincinv(k, n - k + 1, tail) if k else 0.0
+    high = betaincinv(k + 1, n - k, 1 - tail) if k < n else 1.0
+    return Interval(float(low), float(high))
+
+
+def passes_needed(share: float, error: float) -> int:
+    """The fewest passes in a row that refute a share of at most `share`, with this probability of error.
+
+    After n passes without a failure, the exact one-sided bound is error^(1/n).
+    """
+    return max(1, int(np.ceil(np.log(error) / np.log(share) - 1e-9)))
+
+
+def counted_share(k: int, n: int) -> str:
+    """A count with the Wilson interval of its share: 18 of 20 (70% to 97%)."""
+    if not n:
+        return "0 of 0"
+    low, high = wilson(k, n)
+    return f"{k} of {n} ({low:.0%} to {high:.0%})"

@@ -1,0 +1,118 @@
+"""Generated controllers are held against the policy before they are written, over hundreds of frames."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Policy, Task
+from simbias.core.messages import brief
+from simbias.core.records import Array
+from simbias.lab.safety import Bounds, SafetyLimitedPolicy, UnsafeError
+
+FRAMES = 200  # of each sequence of states
+AMPLITUDES = (0.0, 0.01, 0.1, 1.0, 10.0)  # of the sequences, besides the deviation of starts
+AGREEMENT = 1e-9  # relative to the largest input
+SECONDS = 60.0  # for a C compiler
+
+MAIN = """\
+#include <stdio.h>
+#include "controller.h"
+
+int main(void)
+{{
+    double x[{n}], u[{m}];
+    simbias_controller controller;
+    simbias_start(&controller);
+    for (;;) {{
+        for (int i = 0; i < {n}; ++i)
+            if (scanf("%lf", &x[i]) != 1)
+                return 0;
+        printf("%d", simbias_control(&controller, x, u));
+        for (int i = 0; i < {m}; ++i)
+            printf(" %.17g", u[i]);
+        printf("\\n");
+    }}
+}}
+"""
+
+
+def difference(policy: Policy, task: Task, theta: Array, bounds: Bounds, header: str, module: str) -> str:
+    """How the controllers in C and in Python differ from the policy theta (p,), in a line; "" if they agree.
+
+    C is tried where there is a compiler, `cc`.
+    """
+    limited = SafetyLimitedPolicy(getattr(policy, "policy", policy), task, replace(bounds, criteria=False))
+    sequences = _sequences(task)
+    expected = [_run(limited.controller(theta, task.time_step), states, task) for states in sequences]
+    names: dict[str, Any] = {}
+    exec(compile(module, "<controller.py>", "exec"), names)
+    made = {"Python": [_run(names["Controller"](), states, task) for states in sequences]}
+    compiler = shutil.which("cc")
+    if compiler:
+        try:
+            made["C"] = _in_c(compiler, header, task, sequences)
+        except subprocess.SubprocessError as error:
+            return f"{compiler} does not compile or run it ({brief(str(getattr(error, 'stderr', error)))})"
+    size = max(1e-300, *(np.abs(rows[:, 1:]).max(initial=0.0) for rows in expected))
+    for language, all_rows in made.items():
+        for rows, right in zip(all_rows, expected, strict=True):
+            off = ~np.isclose(rows, right, AGREEMENT, AGREEMENT * size).all(axis=1)
+            if off.any():
+                frame = int(np.argmax(off))
+                return (
+                    f"in {language}, frame {frame} gives abort, u = {rows[frame].tolist()} where the policy "
+                    f"gives {right[frame].tolist()}"
+                )
+    return ""
+
+
+def _sequences(task: Task) -> list[Array]:
+    """States (FRAMES + 2, n) that grow from the start on, drift and jump; the last but one is no number."""
+    rng, n = np.random.default_rng(0), len(task.states)
+    growing = np.linspace(0.0, 1.0, FRAMES)[:, None]
+    sequences = []
+    for amplitude in AMPLITUDES:
+        drift = np.sin(2 * np.pi * growing * rng.uniform(0.5, 5.0, n) + rng.uniform(0.0, 6.3, n))
+        around = (task.start_deviation + amplitude) * (drift + 0.1 * rng.standard_normal((FRAMES, n)))
+        states = task.start_mean + growing * around
+        sequences.append(np.concatenate([states, np.full((1, n), np.nan), task.start_mean[None]]))
+    return sequences
+
+
+def _run(controller: Any, states: Array, task: Task) -> Array:
+    """Whether each frame is to be aborted, and its inputs: (k, 1 + m) of states (k, n)."""
+    rows = np.zeros((len(states), 1 + len(task.inputs)))
+    with np.errstate(all="ignore"):
+        for row, x in zip(rows, states, strict=True):
+            try:
+                row[1:] = controller(x)
+            except (UnsafeError, ValueError):
+                row[0] = 1.0
+    return rows
+
+
+def _in_c(compiler: str, header: str, task: Task, sequences: Sequence[Array]) -> list[Array]:
+    """What `_run` gives, of the controller in C."""
+    n, m = len(task.states), len(task.inputs)
+    with TemporaryDirectory(prefix="simbias-") as folder:
+        program = Path(folder, "main")
+        Path(folder, "controller.h").write_text(header, encoding="utf-8")
+        Path(folder, "main.c").write_text(MAIN.format(n=n, m=m))
+        command = [compiler, "-std=c99", "-O1", "-o", str(program), str(Path(folder, "main.c")), "-lm"]
+        subprocess.run(command, check=True, capture_output=True, text=True, timeout=SECONDS)
+        rows = []
+        for states in sequences:
+            text = "\n".join(" ".join(map(repr, row)) for row in states.tolist())
+            done = subprocess.run(
+                [program], input=text, check=True, capture_output=True, text=True, timeout=SECONDS
+            )
+            rows.append(np.array([line.split() for line in done.stdout.splitlines()], np.float64))
+    return rows

@@ -1,0 +1,143 @@
+"""Least-squares conditional density estimation of the residuals: no Gaussian assumption on transitions."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Bias, FittedBias, Kernel, Task
+from simbias.core.ranges import Count, Positive
+from simbias.core.records import Array, Indices, Transitions
+from simbias.learning.bias.covariance import correlation, hyperparameters, output_scale
+from simbias.learning.bias.gp_kernel import correlations, means, pack
+from simbias.learning.bias.none import ZeroBias
+from simbias.simulation.compiler import LANES
+
+Candidates = Annotated[list[Positive], Field(min_length=1)]
+SEED = 0  # of centres and folds: the same data give the same bias
+NOTHING = 1e-3  # of the largest weight, added to p(x): far from all data the mean is zero
+
+
+class LeastSquaresDensity(Bias):
+    """A conditional density p(y | x) for each state, fitted by least squares (Sugiyama et al., IEICE 2010).
+
+    Tangkaratt et al. (Neural Networks 57, 2014) learn transition models so. The ratio p(x, y) / p(x) is a sum
+    of Gaussian kernels at b of the samples, whose weights have a closed form. Width and regularisation, the
+    same for all states, have the least cross-validated squared error. The simulation adds the mean.
+
+    Parameters
+    ----------
+    task
+        Limits of the inputs, by which they are scaled.
+    kernels
+        b, at most.
+    widths
+        Candidates of sigma, of inputs over their deviation and residuals over their root mean square.
+    regularisations
+        Candidates of lambda.
+    folds
+        Fits, each without some of the samples.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        kernels: Count = 100,
+        widths: Candidates = [0.3, 0.6, 1.0, 2.0],  # noqa: B006 (read only)
+        regularisations: Candidates = [1e-3, 1e-2, 1e-1],  # noqa: B006
+        folds: Annotated[int, Field(ge=2, le=100)] = 5,
+    ) -> None:
+        self._hyper = hyperparameters(task, 1.0, 1.0, 1.0, 1.0, None)
+        self._kernels, self._folds = kernels, folds
+        self._candidates = [(width, each) for width in widths for each in regularisations]
+
+    def fit(self, transitions: Transitions) -> FittedBias:
+        """Fit a density to each state's residuals; of fewer samples than folds, zero."""
+        N, n = transitions.residuals.shape
+        if self._folds > N:
+            return ZeroBias(n)
+        deviation = transitions.inputs.std(axis=0)
+        units = 1 / np.where(deviation > 0, deviation, self._hyper.input_scale)
+        scale = np.where(size := output_scale(transitions.residuals), size, 1.0)
+        x, y = transitions.inputs * units, transitions.residuals / scale
+        order = np.random.default_rng(SEED).permutation(N)
+        chosen, folds = order[: self._kernels], order % self._folds
+
+        def error(candidate: tuple[float, float]) -> float:
+            return sum(self._error(x, y, chosen, folds == fold, *candidate) for fold in range(self._folds))
+
+        width, regularisation = min(self._candidates, key=error)
+        H, h = _moments(x, y, x[chosen], y[chosen], width)
+        return FittedDensity(x[chosen], y[chosen], _weights(H, h, regularisation), width, units, scale)
+
+    def _error(
+        self, x: Array, y: Array, chosen: Indices, own: Array, width: float, regularisation: float
+    ) -> float:
+        """Squared error of densities, up to a constant, on some samples that were left out."""
+        weights = _weights(*_moments(x[~own], y[~own], x[chosen], y[chosen], width), regularisation)
+        H, h = _moments(x[own], y[own], x[chosen], y[chosen], width)
+        return float(np.einsum("il,ilk,ik", weights, H, weights) / 2 - np.sum(h * weights))
+
+
+def _moments(x: Array, y: Array, u: Array, v: Array, width: float) -> tuple[Array, Array]:
+    """H (n, b, b), the mean over x of the integral over y of phi phi^T, and h (n, b), the mean of phi."""
+    near = correlation(x / width, u / width)
+    overlap = np.sqrt(np.pi) * width * np.exp(-((v[:, None] - v) ** 2) / (4 * width**2))  # (b, b, n)
+    bumps = np.exp(-((y[:, None] - v) ** 2) / (2 * width**2))  # (N, b, n)
+    return np.moveaxis(overlap, -1, 0) * (near.T @ near) / len(x), np.einsum("kl,kli->il", near, bumps) / len(
+        x
+    )
+
+
+def _weights(H: Array, h: Array, regularisation: float) -> Array:
+    """The least-squares weights (n, b), those below zero being zero."""
+    regular = H + regularisation * np.eye(H.shape[-1])
+    return np.maximum(np.linalg.solve(regular, h[..., None])[..., 0], 0.0)
+
+
+def _correct(x, u, data, correction):
+    """The means, for states x (n, LANES) under u (m, LANES)."""
+    points, sums, inverse_scale, floors, scale = data
+    n = x.shape[0]
+    both = means(sums, correlations(x, u, points, inverse_scale), 2 * n)
+    for lane in range(LANES):
+        for i in range(n):
+            correction[i, lane] = scale[i] * both[i, lane] / (both[n + i, lane] + floors[i])
+
+
+class FittedDensity(FittedBias):
+    """p(y | x) = sum_l a_l K(x, u_l) N(y; v_l, sigma^2) / sum_l a_l K(x, u_l), of each state."""
+
+    def __init__(self, u: Array, v: Array, weights: Array, width: float, units: Array, scale: Array) -> None:
+        self._u, self._v = u, v  # (b, r), (b, n): centres
+        self._weights, self._width = weights, width  # (n, b)
+        self._units, self._scale = units, scale  # (r,) of inputs, (n,) of residuals
+        self._floors = NOTHING * weights.max(axis=1, initial=1e-12)
+        points, sums = (u / width).astype(np.float32), np.concatenate([weights * v.T, weights])
+        self.kernel = Kernel(_correct, (points, pack(sums), units / width, self._floors, scale))
+
+    def density(self, inputs: Array, values: Array, state: int) -> Array:
+        """p(y | x) (k, l) of one state's residual at raw inputs (k, n+m), for values (l,)."""
+        size = self._width * self._scale[state]
+        bumps = np.exp(-((values[:, None] - self._scale[state] * self._v[:, state]) ** 2) / (2 * size**2))
+        return self._shares(inputs)[state] @ bumps.T / (np.sqrt(2 * np.pi) * size)
+
+    def _shares(self, inputs: Array) -> Array:
+        """Shares (n, k, b) of the kernels in p(y | x); what they lack of one belongs to zero."""
+        near = correlation(inputs * self._units / self._width, self._u / self._width)
+        near = self._weights[:, None] * near
+        return near / (near.sum(axis=-1, keepdims=True) + self._floors[:, None, None])
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        """Mean (k, n) and variance (k, n) of the residual at raw inputs (k, n+m)."""
+        shares = self._shares(inputs)
+        mean = np.einsum("ikl,li->ki", shares, self._v)
+        variance = np.einsum("ikl,li->ki", shares, self._v**2) - mean**2 + self._width**2
+        return mean * self._scale, variance * self._scale**2
+
+    def correction(self, x: Array, u: Array) -> Array:
+        """The mean (..., n) at x (..., n), u (..., m)."""
+        inputs = np.concatenate([x, u], axis=-1)
+        return self.predict(inputs.reshape(-1, inputs.shape[-1]))[0].reshape(x.shape)

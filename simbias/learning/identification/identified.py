@@ -1,0 +1,123 @@
+"""What has been identified of a nominal model's parameters, and what was known of them before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from simbias.core import Nominal
+from simbias.core.parameters import Estimate, Parameter, values_at
+from simbias.core.records import Array
+from simbias.learning.prediction_errors import ErrorDistribution
+
+QUANTILE = 1.6449  # 95% of a standard normal
+
+
+@dataclass(frozen=True)
+class Known:
+    """A posterior as numbers: normal in the coordinates of p parameters' declared priors."""
+
+    parameters: list[str]  # their names, in the model's order
+    mode: list[float]  # (p,)
+    spread: list[list[float]]  # (p, p) a square root of the covariance
+
+
+@final
+class Identified(Nominal):
+    """The nominal model at the mode of its parameters; `draw` samples their posterior."""
+
+    def __init__(
+        self,
+        prior: Nominal,
+        mode: Array,
+        spread: Array,
+        diagnostics: Mapping[str, float],
+        errors: ErrorDistribution | None = None,
+    ) -> None:
+        self._prior = prior
+        self.mode = mode  # (p,) coordinates
+        self.model = prior.with_parameters(values_at(prior.parameters, mode))
+        self.kernel = self.model.kernel
+        self.parameters = prior.parameters
+        self.memory_size = self.model.memory_size
+        self.diagnostics = diagnostics
+        self.errors = errors  # of predictions over windows, at the mode
+        self.spread = spread  # (p, p) square root of the covariance
+        self.covariance = spread @ spread.T  # (p, p) of the coordinates
+        deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
+        self.estimates = tuple(
+            Estimate(p.name, p.unit, p.value, float(p.at(z)), float(p.at(z - d)), float(p.at(z + d)))
+            for p, z, d in zip(prior.parameters, mode, deviations, strict=True)
+        )
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., n) of the most probable model."""
+        return self.model.step(x, u)
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the memory (..., s), of the most probable model."""
+        return self.model.advance(x, u, memory)
+
+    def memories(self, states: Array, inputs: Array) -> Array:
+        """Memory (k, s) in each frame of a record, from its start on."""
+        return self.model.memories(states, inputs)
+
+    def with_parameters(self, values: Array) -> Nominal:
+        """The model with other values (k,) of its parameters."""
+        return self._prior.with_parameters(values)
+
+    def narrowed(self, scale: float) -> Identified:
+        """The model at the same mode, with `scale` times the standard deviations of the posterior."""
+        return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
+
+    def at(self, coordinates: Array) -> Nominal:
+        """The model with its parameters at coordinates (p,)."""
+        return self._prior.with_parameters(values_at(self._prior.parameters, coordinates))
+
+    def draw(self, rng: np.random.Generator) -> Nominal:
+        """A model with parameters drawn from the posterior."""
+        return self.at(self.mode + self.spread @ rng.standard_normal(len(self.mode)))
+
+
+@final
+class KnownPrior(Nominal):
+    """A model with a known posterior for its prior: its parameters are independent standard normal numbers.
+
+    Raises
+    ------
+    ValueError
+        If the posterior is of other parameters than the model has.
+    """
+
+    def __init__(self, nominal: Nominal, known: Known) -> None:
+        names = [parameter.name for parameter in nominal.parameters]
+        if names != known.parameters:
+            raise ValueError(
+                f"identification.known is of {', '.join(known.parameters)}; "
+                f"the nominal model's parameters are {', '.join(names) or 'none'}"
+            )
+        self._nominal = nominal
+        self._mode, self._spread = np.array(known.mode), np.array(known.spread)
+        self.kernel, self.memory_size = nominal.kernel, nominal.memory_size
+        self.parameters = tuple(Parameter(name, "", 0.0, 1.0) for name in names)
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., n) of the model as declared."""
+        return self._nominal.step(x, u)
+
+    def with_parameters(self, values: Array) -> Nominal:
+        """The model at standard normal numbers (p,)."""
+        return self._nominal.with_parameters(values_at(self._nominal.parameters, self._coordinates(values)))
+
+    def posterior(self, fitted: Identified | None) -> Identified:
+        """What is known of the model: from the earlier posterior alone, or from experiments too."""
+        if fitted is None:
+            return Identified(self._nominal, self._mode, self._spread, {})
+        mode, spread = self._coordinates(fitted.mode), self._spread @ fitted.spread
+        return Identified(self._nominal, mode, spread, fitted.diagnostics, fitted.errors)
+
+    def _coordinates(self, values: Array) -> Array:
+        return self._mode + self._spread @ values

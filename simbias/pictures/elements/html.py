@@ -1,0 +1,65 @@
+"""HTML pages in one file: headings, sentences, tables and pictures; whatever they say is escaped."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterable, Sequence
+from html import escape
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from simbias.pictures.elements.style import PUBLISHED_DOTS_PER_INCH, render
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"  # nothing is loaded, nothing runs
+STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; color: #222;
+  max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
+table { border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; display: block; overflow-x: auto }
+th, td { border-bottom: 1px solid #ddd; padding: 0.25rem 0.7rem; text-align: right; white-space: nowrap }
+th:first-child, td:first-child, td:last-child, th:last-child { text-align: left }
+img { max-width: 100%; height: auto }
+"""
+
+
+def page(title: str, parts: Iterable[str]) -> str:
+    """A whole page of parts that the functions below have written."""
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"<h1>{escape(title)}</h1>\n" + "\n".join(parts) + "\n</body>\n</html>\n"
+    )
+
+
+def heading(words: str) -> str:
+    """A heading below the title."""
+    return f"<h2>{escape(words)}</h2>"
+
+
+def paragraph(words: str) -> str:
+    """A paragraph."""
+    return f"<p>{escape(words)}</p>"
+
+
+def items(lines: Iterable[str]) -> str:
+    """A list."""
+    return "<ul>\n" + "\n".join(f"<li>{escape(line)}</li>" for line in lines) + "\n</ul>"
+
+
+def table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table with a line of names."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    body = "\n".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+
+
+def picture(figure: Figure, words: str) -> str:
+    """A figure within the page; the words say what it shows to those who cannot see it."""
+    file = BytesIO()
+    render(figure, PUBLISHED_DOTS_PER_INCH).save(file, "PNG", optimize=True)
+    data = b64encode(file.getvalue()).decode()
+    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{data}"></p>'

@@ -1,0 +1,69 @@
+"""Output feedback with an integral whose gains are free of the others."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Policy, Task
+from simbias.core.records import Array
+from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
+
+
+class IntegralFeedback(Policy):
+    """u = H z + G w within the task's limits, w the integral over time of some outputs.
+
+    H and G are searched as in Eq. 10. A steady disturbance leaves no error in what is integrated. The
+    integral rests while an input is at its limit.
+
+    Parameters
+    ----------
+    bound
+        |h-hat| <= bound, as of `OutputFeedback`.
+    outputs
+        Names of the outputs that are integrated; None is the first one.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        bound: Annotated[float, Field(gt=0, le=100)] = 10.0,
+        outputs: list[str] | None = None,
+    ) -> None:
+        names = [output.name for output in task.outputs]
+        chosen = names[:1] if outputs is None else outputs
+        for name in chosen:
+            if name not in names:
+                raise ValueError(f"outputs: none is called {name}; there are {', '.join(names)}")
+        self._task = task
+        self._chosen = [names.index(name) for name in chosen]
+        self.memory_size = len(chosen)
+        self.n_parameters = len(task.inputs) * (len(names) + len(chosen))
+        self.bounds = np.full(self.n_parameters, -bound), np.full(self.n_parameters, bound)
+
+    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n), and the next integral w (..., i)."""
+        z = self.outputs(x)
+        gains = signed_exponential(theta).reshape(*theta.shape[:-1], len(self._task.inputs), -1)
+        asked = (gains @ np.concatenate([z, memory], axis=-1)[..., None])[..., 0]
+        u = np.clip(asked, *self._task.input_bounds)
+        free = np.where(np.abs(u - asked).sum(axis=-1, keepdims=True) > 0, 0.0, 1.0)
+        return u, memory + self._task.time_step * free * z[..., self._chosen]
+
+    def outputs(self, x: Array) -> Array:
+        """Outputs z (..., q) at states x (..., n)."""
+        return self._task.output(x)
+
+    def integrated(self, x: Array) -> Array:
+        """The outputs (..., i) that are integrated, at states x (..., n)."""
+        return self.outputs(x)[..., self._chosen]
+
+    def imitating(self, states: Array, inputs: Array) -> Array:
+        """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n)."""
+        z = self.outputs(states)
+        w = self._task.time_step * np.cumsum(z[..., self._chosen], axis=1)
+        features = np.concatenate([z, np.pad(w, ((0, 0), (1, 0), (0, 0)))[:, :-1]], axis=-1)
+        gains = [least_squares_gains(features, inputs[..., i]) for i in range(inputs.shape[-1])]
+        return np.clip(inverse_signed_exponential(np.concatenate(gains)), *self.bounds)

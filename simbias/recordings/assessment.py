@@ -1,0 +1,124 @@
+"""Identify a model from recordings and judge it on what it was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from simbias.core import Nominal, Task
+from simbias.core.errors import ConfigError
+from simbias.core.records import Rollout
+from simbias.learning.identification.directions import Direction, undetermined
+from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.findings import Finding, findings
+from simbias.recordings.horizons import Prediction, overall, predictions
+from simbias.recordings.parts import Part, others, parts
+from simbias.trial.study import Study
+
+OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """A model identified from recordings, and what is known of it."""
+
+    task: Task
+    nominal: Nominal
+    identified: Identified  # from all recordings that were not held out
+    parts: Sequence[Part]  # of these, each predicted by a model of the others
+    held_out: Part | None
+    models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
+    findings: Sequence[Finding]
+    predictions: Sequence[Prediction]
+
+    @property
+    def judged(self) -> list[Part]:
+        """The parts that are predicted: what was held out, or else each part."""
+        return [self.held_out] if self.held_out else list(self.parts)
+
+    @property
+    def ratio(self) -> float:
+        """Error over the nominal model's, on what the models were not fitted to."""
+        return overall(self.predictions)
+
+    @cached_property
+    def ratios(self) -> dict[str, float]:
+        """The same of each part."""
+        return {part.name: overall(self.predictions, i) for i, part in enumerate(self.judged)}
+
+    @property
+    def better(self) -> bool:
+        """Whether the model predicts better than the nominal one what it was not fitted to."""
+        return self.ratio < 1.0
+
+    @property
+    def undetermined(self) -> list[Direction]:
+        """What the data do not determine."""
+        return undetermined(self.identified)
+
+
+def assess(
+    study: Study,
+    recordings: Mapping[str, Rollout],
+    held_out: Mapping[str, Rollout] | None = None,
+    progress: Callable[[str], None] = lambda words: None,
+) -> Assessment:
+    """Identify the study's nominal model from recordings by name, and judge it.
+
+    Without recordings that are held out, each recording (of a single one, each third) is predicted by a model
+    of all others.
+
+    Raises
+    ------
+    ConfigError
+        If the study identifies nothing, or the recordings are too short.
+    """
+    posterior = study.identification
+    if not isinstance(posterior, Posterior):
+        raise ConfigError("identification", "identifies no posterior; identification=posterior does")
+    if not study.nominal.parameters:
+        raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
+    all_parts = parts(recordings)
+    _check_length(posterior, [*all_parts, *([Part("", tuple(held_out.values()))] if held_out else [])])
+
+    def fit(rollouts: Sequence[Rollout], words: str, window: float = 1.0) -> Identified:
+        progress(words)
+        fitted = posterior.with_window(window * posterior.window).fit(study.nominal, rollouts)
+        assert isinstance(fitted, Identified)
+        return fitted
+
+    everything = list(recordings.values())
+    identified = fit(everything, "all recordings")
+    alone = [fit(part.rollouts, f"{part.name} alone") for part in all_parts]
+    by_window = [
+        fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
+        for factor in OTHER_WINDOWS
+    ]
+    kept = Part("what was held out", tuple(held_out.values())) if held_out else None
+    if kept:
+        models = [identified]
+    elif len(all_parts) == 2:
+        models = alone[::-1]
+    else:
+        models = [fit(others(all_parts, i), f"all but {part.name}") for i, part in enumerate(all_parts)]
+    judged = [kept] if kept else all_parts
+    return Assessment(
+        study.task,
+        study.nominal,
+        identified,
+        all_parts,
+        kept,
+        models,
+        findings(identified, alone, by_window),
+        predictions(study.task, study.nominal, models, [part.rollouts for part in judged]),
+    )
+
+
+def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:
+    """Refuse parts in which nothing can be predicted."""
+    for part in all_parts:
+        if not len(posterior.with_window(max(OTHER_WINDOWS) * posterior.window).windows(part.rollouts)):
+            seconds = max(OTHER_WINDOWS) * posterior.window
+            raise ConfigError(part.name or "held out", f"is shorter than a window of {seconds:g} s")

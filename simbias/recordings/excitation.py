@@ -1,0 +1,146 @@
+"""Trajectories of inputs that tell most of a model's parameters, within a robot's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from simbias.core import Nominal
+from simbias.core.parameters import values_at
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.posterior import Posterior, Problem
+from simbias.learning.prediction_errors import ErrorDistribution
+from simbias.simulation.open_loop import Windows, World, predict
+from simbias.trial.study import Study
+
+DRAWS = 4  # models, the most probable one the first, on which a trajectory keeps the limits and is judged
+HARMONICS = 20  # of each input's Fourier series, at most
+FASTEST = 5.0  # Hz
+RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
+SCALES = 0.75 ** np.arange(12)  # of inputs, until all limits are kept
+RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """Inputs, and what they are expected to tell."""
+
+    rollout: Rollout  # as the most probable model predicts it
+    deviations: Array  # (p,) expected of the posterior afterwards, in those of the prior
+    information: float  # nats that are gained: half the fall of the logarithm of the posterior's volume
+
+    def gained(self, before: Array) -> Array:
+        """Share (p,) by which deviations (p,) fall."""
+        return 1.0 - self.deviations / before
+
+
+class Designer:
+    """Rates trajectories of inputs by the posterior that recordings of them should leave (D-optimal).
+
+    Parameters
+    ----------
+    study
+        Its task's failure criteria and `hardware.safety` are the limits, its identification is what learns.
+    model
+        What is known so far: the nominal model, or an identified one.
+    noise
+        Standard deviations (n,) of measured states, for a model that no errors are known of.
+    """
+
+    def __init__(self, study: Study, model: Nominal, noise: Array) -> None:
+        posterior = study.identification
+        assert isinstance(posterior, Posterior)
+        self._study, self._posterior = study, posterior
+        rng, p = np.random.default_rng(SEED), len(model.parameters)
+        if isinstance(model, Identified):
+            mode, spread, self._errors = model.mode, model.spread, model.errors
+        else:
+            mode, spread, self._errors = np.zeros(p), np.eye(p), None
+        self._z = mode + np.vstack([np.zeros(p), rng.standard_normal((DRAWS - 1, p))]) @ spread.T
+        self.nominal = study.nominal
+        self._models = [self.nominal.with_parameters(values_at(model.parameters, each)) for each in self._z]
+        self._precision = np.linalg.inv(spread @ spread.T)
+        self.before = np.sqrt(np.diag(spread @ spread.T))  # (p,)
+        self._bounds = study.conditions.safety.bounds(study.task)
+        self._noise = noise
+
+    def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation | None:
+        """The best of so many trajectories; None if none keeps the limits."""
+        best: tuple[float, Array, Excitation] | None = None
+        shape = (len(self._study.task.inputs), 2, HARMONICS)
+        for index in range(trajectories):
+            if best is None or index < RANDOM * trajectories:
+                fastest = rng.uniform(0.1, 1.0)
+                c = rng.standard_normal(shape) * (np.arange(HARMONICS) < fastest * HARMONICS)
+                c *= np.exp(rng.standard_normal((shape[0], 1, 1)))
+            else:
+                c = best[1] * (1.0 + 0.3 * rng.standard_normal(shape)) + 0.1 * rng.standard_normal(shape)
+            found = self.rated(self._inputs(c, seconds))
+            if found is not None and (best is None or found.information > best[0]):
+                best = found.information, c, found
+        return best[2] if best else None
+
+    def rated(self, inputs: Array) -> Excitation | None:
+        """Inputs (T, m), scaled down until all models keep the limits; None if they never do."""
+        for scale in SCALES:
+            rollouts = self._simulated(scale * inputs)
+            if all(self._allowed(rollout) for rollout in rollouts):
+                return self._judged(rollouts)
+        return None
+
+    def _inputs(self, c: Array, seconds: float) -> Array:
+        """Inputs (T, m) of Fourier coefficients (m, 2, h), as large as the limits allow."""
+        task = self._study.task
+        t = task.time_step * np.arange(task.frames(seconds))
+        h = c.shape[2]
+        phases = 2 * np.pi * np.outer(t, np.linspace(1 / seconds, FASTEST, h))
+        u = np.sin(phases) @ c[:, 0].T + np.cos(phases) @ c[:, 1].T
+        u *= np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)[:, None]
+        limit = np.minimum(task.input_limit, self._bounds.inputs)
+        return u * limit / np.maximum(np.abs(u).max(axis=0), 1e-12)
+
+    def _simulated(self, inputs: Array) -> list[Rollout]:
+        """What each model does under inputs (T, m) from the task's mean start."""
+        start = self._study.task.start_mean
+        states = np.broadcast_to(start, (len(inputs) + 1, len(start)))
+        windows = Windows.of([Rollout(states, inputs)], len(inputs), 1)
+        made = predict([World(model) for model in self._models], windows)[:, 0]
+        return [Rollout(np.vstack([start, each]), inputs) for each in made]
+
+    def _allowed(self, rollout: Rollout) -> bool:
+        """Whether no criterion fails and no limit is exceeded."""
+        task, bounds = self._study.task, self._bounds
+        return bool(
+            (task.violated(rollout.states) < 0).all()
+            and (np.abs(rollout.states) <= bounds.states).all()
+            and (np.abs(np.diff(rollout.inputs, axis=0)) <= bounds.input_rates * task.time_step).all()
+        )
+
+    def _judged(self, rollouts: Sequence[Rollout]) -> Excitation:
+        """What the trajectories of all models are expected to tell, on average."""
+        errors = self._errors or self._of_noise(rollouts[0])
+        covariances, gains = [], []
+        for z, rollout in zip(self._z, rollouts, strict=True):
+            windows = self._posterior.windows([rollout])
+            precision = self._precision + Problem(self.nominal, windows, errors).information(z)
+            covariances.append(np.linalg.inv(precision))
+            gains.append(0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(self._precision)[1]))
+        deviations = np.sqrt(np.mean([np.diag(each) for each in covariances], axis=0))
+        return Excitation(rollouts[0], deviations, float(np.mean(gains)))
+
+    def _of_noise(self, rollout: Rollout) -> ErrorDistribution:
+        """The errors of the true model's predictions of a noisy recording."""
+        rng = np.random.default_rng(SEED)
+        noisy = rollout.states + self._noise * rng.standard_normal(rollout.states.shape)
+        windows = self._posterior.windows([Rollout(noisy, rollout.inputs)])
+        return ErrorDistribution.of(predict([World(self._models[0])], windows)[0] - windows.means, windows)
+
+
+def noise_of(rollouts: Sequence[Rollout]) -> Array:
+    """Standard deviations (n,) of white noise in recorded states, from their third differences."""
+    thirds = np.concatenate([np.diff(rollout.states, 3, axis=0) for rollout in rollouts])
+    deviations: Array = np.median(np.abs(thirds), axis=0) / 0.6745 / np.sqrt(20.0)
+    return deviations

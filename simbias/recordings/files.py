@@ -1,0 +1,124 @@
+"""What an assessment leaves in a folder: page, tables, draws, and the model as config and MJCF."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from simbias.core import Task
+from simbias.core.parameters import values_at
+from simbias.core.records import Rollout
+from simbias.learning.identification.identified import Identified
+from simbias.recordings.assessment import Assessment
+from simbias.recordings.excitation import Excitation
+from simbias.recordings.report import report
+from simbias.robots.mujoco.model import Mujoco
+
+OPTION = "identified"  # of the group `identification`
+DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
+
+
+def write(
+    assessment: Assessment,
+    excitation: Excitation | None,
+    identification: dict[str, Any],
+    folder: Path,
+    configs: Path,
+) -> None:
+    """Write everything into a folder, and the option `identification=identified` into a folder of configs.
+
+    `identification` is the config that the model was identified with.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    title = f"{type(assessment.nominal).__name__}, identified from recordings"
+    (folder / "report.html").write_text(report(assessment, title, excitation))
+    parameters(assessment).to_csv(folder / "parameters.csv", index=False)
+    errors(assessment).to_csv(folder / "errors.csv", index=False)
+    draws(assessment.identified).to_csv(folder / "draws.csv", index=False)
+    option = configs / "identification" / f"{OPTION}.yaml"
+    option.parent.mkdir(parents=True, exist_ok=True)
+    option.write_text("\n".join(_config(assessment.identified, identification)) + "\n")
+    if excitation is not None:
+        trajectory(assessment.task, excitation.rollout).to_csv(
+            folder / "excitation.csv", index=False, float_format="%.6g"
+        )
+    if isinstance(model := assessment.identified.model, Mujoco):
+        (folder / "identified.xml").write_text(model.mjcf())
+        for i, values in enumerate(draws(assessment.identified).to_numpy()[:MODELS]):
+            (folder / f"draw_{i}.xml").write_text(model.with_parameters(values).mjcf())
+
+
+def parameters(assessment: Assessment) -> pd.DataFrame:
+    """A row for each parameter."""
+    return pd.DataFrame(
+        {
+            **finding.estimate._asdict(),
+            "prior": finding.prior.prior,
+            "prior_low": finding.prior_interval[0],
+            "prior_high": finding.prior_interval[1],
+            "shrinkage": finding.shrinkage,
+            "at_bound": finding.at_bound,
+            "correlated_with": " ".join(finding.partners),
+            "trusted": finding.trusted,
+            "doubts": "; ".join(finding.doubts),
+        }
+        for finding in assessment.findings
+    )
+
+
+def errors(assessment: Assessment) -> pd.DataFrame:
+    """A row for each horizon and state: root mean square errors of what no model was fitted to."""
+    return pd.DataFrame(
+        {
+            "seconds": prediction.seconds,
+            "state": state.name,
+            "unit": state.unit,
+            "nominal": nominal,
+            "identified": identified,
+            "predictions": prediction.windows,
+            "coverage_90": prediction.coverage(),
+        }
+        for prediction in assessment.predictions
+        for state, nominal, identified in zip(assessment.task.states, *prediction.rmse(), strict=True)
+    )
+
+
+def draws(identified: Identified) -> pd.DataFrame:
+    """Draws from the posterior, a column for each parameter."""
+    e = np.random.default_rng(SEED).standard_normal((DRAWS, len(identified.mode))) @ identified.spread.T
+    names = [parameter.name for parameter in identified.parameters]
+    return pd.DataFrame(values_at(identified.parameters, identified.mode + e), columns=names)
+
+
+def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:
+    """Inputs frame by frame, and the states that the model predicts."""
+    table = {"time": task.time_step * np.arange(rollout.frames)}
+    table |= {state.name: rollout.states[:-1, i] for i, state in enumerate(task.states)}
+    return pd.DataFrame(table | {u.name: rollout.inputs[:, i] for i, u in enumerate(task.inputs)})
+
+
+def _config(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
+    """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
+    yield "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
+    yield "# 5% .. most probable .. 95%:"
+    for e in identified.estimates:
+        yield f"# {e.name}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {e.unit}"
+    for key, value in identification.items():
+        if key != "known":
+            yield f"{key}: {json.dumps(value)}"
+    yield "known:"
+    yield f"  parameters: {json.dumps([parameter.name for parameter in identified.parameters])}"
+    yield f"  mode: {json.dumps(identified.mode.tolist())}"
+    yield "  spread:"
+    for row in identified.spread.tolist():
+        yield f"    - {json.dumps(row)}"

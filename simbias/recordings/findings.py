@@ -1,0 +1,120 @@
+"""Which parameters may be trusted: what the data say of each, and of their combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from simbias.core.parameters import Estimate, Parameter
+from simbias.core.records import Array
+from simbias.learning.identification.identified import Identified
+
+CORRELATED = 0.9
+DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is told, and below which it is not
+AT_BOUND = 0.05  # prior standard deviations from a bound
+TAIL = 2.5  # prior standard deviations from the median
+DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A parameter."""
+
+    prior: Parameter
+    estimate: Estimate
+    shrinkage: float  # of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 all
+    partners: Mapping[str, float]  # parameters that it is correlated with by more than 0.9
+    by_part: tuple[Estimate, ...]  # identified from each part alone
+    by_window: tuple[Estimate, ...]  # with predictions half and twice as long
+    doubts: tuple[str, ...]
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.doubts
+
+    @property
+    def prior_interval(self) -> tuple[float, float]:
+        """5% and 95% quantiles of the prior."""
+        low, high = self.prior.at(np.array([-1.6449, 1.6449])).tolist()
+        return low, high
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the most probable value lies at an end of the prior."""
+        return at_bound(self.prior, self.estimate.value)
+
+
+def findings(
+    fitted: Identified, by_part: Sequence[Identified], by_window: Sequence[Identified]
+) -> list[Finding]:
+    """Those of every parameter."""
+    deviations, R = np.sqrt(np.diag(fitted.covariance)), correlations(fitted)
+    names = [parameter.name for parameter in fitted.parameters]
+    found = []
+    for i, (parameter, estimate) in enumerate(zip(fitted.parameters, fitted.estimates, strict=True)):
+        shrinkage = float(np.clip(1.0 - deviations[i], 0.0, 1.0))
+        partners = {
+            names[j]: float(R[i, j]) for j in range(len(names)) if j != i and abs(R[i, j]) > CORRELATED
+        }
+        doubts = [
+            _of_shrinkage(shrinkage),
+            f"only together with {', '.join(partners)}" if partners else "",
+            "at its bound" if at_bound(parameter, estimate.value) else "",
+            "far from what was declared" if abs(fitted.mode[i]) > TAIL else "",
+            "recordings disagree" if _distance(by_part, i) > DISAGREEMENT else "",
+            "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
+        ]
+        found.append(
+            Finding(
+                parameter,
+                estimate,
+                shrinkage,
+                partners,
+                tuple(each.estimates[i] for each in by_part),
+                tuple(each.estimates[i] for each in by_window),
+                tuple(doubt for doubt in doubts if doubt),
+            )
+        )
+    return found
+
+
+def correlations(fitted: Identified) -> Array:
+    """Correlations (p, p) of the coordinates."""
+    deviations = np.sqrt(np.diag(fitted.covariance))
+    return fitted.covariance / np.outer(deviations, deviations)
+
+
+def at_bound(parameter: Parameter, value: float) -> bool:
+    """Whether a value lies at an end of the prior, if it has one."""
+    ends = {"half_normal": [0.0], "uniform": [0.0, parameter.spread]}.get(parameter.prior, [])
+    width = parameter.spread * (1.0 if parameter.prior == "half_normal" else 12**-0.5)
+    return any(abs(value - parameter.value - end) < AT_BOUND * width for end in ends)
+
+
+def _of_shrinkage(shrinkage: float) -> str:
+    """What to doubt of a parameter of which so much has been learned."""
+    if shrinkage < UNKNOWN:
+        return "the data do not tell"
+    return "told in part" if shrinkage < DETERMINED else ""
+
+
+def _distance(fits: Sequence[Identified], i: int) -> float:
+    """The largest distance of a coordinate between two fits, in its standard deviations."""
+    z = np.array([fit.mode[i] for fit in fits])
+    variance = np.array([fit.covariance[i, i] for fit in fits])
+    distances = np.abs(z[:, None] - z) / np.sqrt(variance[:, None] + variance)
+    return float(distances.max(initial=0.0))
+
+
+def _moved(fitted: Identified, fits: Sequence[Identified], i: int) -> float:
+    """How far a coordinate moves with the window, in its standard deviations of either fit, the larger."""
+    return max(
+        (
+            abs(fit.mode[i] - fitted.mode[i]) / np.sqrt(max(fit.covariance[i, i], fitted.covariance[i, i]))
+            for fit in fits
+        ),
+        default=0.0,
+    )

@@ -1,0 +1,122 @@
+"""How well models predict recordings, by how far ahead; and how well they know it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from simbias.core import Nominal, Task
+from simbias.core.records import Array, Flags, Rollout
+from simbias.simulation.open_loop import Windows, World, predict
+
+HORIZONS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # s
+SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
+REGION = 0.9  # probability of a predictive region
+FEWEST = 5  # errors that a region is estimated from, for each state
+SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
+MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Errors of predictions so far ahead, from measured states under measured inputs, by part."""
+
+    seconds: float
+    nominal: tuple[Array, ...]  # of each part (w, n)
+    identified: tuple[Array, ...]  # by models that were not fitted to the part
+
+    @property
+    def windows(self) -> int:
+        """Number of predictions."""
+        return sum(map(len, self.identified))
+
+    def rmse(self) -> tuple[Array, Array]:
+        """Root mean square errors (n,) of the nominal model and of the identified one."""
+        return _rmse(np.concatenate(self.nominal)), _rmse(np.concatenate(self.identified))
+
+    def ratio(self, part: int | None = None) -> float:
+        """Identified over nominal error: the geometric mean over states, of all parts or of one."""
+        if part is None:
+            nominal, identified = self.rmse()
+        else:
+            nominal, identified = _rmse(self.nominal[part]), _rmse(self.identified[part])
+        before, after = (np.clip(each, SMALLEST, LARGEST) for each in (nominal, identified))
+        ratios = after / before
+        return geometric_mean(np.clip(ratios, 1 / MOST_RATIO, MOST_RATIO))
+
+    def coverage(self) -> float:
+        """Share of a part's errors in the 90% region that those of the other parts span; nan if too few.
+
+        The region is the ellipsoid of their second moments that holds 90% of them.
+        """
+        inside: list[Flags] = []
+        for i, own in enumerate(self.identified):
+            rest = [each for j, each in enumerate(self.identified) if j != i]
+            known = np.concatenate(rest) if rest else np.empty((0, own.shape[1]))
+            if len(own) and len(known) >= FEWEST * own.shape[1] and np.isfinite(known).all():
+                inside.append(_sizes(own, known) <= np.quantile(_sizes(known, known), REGION))
+        return float(np.mean(np.concatenate(inside))) if inside else np.nan
+
+
+def predictions(
+    task: Task, nominal: Nominal, identified: Sequence[Nominal], parts: Sequence[Sequence[Rollout]]
+) -> list[Prediction]:
+    """Of each part, predictions by the nominal model and by its identified one, as far as parts last."""
+    longest = min(max(rollout.frames for rollout in part) for part in parts)
+    frames = {seconds: task.frames(seconds) for seconds in HORIZONS}
+    return [
+        Prediction(
+            seconds,
+            tuple(errors(nominal, part, k) for part in parts),
+            tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
+        )
+        for seconds, k in frames.items()
+        if k <= longest and k > frames.get(_before(seconds), 0)
+    ]
+
+
+def errors(nominal: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
+    """Errors (w, n) of predictions so many frames ahead; infinite where a model has blown up."""
+    shifts = sorted({round(share * frames) for share in SHIFTS})
+    cut = [
+        Rollout(r.states[: len(r.states) - shift], r.inputs[: len(r.inputs) - shift])
+        for r in rollouts
+        for shift in shifts
+        if r.frames - shift >= frames
+    ]
+    if not cut:
+        return np.empty((0, rollouts[0].states.shape[1]))
+    windows = Windows.of(cut, frames, 1)
+    wrong = predict([World(nominal)], windows)[0, :, -1] - windows.means[:, -1]
+    return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+
+
+def overall(made: Sequence[Prediction], part: int | None = None) -> float:
+    """Identified over nominal error: the geometric mean over states and horizons."""
+    return geometric_mean(np.array([prediction.ratio(part) for prediction in made]))
+
+
+def geometric_mean(values: Array) -> float:
+    """That of positive numbers."""
+    return float(np.exp(np.mean(np.log(values))))
+
+
+def _before(seconds: float) -> float:
+    """The horizon before this one."""
+    return max((each for each in HORIZONS if each < seconds), default=0.0)
+
+
+def _rmse(wrong: Array) -> Array:
+    """Root mean squares (n,) of errors (w, n)."""
+    return np.sqrt(np.mean(wrong**2, axis=0)) if len(wrong) else np.zeros(wrong.shape[1])
+
+
+def _sizes(wrong: Array, known: Array) -> Array:
+    """Squared sizes (w,) of errors (w, n), in terms of the second moments of known ones."""
+    moments = known.T @ known / len(known)
+    scale = np.sqrt(np.diag(moments)) + np.finfo(float).tiny
+    white = np.linalg.pinv(moments / np.outer(scale, scale))
+    scaled = wrong / scale
+    return np.einsum("wi,ij,wj->w", scaled, white, scaled)

@@ -1,0 +1,121 @@
+"""Pictures of an assessment: parameters, errors by horizon, predictions against measurements."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from simbias.core.records import Array, Rollout
+from simbias.pictures.elements.layout import legend, panels
+from simbias.pictures.elements.style import (
+    HARDWARE,
+    NOMINAL,
+    SIMULATION,
+    SMALL,
+    label,
+    logarithmic,
+    plain,
+)
+from simbias.recordings.assessment import Assessment
+from simbias.recordings.findings import Finding
+from simbias.simulation.open_loop import Windows, World, predict
+
+COLUMNS = 4  # of parameters
+SECONDS = 1.0  # of each prediction that is drawn
+DRAWN = 5  # s of a part, at most
+PRIOR = "0.75"  # grey
+CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
+
+
+def parameters(assessment: Assessment) -> Figure:
+    """Of each parameter: prior and posterior from 5% to 95%, and what each part alone says."""
+    found = assessment.findings
+    figure, (grid,) = panels(len(found), 0.8, COLUMNS)
+    for axes, finding in zip(grid, found, strict=True):
+        _parameter(axes, finding)
+    shown = {
+        "prior, 5% to 95%": Line2D([], [], color=PRIOR, linewidth=3.0),
+        "posterior": Line2D([], [], color=SIMULATION, linewidth=3.0),
+        "of each part alone": Line2D([], [], color=HARDWARE, linewidth=1.2),
+    }
+    legend(figure, shown)
+    return figure
+
+
+def _parameter(axes: Axes, finding: Finding) -> None:
+    """The intervals of a parameter, one below the other."""
+    axes.plot(finding.prior_interval, [0, 0], color=PRIOR, linewidth=4.0)
+    axes.plot([finding.estimate.low, finding.estimate.high], [1, 1], color=SIMULATION, linewidth=4.0)
+    axes.plot(finding.estimate.value, 1, "o", color=SIMULATION, markeredgecolor="white")
+    for i, estimate in enumerate(finding.by_part):
+        axes.plot([estimate.low, estimate.high], [2 + 0.5 * i] * 2, color=HARDWARE, linewidth=1.2)
+        axes.plot(estimate.value, 2 + 0.5 * i, "s", color=HARDWARE, markersize=3)
+    axes.set_ylim(2.5 + 0.5 * len(finding.by_part), -0.5)
+    axes.set_yticks([])
+    axes.locator_params(axis="x", nbins=3)
+    axes.set_title(f"{finding.prior.name} ({finding.prior.unit})", fontsize=SMALL)
+    axes.tick_params(labelsize=SMALL)
+    axes.spines[["left"]].set_visible(False)
+    plain(axes)
+
+
+def errors(assessment: Assessment) -> Figure:
+    """Root mean square errors of each state, by how far ahead."""
+    task, made = assessment.task, assessment.predictions
+    figure, grid = panels(len(task.states), 1.8, len(task.states))
+    seconds = [prediction.seconds for prediction in made]
+    both = np.array([prediction.rmse() for prediction in made])  # (horizons, 2, n)
+    for i, (axes, state) in enumerate(zip(grid[0], task.states, strict=True)):
+        for values, color, marker in ((both[:, 0, i], NOMINAL, "s"), (both[:, 1, i], SIMULATION, "o")):
+            shown = np.where(np.isfinite(values) & (values > 0), values, np.nan)
+            axes.plot(seconds, shown, color=color, marker=marker, markersize=4)
+        axes.set_title(label(state), fontsize=SMALL)
+        axes.set_xlabel("horizon (s)")
+        logarithmic(axes.xaxis)
+        if np.nanmin(both[:, :, i]) > 0:
+            logarithmic(axes.yaxis)
+        axes.set_xticks([0.1, 1.0], ["0.1", "1"])
+        plain(axes)
+    legend(figure, {"nominal model": _line(NOMINAL), "identified model": _line(SIMULATION)})
+    return figure
+
+
+def forecasts(assessment: Assessment, index: int) -> Figure:
+    """A judged part as it was measured and as both models predict it, from the measured state each second."""
+    task, part = assessment.task, assessment.judged[index]
+    rollout = part.rollouts[0]
+    window = min(task.frames(SECONDS), rollout.frames)
+    frames = min(task.frames(DRAWN), rollout.frames) // window * window
+    rollout = Rollout(rollout.states[: frames + 1], rollout.inputs[:frames])
+    windows = Windows.of([rollout], window, 1)
+    models = [assessment.nominal, assessment.models[index]]
+    made = [predict([World(model)], windows)[0] for model in models]
+    figure, (grid,) = panels(len(task.states), 1.1, 1)
+    t = task.time_step * np.arange(frames + 1)
+    for i, (axes, state) in enumerate(zip(grid, task.states, strict=True)):
+        measured = rollout.states[:, i]
+        axes.plot(t, measured, color=HARDWARE, linewidth=1.0)
+        for values, color in zip(made, (NOMINAL, SIMULATION), strict=True):
+            for start, own in zip(windows.starts.tolist(), values[:, :, i], strict=True):
+                shown = np.concatenate([[measured[start]], _clear(own, measured)])
+                axes.plot(t[start : start + window + 1], shown, color=color, linewidth=1.2)
+        axes.set_ylabel(label(state), fontsize=SMALL)
+        plain(axes)
+    grid[-1].set_xlabel("time (s)")
+    entries = {"measured": HARDWARE, "nominal model": NOMINAL, "identified model": SIMULATION}
+    legend(figure, {name: Line2D([], [], color=color) for name, color in entries.items()})
+    return figure
+
+
+def _clear(predicted: Array, measured: Array) -> Array:
+    """A prediction (k,), nan where it is far beyond all that was measured."""
+    low, high = measured.min(), measured.max()
+    room = CLEAR * (high - low) + 1e-9
+    return np.where((predicted > low - room) & (predicted < high + room), predicted, np.nan)
+
+
+def _line(color: str) -> Line2D:
+    """The legend's entry of a model."""
+    return Line2D([], [], color=color, marker="o" if color == SIMULATION else "s", markersize=4)

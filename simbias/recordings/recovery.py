@@ -1,0 +1,102 @@
+"""Whether parameters come back: recordings of models with drawn parameters, identified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core.errors import ConfigError
+from simbias.core.parameters import values_at
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.identified import QUANTILE, Identified
+from simbias.simulation.open_loop import Windows, World, predict
+from simbias.trial.study import Study
+
+ROBOTS = 10
+RELATIVE_NOISE = 0.005  # of a state's range, where no recording says
+COMES_BACK = 0.5  # of the prior's standard deviation: the largest deviation of the posterior
+MOSTLY = 0.7  # share of 90% intervals that have to hold the truth; chance leaves 7 of 10 in 99 of 100 cases
+
+
+class Recovery(NamedTuple):
+    """How a parameter came back, over robots that were drawn from the prior."""
+
+    name: str
+    unit: str
+    error: float  # median distance from the truth, in standard deviations of the prior
+    deviation: float  # median deviation of the posterior, likewise
+    held: float  # share of 90% intervals that hold the truth
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether the data determine it, and the interval tells the truth."""
+        return self.deviation < COMES_BACK and self.held >= MOSTLY
+
+
+class Take(NamedTuple):
+    """What is repeated with every robot."""
+
+    start: Array  # (n,)
+    inputs: Array  # (T, m)
+    times: Array | None = None  # (k,) s after the start at which states are measured; None: in each frame
+
+
+def recover(
+    study: Study,
+    takes: Sequence[Take],
+    noise: Array,
+    robots: int = ROBOTS,
+    progress: Callable[[str], None] = lambda words: None,
+) -> list[Recovery]:
+    """Draw robots from the prior, record each in all takes with white noise (n,), and identify it.
+
+    A recording ends where the robot would fail.
+
+    Raises
+    ------
+    ConfigError
+        If no robot lasts for a window.
+    """
+    rng, parameters = np.random.default_rng(study.seed), study.nominal.parameters
+    true, modes, deviations = [], [], []
+    for index in range(robots):
+        progress(f"robot {index + 1} of {robots}")
+        z = rng.standard_normal(len(parameters))
+        robot = study.nominal.with_parameters(values_at(parameters, z))
+        made = [record(study, World(robot), take, noise, rng) for take in takes]
+        fitted = study.identification.fit(study.nominal, [rollout for rollout in made if rollout.frames])
+        if isinstance(fitted, Identified):
+            true.append(z)
+            modes.append(fitted.mode)
+            deviations.append(np.sqrt(np.diag(fitted.covariance)))
+    if not true:
+        raise ConfigError("", "no robot that was drawn from the prior lasts for a window without failing")
+    errors, spreads = np.abs(np.array(modes) - true), np.array(deviations)
+    return [
+        Recovery(
+            parameter.name,
+            parameter.unit,
+            float(np.median(errors[:, i])),
+            float(np.median(spreads[:, i])),
+            float(np.mean(errors[:, i] <= QUANTILE * spreads[:, i])),
+        )
+        for i, parameter in enumerate(parameters)
+    ]
+
+
+def record(study: Study, world: World, take: Take, noise: Array, rng: np.random.Generator) -> Rollout:
+    """What a robot does in a take until it fails, measured with noise (n,) at the take's times."""
+    states = np.broadcast_to(take.start, (len(take.inputs) + 1, len(take.start)))
+    windows = Windows.of([Rollout(states, take.inputs)], len(take.inputs), 1)
+    x = np.vstack([take.start, predict([world], windows)[0, 0]])
+    failed = np.flatnonzero(study.task.violated(x) >= 0)
+    frames = max(0, failed[0] - 1) if len(failed) else len(take.inputs)
+    x = x[: frames + 1]
+    at = study.task.time_step * np.arange(frames + 1)
+    times = at if take.times is None else take.times[take.times <= at[-1]]
+    e = noise * rng.standard_normal((len(times), len(noise)))
+    seen = [np.interp(times, at, x[:, i]) + e[:, i] for i in range(len(noise))]
+    measured = np.array([np.interp(at, times, each) for each in seen]).T
+    return Rollout(measured, take.inputs[:frames], measured=measured, sensed=True)

@@ -1,0 +1,40 @@
+"""The page of an assessment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from simbias.pictures.elements.html import heading, items, page, paragraph, picture, table
+from simbias.recordings import plots, words
+from simbias.recordings.assessment import Assessment
+from simbias.recordings.excitation import Excitation
+
+MOST = 5  # parts that are drawn
+
+
+def report(assessment: Assessment, title: str, excitation: Excitation | None) -> str:
+    """All that is known, as HTML in one file."""
+    return page(title, _parts(assessment, excitation))
+
+
+def _parts(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:
+    """From the verdict to the predictions."""
+    yield paragraph(words.verdict(assessment))
+    yield heading("Which parameter may be trusted?")
+    yield table(words.PARAMETER_NAMES, words.parameter_rows(assessment))
+    yield picture(
+        plots.parameters(assessment), "Prior, posterior and the estimate of each part, by parameter"
+    )
+    yield heading("What the data do not determine")
+    lines = list(words.undetermined_lines(assessment))
+    yield items(lines) if lines else paragraph("All directions of the parameters are determined.")
+    yield heading("Errors of predictions that no model was fitted to")
+    yield table(words.error_names(assessment), words.error_rows(assessment))
+    yield picture(plots.errors(assessment), "Root mean square errors by horizon")
+    yield heading("What to record next")
+    yield items(words.advice(assessment, excitation))
+    yield heading("Predictions and measurements")
+    yield paragraph("Each second, a prediction begins at the measured state, under the measured inputs.")
+    for i, part in enumerate(assessment.judged[:MOST]):
+        yield paragraph(part.name)
+        yield picture(plots.forecasts(assessment, i), f"{part.name}: measured and predicted states")

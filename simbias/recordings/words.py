@@ -1,0 +1,102 @@
+"""An assessment in words and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from simbias.recordings.assessment import Assessment
+from simbias.recordings.excitation import Excitation
+
+PARAMETER_NAMES = (
+    "parameter",
+    "unit",
+    "declared",
+    "prior 5% .. 95%",
+    "identified",
+    "5% .. 95%",
+    "learned",
+    "trust",
+)
+ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
+SHOWN = 3  # weights of a direction
+WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
+REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
+
+
+def verdict(assessment: Assessment) -> str:
+    """How well the model predicts what it was not fitted to, in a sentence."""
+    ratios = assessment.ratios
+    each = f" ({min(ratios.values()):.2f} to {max(ratios.values()):.2f})" if len(ratios) > 1 else ""
+    what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
+    if assessment.better:
+        return (
+            f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
+            f"the nominal one{each}."
+        )
+    return (
+        f"The identified model is no better than the nominal one on {what}: it errs "
+        f"{assessment.ratio:.2f} times as much{each}. Do not use it."
+    )
+
+
+def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
+    """A row for each parameter; its last cell answers whether it may be trusted."""
+    for finding in assessment.findings:
+        estimate, (low, high) = finding.estimate, finding.prior_interval
+        yield (
+            estimate.name,
+            estimate.unit,
+            f"{estimate.declared:.4g}",
+            f"{low:.4g} .. {high:.4g}",
+            f"{estimate.value:.4g}",
+            f"{estimate.low:.4g} .. {estimate.high:.4g}",
+            f"{100 * finding.shrinkage:.0f}%",
+            "; ".join(finding.doubts) or "yes",
+        )
+
+
+def error_names(assessment: Assessment) -> list[str]:
+    """Names of the columns of errors."""
+    return [*ERROR_NAMES, *(f"{state.name} ({state.unit})" for state in assessment.task.states)]
+
+
+def error_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
+    """A row for each horizon: ratio, coverage, and of each state the errors of both models."""
+    for prediction in assessment.predictions:
+        nominal, identified = prediction.rmse()
+        coverage = prediction.coverage()
+        yield (
+            f"{prediction.seconds:g}",
+            str(prediction.windows),
+            f"{prediction.ratio():.2f}",
+            "" if np.isnan(coverage) else f"{100 * coverage:.0f}%",
+            *(f"{after:.3g} of {before:.3g}" for before, after in zip(nominal, identified, strict=True)),
+        )
+
+
+def undetermined_lines(assessment: Assessment) -> Iterator[str]:
+    """A line for each direction that the data do not determine."""
+    for direction in assessment.undetermined:
+        share = min(direction.deviation, 1.0)
+        yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation)"
+
+
+def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:
+    """What to record next."""
+    before = np.sqrt(np.diag(assessment.identified.covariance))
+    names = [finding.estimate.name for finding in assessment.findings]
+    if excitation is None:
+        yield "No trajectory was found that keeps the limits."
+        return
+    gained = excitation.gained(before)
+    told = [f"{names[i]} (by {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if gained[i] > WORTH]
+    seconds = excitation.rollout.frames * assessment.task.time_step
+    if told:
+        yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(told)}."
+    else:
+        yield f"No further {seconds:g} s within the limits should narrow a parameter by {100 * WORTH:.0f}%."
+    left = [names[i] for i in range(len(names)) if excitation.deviations[i] > 0.5]
+    if left:
+        yield f"No input should tell {', '.join(left)}: {REMEDY}."

@@ -1,0 +1,1 @@
+"""Shapes that drawings of robots consist of."""

@@ -1,0 +1,93 @@
+"""Sensors and sites of a MuJoCo model: what they say in a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Task
+from simbias.core.files import ConfigFile
+from simbias.core.messages import quote
+from simbias.core.records import Array
+from simbias.robots.mujoco.mjcf import Mechanism
+from simbias.robots.mujoco.parameters import mujoco
+
+
+@dataclass(frozen=True)
+class SensorFile:
+    """A file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it, and what is read in its model."""
+
+    file: ConfigFile
+    sensors: list[str] | None = None  # None: all that have a name and depend on the state alone
+    sites: list[str] | None = None  # whose positions (3) in m are read
+    joints: list[str] | None = None
+    actuators: list[str] | None = None
+
+
+class Sensors:
+    """Values of sensors and positions of sites at states.
+
+    Parameters
+    ----------
+    task
+        Whose states are those of the model.
+    source
+        The file.
+
+    Raises
+    ------
+    ValueError
+        If the file does not go with the task, has no such sensor or site, or a sensor measures forces or
+        accelerations, which the state alone does not tell.
+    """
+
+    def __init__(self, task: Task, source: SensorFile) -> None:
+        engine = mujoco()
+        self._robot = Mechanism(task, source.file, source.joints, source.actuators)
+        self.source_files = self._robot.source_files
+        model = self._robot.model
+        self._data: Any = engine.MjData(model)
+        known = {model.sensor(i).name: model.sensor(i) for i in range(model.nsensor)}
+        told = [name for name, sensor in known.items() if name and _is_told(sensor)]
+        sizes: dict[str, int] = {}
+        self._places: list[int] = []
+        for name in told if source.sensors is None else source.sensors:
+            if name not in told:
+                why = "measures forces or accelerations" if name in known else "is not there"
+                raise ValueError(f"{source.file}: sensor {quote(name)} {why}; there is {', '.join(told)}")
+            first, sizes[name] = int(known[name].adr[0]), int(known[name].dim[0])
+            self._places += range(first, first + sizes[name])
+        sites = {model.site(i).name: i for i in range(model.nsite)}
+        for name in source.sites or ():
+            if name not in sites:
+                raise ValueError(f"{source.file}: no site {quote(name)}; there is {', '.join(sites)}")
+            sizes[name] = 3
+        self._sites = [sites[name] for name in source.sites or ()]
+        self.names = [
+            name if size == 1 else f"{name}[{i}]" for name, size in sizes.items() for i in range(size)
+        ]
+
+    def __call__(self, x: Array) -> Array:
+        """Their values (..., s), in the order of `names`, at states x (..., n)."""
+        rows = x.reshape(-1, x.shape[-1])
+        values = np.array([self._read(full) for full in self._robot.physics(rows)])
+        return values.reshape(*x.shape[:-1], len(self.names))
+
+    def _read(self, full: Array) -> Array:
+        """Their values (s,) at a full state of the engine."""
+        if not np.isfinite(full).all():
+            return np.full(len(self.names), np.nan)
+        engine, model, data = mujoco(), self._robot.model, self._data
+        engine.mj_setState(model, data, full, engine.mjtState.mjSTATE_FULLPHYSICS)
+        engine.mj_fwdPosition(model, data)
+        engine.mj_sensorPos(model, data)
+        engine.mj_fwdVelocity(model, data)
+        engine.mj_sensorVel(model, data)
+        return np.concatenate([data.sensordata[self._places], data.site_xpos[self._sites].ravel()])
+
+
+def _is_told(sensor: Any) -> bool:
+    """Whether a sensor depends on positions and velocities alone."""
+    return int(sensor.needstage[0]) <= int(mujoco().mjtStage.mjSTAGE_VEL)

@@ -1,0 +1,152 @@
+"""The closed loop of Eq. 7 and 9, compiled for each composition of kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler.loop import Function, Loop
+from simbias.simulation.compiler.text import assign, tuple_of
+
+# Noise is (w (T+1), m+n), scenarios (k,), starts (k, n). Filled are: states (k, T+1, n) and inputs (k, T, m),
+# or neither; the cost's final_totals (k, s); frames (k,), and the criterion (k,) that each rollout violated,
+# -1 at the horizon.
+ARGUMENTS = """\
+horizon, time_step, limits, measure_parameters, policy_constants, policy_parameters,
+nominal_parameters, bias_parameters, cost_parameters, noise, scenarios, starts,
+states, inputs, final_totals, frames, violated,"""
+
+TAKE = """\
+model = scenarios[b]
+first_noise[lane] = model * (horizon + 1)
+for i in range({n}):
+    x[i, lane] = starts[b, i]
+for i in range({policy}):
+    policy[i, lane] = policy_parameters[b, i]
+for i in range({n_policy_state}):
+    policy_state[i, lane] = 0.0
+for i in range({n_cost_terms}):
+    totals[i, lane] = 0.0"""
+
+GATHER = f"""\
+for lane in range({LANES}):
+    row = first_noise[lane] + frame[lane]
+    for i in range({{m}} + {{n}}):
+        disturbance[i, lane] = noise[row, i]"""
+
+RECORD = f"""\
+if states.shape[0] > 0:
+    for lane in range({LANES}):
+        if running[lane] == 1 and ending[lane] == 0:
+            b, t = number[lane], frame[lane]
+            for i in range({{m}}):
+                inputs[b, t - 1, i] = command[i, lane]
+            for i in range({{n}}):
+                states[b, t, i] = x[i, lane]"""
+
+RELEASE = """\
+frames[b], violated[b] = frame[lane], criterion[lane]
+for i in range({n_cost_terms}):
+    final_totals[b, i] = totals_before[i, lane]"""
+
+
+JUDGE = """\
+criterion[lane] = failed
+ending[lane] = 1 if stop else 0
+frame[lane] += 0 if stop else 1
+ended += running[lane] if stop else 0"""
+
+
+REDUCTIONS = {"sum": "{} + {}", "max": "max({}, {})"}  # of which the latter leaves out what is no number
+
+
+@dataclass(frozen=True)
+class Composition:
+    """Kernels that close a loop, and the sizes of what they take."""
+
+    measure: Function
+    control: Function  # its parameters are those that all policies share
+    step: Function
+    correct: Function
+    terms: Function | None  # of a cost; without them, nothing is summed up
+    n: int  # states
+    m: int  # inputs
+    criteria: int
+    policy_parameters: int  # of each policy
+    n_policy_state: int
+    n_model_state: int
+    reductions: tuple[str, ...]  # of the cost's terms
+    noisy: bool
+
+
+@lru_cache(maxsize=64)
+def compile_closed_loop(c: Composition) -> Any:
+    """The composition's loop, ready to be called."""
+    sizes = {"n": c.n, "m": c.m, "policy": c.policy_parameters, "n_policy_state": c.n_policy_state}
+    sizes |= {"n_cost_terms": len(c.reductions)}
+    functions = {"measure": c.measure, "control": c.control, "step": c.step, "correct": c.correct}
+    constants = [f"limit = {tuple_of('limits[{}]', c.criteria)}", c.measure.read("measure")]
+    constants.append(c.control.read("policy", "policy_constants"))
+    return Loop(
+        ARGUMENTS,
+        functions | ({"terms": c.terms} if c.terms else {}),
+        *(c.n, c.m, c.n_model_state),
+        rows={
+            "command": c.m,
+            "disturbance": c.m + c.n if c.noisy else 0,
+            "policy": c.policy_parameters,
+            "policy_state": c.n_policy_state,
+            "totals": len(c.reductions),
+            "totals_before": len(c.reductions),
+        },
+        integers=("criterion", "first_noise"),
+        constants=[*constants, *([c.terms.read("cost")] if c.terms else [])],
+        take=TAKE.format(**sizes),
+        gather=GATHER.format(**sizes) if c.noisy else "",
+        advance=_advanced(c),
+        settle=_settled(c),
+        judge=JUDGE,
+        record=RECORD.format(**sizes),
+        release=RELEASE.format(**sizes),
+    ).compiled()
+
+
+def _advanced(c: Composition) -> list[str]:
+    """From the state to the input that acts; a rollout that ends is not stepped any further."""
+    judge = [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
+    seen, force = "x_", "u"
+    if c.noisy:
+        seen = tuple_of("x_[{0}] + disturbance[{1}, lane]", c.n, c.m)
+        force = tuple_of("u[{0}] + disturbance[{0}, lane]", c.m)
+    policy = tuple_of("policy[{}, lane]", c.policy_parameters)
+    state = tuple_of("policy_state[{}, lane]", c.n_policy_state)
+    return [
+        f"x_ = {tuple_of('x[{}, lane]', c.n)}",
+        "measures = measure(x_, measure_data)",
+        "failed = -1",
+        *judge,
+        "stop = (failed >= 0) | (frame[lane] >= horizon)",
+        f"u, policy_state_next = control({policy}, {seen}, frame[lane] * time_step, {state}, policy_data)",
+        *assign("policy_state", "policy_state_next", c.n_policy_state),
+        f"u_ = {force}",
+        *assign("command", "u", c.m),
+    ]
+
+
+def _settled(c: Composition) -> list[str]:
+    """The cost's terms are summed up; a rollout that ends here ends with the totals before."""
+    if not c.terms:
+        return []
+    s, command = len(c.reductions), tuple_of("command[{}, lane]", c.m)
+    frame = "frame[lane]" if c.correct.takes_all_lanes else "(frame[lane] + 1)"  # of the next state
+    return [
+        f"terms_ = terms(x_new, {command}, {frame} * time_step, cost_data)",
+        f"sums = {tuple_of('totals[{}, lane]', s)}",
+        *assign("totals_before", "sums", s),
+        *(
+            f"totals[{i}, lane] = {REDUCTIONS[reduction].format(f'sums[{i}]', f'terms_[{i}]')}"
+            for i, reduction in enumerate(c.reductions)
+        ),
+    ]

@@ -1,0 +1,234 @@
+"""A compiled loop that runs many passes in lockstep, one in each lane of vector registers.
+
+A pass is a rollout, or a recorded experiment that is predicted. It takes a free lane, is stepped frame by
+frame, and when it ends another takes its place; a lane without one computes what nobody reads. So there is
+one path through the code, and the numbers of a pass depend on nothing beside it.
+
+The source is written for each composition of kernels: loops over the components of a vector are written out,
+and one loop over the lanes holds everything, so that LLVM keeps in registers what it computes. All lanes are
+in one array (`x[i, lane]`), integers too: of two arrays, LLVM would have to ask whether they overlap. Beyond
+about a hundred rows it does not ask, and compiles one pass after the other.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from simbias.core import Kernel
+from simbias.simulation.compiler.compilation import OPTIONS, Compilation
+from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler.text import assign, tuple_of
+
+INTEGERS = (
+    "running",
+    "number",
+    "frame",
+    "ending",
+)  # of each lane: whether it has a pass, which one, and so on
+
+TEMPLATE = f"""\
+def loop(
+    {{arguments}}
+    begin, end, interrupted,
+):
+    {{rows}}
+    {{constants}}
+    x[:] = nan  # in a lane without a pass, so that no kernel works for nothing
+    ended, under_way = 1, 0
+    while interrupted[0] == 0:
+        if ended > 0:  # others take their places
+            ended = 0
+            for lane in range({LANES}):
+                if running[lane] == 0 and begin < end:
+                    b = begin
+                    begin += 1
+                    under_way += 1
+                    running[lane], number[lane], frame[lane] = 1, b, 0
+                    {{take}}
+            if under_way == 0:
+                return
+        {{gather}}
+        for lane in range({LANES}):
+            {{advance}}
+            {{judge}}
+        {{settle}}
+        {{record}}
+        if ended > 0:
+            for lane in range({LANES}):
+                if running[lane] == 1 and ending[lane] == 1:
+                    b = number[lane]
+                    running[lane] = 0
+                    under_way -= 1
+                    {{release}}
+                    for i in range(x.shape[0]):
+                        x[i, lane] = nan
+"""
+
+
+class Function(NamedTuple):
+    """A kernel's function, and how many parameters it reads one by one."""
+
+    function: Callable
+    parameters: int
+
+    @staticmethod
+    def of(kernel: Kernel) -> Function:
+        """The function of a kernel; its parameters are (r,), (k, r), or arrays that it takes as they are."""
+        parameters = kernel.parameters
+        return Function(kernel.function, 0 if isinstance(parameters, tuple) else parameters.shape[-1])
+
+    @property
+    def takes_all_lanes(self) -> bool:
+        """Whether it is the kernel of a bias that works on all lanes."""
+        return len(inspect.signature(self.function).parameters) == len(("x", "u", "data", "correction"))
+
+    def read(self, name: str, array: str = "") -> str:
+        """A line that reads the parameters that all lanes share."""
+        array = array or f"{name}_parameters"
+        return f"{name}_data = {tuple_of(f'{array}[{{}}]', self.parameters)}"
+
+    def own(self, rows: str) -> str:
+        """Parameters of which each lane has its own, in these rows."""
+        return tuple_of(f"{rows}[{{}}, lane]", self.parameters)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The source of a loop: x_new (n,) = step(x_, u_) + correct(x_, u_) (Eq. 7), and what happens around it.
+
+    Blocks are lines of text; `b` is a pass, `x_`, `u_`, `x_new` are tuples, rows are `x[i, lane]`.
+    """
+
+    arguments: str  # before those that the template names
+    functions: Mapping[str, Function]  # by their names in the text; `step` and `correct` among them
+    n: int  # states
+    m: int  # inputs
+    n_model_state: int  # of the nominal model
+    rows: Mapping[str, int]  # of the lanes, beside those that a step needs
+    integers: Sequence[str]  # rows of integers, beside INTEGERS
+    constants: Sequence[str]  # read once
+    take: str  # a pass b begins: x and `model`, the number of its nominal model
+    gather: str  # before a frame, what is read for the lanes
+    advance: Sequence[str]  # in a frame, for each lane: x_ and u_
+    settle: Sequence[str]  # and what becomes of x_new
+    judge: str  # after it, for each lane; `ended` counts those that are `ending`
+    record: str  # after a frame
+    release: str  # a pass b has ended
+    weight: str = ""  # of the correction: a factor
+
+    def compiled(self) -> Any:
+        """The loop, ready to be called."""
+        compilation = Compilation()
+        names = {
+            name: compilation.compiled(
+                each.function, inline=not (name == "correct" and self._corrects_all_lanes)
+            )
+            for name, each in self.functions.items()
+        }
+        module: Any = compilation.module(self.source, **names, zeros=np.zeros, int64=np.int64, nan=np.nan)
+        if not hasattr(module, "compiled"):
+            module.compiled = njit(**OPTIONS, cache=True)(module.loop)
+        return module.compiled
+
+    @property
+    def _corrects_all_lanes(self) -> bool:
+        """Whether the bias is a kernel for all lanes, called between two loops over them."""
+        return self.functions["correct"].takes_all_lanes
+
+    @property
+    def source(self) -> str:
+        """Its text."""
+        step, correct = self.functions["step"], self.functions["correct"]
+        advance = [*self.advance, *self._stepped(step)]
+        constants, settle = [*self.constants], []
+        if self._corrects_all_lanes:
+            advance += [*assign("x_next", "y", self.n), *assign("force", "u_", self.m)]
+            settle = ["correct(x, force, bias_parameters, correction)", f"for lane in range({LANES}):"]
+            x_new = f"x_next[{{0}}, lane] + {self.weight}correction[{{0}}, lane]"
+            settle += [f"    {line}" for line in self._settled(x_new)]
+        else:
+            constants.append(correct.read("bias"))
+            advance += ["d = correct(x_, u_, bias_data)", *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]")]
+        take = [
+            self.take,
+            *(f"nominal[{i}, lane] = nominal_parameters[model, {i}]" for i in range(step.parameters)),
+        ]
+        take += [f"model_state[{i}, lane] = 0.0" for i in range(self.n_model_state)]
+        return fill(
+            TEMPLATE,
+            arguments=[self.arguments],
+            rows=self._layout(),
+            constants=constants,
+            take=[self.take, *take],
+            gather=[self.gather],
+            advance=advance,
+            judge=[self.judge],
+            settle=settle,
+            record=[self.record],
+            release=[self.release],
+        )
+
+    def _stepped(self, step: Function) -> list[str]:
+        """The nominal model's step: y."""
+        if not self.n_model_state:
+            return [f"y = step(x_, u_, {step.own('nominal')})"]
+        state = tuple_of("model_state[{}, lane]", self.n_model_state)
+        return [
+            f"y, model_state_next = step(x_, u_, {step.own('nominal')}, {state})",
+            *assign("model_state", "model_state_next", self.n_model_state),
+        ]
+
+    def _settled(self, x_new: str) -> list[str]:
+        """The next state."""
+        return [f"x_new = {tuple_of(x_new, self.n)}", *assign("x", "x_new", self.n), *self.settle]
+
+    def _layout(self) -> list[str]:
+        """Rows for everything in one array of lanes; integers are the last."""
+        integers = (*INTEGERS, *self.integers)
+        two_loops = self._corrects_all_lanes
+        sizes = {
+            "x": self.n,
+            "nominal": self.functions["step"].parameters,
+            "model_state": self.n_model_state,
+            "x_next": self.n * two_loops,
+            "correction": self.n * two_loops,
+            "force": self.m * two_loops,
+            **self.rows,
+            "integers": len(integers),
+        }
+        ends = list(accumulate(sizes.values()))
+        parts = zip(sizes.items(), ends, strict=True)
+        return [
+            f"lanes = zeros(({ends[-1]}, {LANES}))",
+            *(f"{name} = lanes[{end - size}:{end}]" for (name, size), end in parts),
+            "integers = integers.view(int64)",
+            *(f"{name} = integers[{row}]" for row, name in enumerate(integers)),
+        ]
+
+
+def fill(template: str, **blocks: Sequence[str]) -> str:
+    """A template whose lines `{name}` are replaced by lines of text, at the same indentation."""
+
+    def block(match: re.Match[str]) -> str:
+        lines = "\n".join(blocks[match["name"]]).splitlines()
+        return "".join(f"{match['indent']}{line}\n" for line in lines if line.strip())
+
+    return re.sub(r"^(?P<indent> *)\{(?P<name>\w+)\}\n", block, template, flags=re.MULTILINE)
+
+
+def _constant(x, u, parameters):
+    """The parameters themselves."""
+    return parameters
+
+
+def zero(n: int) -> Kernel:
+    """The kernel of a model, or of a bias, that is zero (n,) everywhere."""
+    return Kernel(_constant, np.zeros(n))

@@ -1,0 +1,149 @@
+"""Statistics of sweeps: scores over cells, experiments until success, differences between pairs.
+
+A score matrix (r, c) has a row for each repetition and a column for each cell. Intervals are at 95%.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core.proportions import CONFIDENCE, Interval, wilson
+from simbias.core.records import Array, Flags
+
+BAR = 0.8  # share of starts of which a policy has to be known to hold more
+RESAMPLES = 10_000
+AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
+
+
+def holds(episodes: str, bar: float = BAR) -> bool:
+    """Whether the lower Wilson limit of a policy's test episodes, "101" of three, is above the bar."""
+    return bool(episodes) and wilson(episodes.count("1"), len(episodes)).low > bar
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
+    return _interval(tuple(sorted(values))) if len(values) > 1 else (np.nan, np.nan)
+
+
+@lru_cache(maxsize=1000)
+def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
+    """Of values in order; notes, tables and figures of a sweep ask for the same ones."""
+    rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
+    for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
+        some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
+    low, high = np.percentile(means, _tails())
+    return float(low), float(high)
+
+
+def _tails() -> list[float]:
+    """The two percentiles of a bootstrap distribution."""
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    return [tail, 100.0 - tail]
+
+
+def interquartile_mean(scores: Array) -> float:
+    """The mean of the middle half of all scores (Agarwal et al., NeurIPS 2021)."""
+    from scipy.stats import trim_mean
+
+    return float(trim_mean(scores, 0.25, axis=None))
+
+
+def probability_of_improvement(scores: Array, others: Array) -> float:
+    """The probability that a run of one method beats one of another in the same cell, ties counting half.
+
+    It is the mean over cells of the Mann-Whitney statistic over r r' pairs (Agarwal et al., NeurIPS 2021).
+    """
+    difference = scores[:, None] - others[None, :]
+    return float(np.mean((difference > 0) + 0.5 * (difference == 0)))
+
+
+def performance_profile(scores: Array, thresholds: Array) -> Array:
+    """The share (k,) of scores above each threshold (k,) (E. Dolan and J. More, Math. Prog. 91, 2002)."""
+    return np.mean(scores.ravel()[:, None] > thresholds, axis=0)
+
+
+def stratified_bootstrap(
+    statistic: Callable[..., float | Array], *scores: Array, resamples: int = 2000
+) -> tuple[Array, Array]:
+    """Percentile interval of a statistic of score matrices; runs are drawn anew within each cell."""
+    rng = np.random.default_rng(0)
+    values = np.array([statistic(*(_resampled(each, rng) for each in scores)) for _ in range(resamples)])
+    low, high = np.percentile(values, _tails(), axis=0)
+    return low, high
+
+
+def _resampled(scores: Array, rng: np.random.Generator) -> Array:
+    """Scores (r, c), each cell's drawn with replacement from its own."""
+    return np.take_along_axis(scores, rng.integers(len(scores), size=scores.shape), axis=0)
+
+
+class SuccessCurve(NamedTuple):
+    """Probability of success within so many experiments, with its 95% band."""
+
+    experiments: Array  # (k,)
+    probability: Array  # (k,)
+    low: Array  # (k,)
+    high: Array  # (k,)
+
+
+def success_curve(experiments: Array, succeeded: Flags) -> SuccessCurve:
+    """One minus Kaplan and Meier's estimate (JASA 53, 1958), of trials' experiments (k,) and success (k,).
+
+    A trial without success is censored at its experiments. The band is Greenwood's, of the logarithm of minus
+    the logarithm, so that it stays within 0 and 1.
+    """
+    from scipy.stats import CensoredData, ecdf
+
+    data = CensoredData(uncensored=experiments[succeeded], right=experiments[~succeeded])
+    found = ecdf(data).cdf
+    with np.errstate(all="ignore"):  # the band is nan where nothing or everything has succeeded
+        band = found.confidence_interval(CONFIDENCE, method="log-log")
+    low, high = (each.probabilities for each in band)
+    return SuccessCurve(found.quantiles, found.probabilities, low, high)
+
+
+def sign_test(differences: Sequence[float]) -> float:
+    """Two-sided p of pairs that differ as often up as down, without ties.
+
+    Of differences of 0 and 1 it is McNemar's exact test.
+    """
+    from scipy.stats import binomtest
+
+    values = np.asarray(differences)
+    up, down = int(np.sum(values > 0)), int(np.sum(values < 0))
+    return float(binomtest(up, up + down).pvalue) if up + down else 1.0
+
+
+def holm(p: Mapping[str, float]) -> dict[str, float]:
+    """Adjusted p of a family of tests (S. Holm, Scand. J. Statist. 6, 1979)."""
+    adjusted, largest = {}, 0.0
+    for rank, name in enumerate(sorted(p, key=lambda name: p[name])):
+        largest = max(largest, min(1.0, (len(p) - rank) * p[name]))
+        adjusted[name] = largest
+    return {name: adjusted[name] for name in p}
+
+
+def equivalent(differences: Sequence[float], margin: float) -> bool:
+    """Whether the mean of paired differences is within +-margin, by two one-sided t-tests at 5% each.
+
+    Only this lets one say "no difference" (D. Schuirmann, J. Pharmacokin. Biopharm. 15, 1987).
+    """
+    from scipy.stats import ttest_1samp
+
+    if len(differences) < 2:
+        return False
+    if np.ptp(differences) == 0:
+        return bool(abs(differences[0]) < margin)
+    above = ttest_1samp(differences, -margin, alternative="greater").pvalue
+    below = ttest_1samp(differences, margin, alternative="less").pvalue
+    return bool(max(above, below) < 0.05)
+
+
+def bootstrap_interval(statistic: Callable[..., float], *scores: Array) -> Interval:
+    """`stratified_bootstrap` of a number."""
+    low, high = stratified_bootstrap(statistic, *scores)
+    return Interval(float(low), float(high))

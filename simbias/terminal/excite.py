@@ -1,0 +1,136 @@
+"""`python -m simbias excite` and `identify --recover`: what recordings would tell, before they are made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from simbias.config import ConfigError
+from simbias.config.build import build
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.excitation import Designer, Excitation, noise_of
+from simbias.recordings.files import trajectory
+from simbias.recordings.reading import Recordings, read
+from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
+from simbias.terminal.identify import Request, table
+from simbias.terminal.lines import say
+from simbias.terminal.notices import preparing, slowness_in_one_line
+from simbias.trial.study import Study
+
+SECONDS, TRAJECTORIES = 5.0, 200
+NO_INPUTS = "no inputs were found that keep these limits and the task's criteria"
+
+
+def excite(request: Request, seconds: float, file: Path) -> None:
+    """Write inputs that tell most of what is not known yet, within the limits, and say what they should tell.
+
+    Raises
+    ------
+    ConfigError
+        If no inputs keep the limits, or the file cannot be written.
+    """
+    console = Console(highlight=False)
+    study, given = _prepared(request)
+    recordings = list(given.rollouts.values())
+    with slowness_in_one_line(), console.status("looking for what tells most"):
+        model = study.identification.fit(study.nominal, recordings)
+        designer = Designer(study, model, _noise(study, recordings))
+        found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
+    if found is None:
+        raise ConfigError("hardware.safety", NO_INPUTS)
+    try:
+        trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
+    except OSError as error:
+        raise ConfigError(str(file), f"cannot be written ({error.strerror})") from error
+    names = ("parameter", "unit", "deviation now", "afterwards")
+    rows = [
+        (parameter.name, parameter.unit, f"{before:.2f}", f"{after:.2f}")
+        for parameter, before, after in zip(
+            study.nominal.parameters, designer.before, found.deviations, strict=True
+        )
+    ]
+    table(console, names, rows)
+    say(console, "Deviations are in those of the prior, as expected of the posterior.")
+    say(console, f"Within {_extremes(study, found)}.")
+    say(console, f"Look at it:  {file}")
+
+
+def recovery(request: Request) -> bool:
+    """Tell which parameters of drawn robots come back from recordings like these; whether any does.
+
+    Without recordings, from inputs that were designed, measured in each frame.
+
+    Raises
+    ------
+    ConfigError
+        If a recording cannot be read, or no inputs keep the limits.
+    """
+    console = Console(highlight=False)
+    study, recordings = _prepared(request)
+    rollouts = recordings.rollouts
+    with slowness_in_one_line(), console.status("") as status:
+        noise = _noise(study, list(rollouts.values()))
+        takes = [Take(each.states[0], each.inputs, recordings.times[name]) for name, each in rollouts.items()]
+        if not takes:
+            status.update("looking for what tells most")
+            found = Designer(study, study.nominal, noise).design(
+                SECONDS, TRAJECTORIES, np.random.default_rng(study.seed)
+            )
+            if found is None:
+                raise ConfigError("hardware.safety", NO_INPUTS)
+            takes, noise = [Take(found.rollout.states[0], found.rollout.inputs)], _share(found.rollout)
+        recovered = recover(study, takes, noise, progress=status.update)
+    names = ("parameter", "unit", "error", "deviation", "90% interval holds it", "comes back")
+    rows = [
+        (
+            each.name,
+            each.unit,
+            f"{each.error:.2f}",
+            f"{each.deviation:.2f}",
+            f"{100 * each.held:.0f}%",
+            "yes" if each.comes_back else "no",
+        )
+        for each in recovered
+    ]
+    table(console, names, rows)
+    pairs = zip(study.task.states, noise, strict=True)
+    levels = ", ".join(f"{state.name} {level:.2g} {state.unit}" for state, level in pairs)
+    say(console, f"Medians over robots drawn from the prior, in its deviations; white noise of {levels}.")
+    return any(each.comes_back for each in recovered)
+
+
+def _prepared(request: Request) -> tuple[Study, Recordings]:
+    """The study, which identifies a posterior, and the recordings."""
+    with preparing():
+        study = build(request.composition)
+    if not isinstance(study.identification, Posterior) or not study.nominal.parameters:
+        raise ConfigError("nominal", "declares no uncertain parameters, or identification is not posterior")
+    return study, read(study, request.recordings, request.columns)
+
+
+def _noise(study: Study, recordings: Sequence[Rollout]) -> Array:
+    """The noise (n,) of recordings; without any, a share of the starts' and limits' size."""
+    if recordings:
+        return noise_of(recordings)
+    bounds = study.conditions.safety.bounds(study.task).states
+    return RELATIVE_NOISE * np.where(np.isfinite(bounds), bounds, 1.0)
+
+
+def _share(rollout: Rollout) -> Array:
+    """A share of each state's range (n,)."""
+    return RELATIVE_NOISE * np.ptp(rollout.states, axis=0)
+
+
+def _extremes(study: Study, found: Excitation) -> str:
+    """How far states and inputs go."""
+    task, rollout = study.task, found.rollout
+    both = ((task.states, rollout.states), (task.inputs, rollout.inputs))
+    return ", ".join(
+        f"|{quantity.name}| < {np.abs(values[:, i]).max():.3g} {quantity.unit}"
+        for quantities, values in both
+        for i, quantity in enumerate(quantities)
+    )

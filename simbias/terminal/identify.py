@@ -1,0 +1,118 @@
+"""`python -m simbias identify`: a model from recordings, and what of it may be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from simbias.config import Composition, ConfigError, compose
+from simbias.config.build import build
+from simbias.config.composition import overridden
+from simbias.recordings import words
+from simbias.recordings.assessment import Assessment, assess
+from simbias.recordings.excitation import Designer, Excitation, noise_of
+from simbias.recordings.files import OPTION, write
+from simbias.recordings.reading import read
+from simbias.terminal.lines import say
+from simbias.terminal.notices import preparing, slowness_in_one_line
+from simbias.trial.study import Study
+
+SECONDS, TRAJECTORIES = 5.0, 40  # of what to record next
+GROUP = "identification"
+
+
+class Request(NamedTuple):
+    """What is asked for."""
+
+    recordings: Sequence[str]
+    held_out: Sequence[str]
+    overrides: Sequence[str]
+    columns: Mapping[str, str] | None
+    folder: Path
+    config_dir: str | None
+    allow: Sequence[str]
+
+    @property
+    def configs(self) -> Path:
+        """The folder of configs that the identified option is written to."""
+        return Path(self.config_dir) if self.config_dir else self.folder / "conf"
+
+    @property
+    def composition(self) -> Composition:
+        """The study's composition; parameters are identified if no override says otherwise."""
+        chosen = GROUP in overridden(self.overrides)
+        overrides = [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
+        return compose(overrides, self.config_dir, self.allow)
+
+    @property
+    def again(self) -> list[str]:
+        """The overrides of a trial that begins with what was identified."""
+        return [each for each in self.overrides if not each.startswith(f"{GROUP}=")] + [f"{GROUP}={OPTION}"]
+
+
+def identify(request: Request) -> bool:
+    """Identify, tell, and write; return whether the model is better than the nominal one.
+
+    Raises
+    ------
+    ConfigError
+        If an override is bad, a recording cannot be read, or a file cannot be written.
+    """
+    console = Console(highlight=False)
+    with slowness_in_one_line():
+        with preparing():
+            study = build(request.composition)
+        recordings = read(study, request.recordings, request.columns)
+        if not recordings.rollouts:
+            raise ConfigError("identify", "needs recordings: files or folders")
+        held_out = read(study, request.held_out, request.columns)
+        for note in (*recordings.notes, *held_out.notes):
+            say(console, note, "yellow")
+        with console.status("") as status:
+            assessment = assess(
+                study,
+                recordings.rollouts,
+                held_out.rollouts,
+                lambda each: status.update(f"fitting {each}"),
+            )
+            status.update("looking for what to record next")
+            excitation = next_excitation(study, assessment)
+    try:
+        write(assessment, excitation, study.config[GROUP], request.folder, request.configs)
+    except OSError as error:
+        raise ConfigError(str(request.folder), f"cannot be written ({error.strerror})") from error
+    tell(console, assessment, excitation)
+    say(console, f"Look at it:  {request.folder / 'report.html'}")
+    return assessment.better
+
+
+def next_excitation(study: Study, assessment: Assessment) -> Excitation | None:
+    """What to record next."""
+    rollouts = [rollout for part in assessment.parts for rollout in part.rollouts]
+    designer = Designer(study, assessment.identified, noise_of(rollouts))
+    return designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(0))
+
+
+def tell(console: Console, assessment: Assessment, excitation: Excitation | None) -> None:
+    """Print the tables and sentences."""
+    table(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
+    for line in words.undetermined_lines(assessment):
+        say(console, f"Not determined: {line}")
+    table(console, words.error_names(assessment), list(words.error_rows(assessment)))
+    for line in words.advice(assessment, excitation):
+        say(console, f"Next: {line}")
+    say(console, words.verdict(assessment))
+
+
+def table(console: Console, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table, its first and last column aligned at the left."""
+    widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+    for row in (names, *rows):
+        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
+        cells[0], cells[-1] = row[0].ljust(widths[0]), row[-1]
+        say(console, "  ".join(cells))
+    console.print()

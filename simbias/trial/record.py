@@ -1,0 +1,252 @@
+"""The steps of a trial in its folder: replayed as far as they go, then appended."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, replace
+from functools import cached_property
+from operator import itemgetter
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+import numpy as np
+
+from simbias.core import platform
+from simbias.core.errors import ConfigError
+from simbias.core.messages import with_type, words
+from simbias.core.records import Array, Iteration, Optimum, Rollout
+from simbias.lab.checked_hardware import MakeExperiment, place_of
+from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, write_json, write_whole
+from simbias.trial.files import load_rollout, raw_parts, save_arrays, save_rollout
+from simbias.trial.folder import (
+    ATTEMPTS,
+    EPISODES,
+    EXPERIMENT,
+    ITERATION,
+    LOCK_SECONDS,
+    OUTCOME,
+    SEARCH,
+    TRIAL,
+    TrialFolder,
+    number,
+    running,
+)
+from simbias.trial.origin import description
+from simbias.trial.replay import EndOfRecord, Record
+from simbias.trial.study import Study
+from simbias.trial.summary import TrialSummary, iteration_summary
+
+ERROR, REFUSED = "error_", "refused_"
+COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
+MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
+
+Loaded = TypeVar("Loaded")
+
+
+class FolderRecord(Record):
+    """The steps of a trial in its folder: replayed as far as they go, then appended, or at an end if read.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be written, or another process runs this trial.
+    """
+
+    def __init__(self, path: Path, study: Study, *, writes: bool = True) -> None:
+        self.folder = TrialFolder(path)
+        self._study = study
+        self._writes = writes
+        self._iterations: list[Iteration] = []
+
+    @cached_property
+    def _steps(self) -> Iterator[Path]:
+        """The steps to be replayed, as they are once the folder is held."""
+        return iter(self.folder.steps())
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Hold the folder for this process, unless the trial is only read, or has ended."""
+        lock = locked(self.folder.path / LOCK, LOCK_SECONDS, running(self.folder.path))
+        with lock if self._writes and not self.folder.ended else nullcontext():
+            self._writes = self._writes and not self.folder.ended  # meanwhile, by another process
+            if self._writes:
+                self._begin()
+            yield
+
+    def _begin(self) -> None:
+        """Write what is known before the first step, and that an attempt begins."""
+        path = self.folder.path
+        for file in path.glob(f"*{PART}"):  # of a process that was killed while it wrote
+            file.unlink()
+        if not (path / TRIAL).exists():
+            write_json(path / TRIAL, description(self._study))
+        here, before = platform.kind(), self.folder.platforms()
+        if before and here not in before and self.folder.steps():
+            logging.getLogger(__name__).warning(MIXED, path.name, before[-1], here)
+        append_line(
+            path / ATTEMPTS, {"started": time.time(), "platform": here, "processor": platform.processor()}
+        )
+
+    def search(self, make: Callable[[], Optimum]) -> Optimum:
+        """The next search."""
+        path = self._replayed(SEARCH)
+        if path is not None:
+            return _loaded(path, _load_search)
+        optimum = make()
+        fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
+        self._keep(SEARCH, lambda file: file.write(json.dumps(fields).encode()))
+        return optimum
+
+    def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
+        """The next experiment; what breaks the contract is no step, as it would be replayed for ever."""
+        path = self._replayed(EXPERIMENT)
+        if path is not None:
+            rollout = _loaded(path, load_rollout)[0]
+            if not np.array_equal(rollout.parameters, theta):
+                raise changed(path)
+            return rollout
+        place = place_of(rng)
+        superseded, withdrawn = self._former(theta, place)
+        rollout = superseded or make(another(rng, withdrawn))
+        self._keep(EXPERIMENT, lambda file: save_rollout(file, rollout, place))
+        return rollout
+
+    def _former(self, theta: Array, place: tuple[int, ...]) -> tuple[Rollout | None, int]:
+        """The experiment with theta (p,) in this place, if it was superseded; how often one was withdrawn."""
+        withdrawn = {each.experiment for each in self.folder.withdrawals()}
+        latest, count = None, 0
+        for file in self.folder.all_steps() if withdrawn and place else ():
+            if file.name.endswith(EXPERIMENT):
+                rollout, own = _loaded(file, load_rollout)
+                if own == place and np.array_equal(rollout.parameters, theta):
+                    latest = None if file.name in withdrawn else rollout
+                    count += file.name in withdrawn
+        return latest, count
+
+    def iteration(self, iteration: Iteration) -> Iteration:
+        """The iteration that has ended; if it did before, with the seconds that it took then."""
+        earlier = tuple(self._iterations)
+        path = self._replayed(ITERATION)
+        if path is None:
+            summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
+            self._keep(ITERATION, lambda file: file.write(_dumped(summary)))
+        else:
+            *kept, seconds = _loaded(path, lambda path: itemgetter(*COMPARED, "seconds")(read_json(path)))
+            if kept != [iteration.index, iteration.total_experiments, iteration.succeeded]:
+                raise changed(path)
+            iteration = replace(iteration, seconds=seconds)
+        self._iterations.append(iteration)
+        return iteration
+
+    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
+        """Keep what is no rollout beside the steps; what could not be kept hides no error."""
+        try:
+            paths = self._refused(returned, theta, start, why)
+        except Exception as error:
+            return f"; it could not be kept ({words(error)})"
+        return f"; it is kept in {paths[0]} and {paths[1].suffix}"
+
+    def _refused(self, returned: Any, theta: Array, start: Array, why: str) -> Sequence[Path]:
+        """The files of what is no rollout: its numbers, and the rest as text."""
+        path = self.folder.path
+        stems = (f"{REFUSED}{number:04d}" for number in itertools.count())
+        stem = next(stem for stem in stems if not any(path.glob(f"{stem}.*")))
+        arrays, texts = raw_parts(returned)
+        arrays |= {"asked_parameters": theta, "asked_start": start}
+        numbers, text = path / f"{stem}.npz", path / f"{stem}.txt"
+        write_whole(numbers, lambda file: save_arrays(file, arrays))
+        lines = [why, *(f"{name}: {said}" for name, said in texts.items())]
+        write_whole(text, lambda file: file.write("\n".join([*lines, ""]).encode()))
+        return numbers, text
+
+    def traceback(self, text: str) -> str:
+        """Keep an attempt's traceback; its file, or "" where it cannot be written."""
+        count = sum("started" in each for each in self.folder.attempts())
+        file = self.folder.path / f"{ERROR}{max(0, count - 1):04d}.txt"
+        try:
+            write_whole(file, lambda stream: stream.write(text.encode()))
+        except OSError:  # which must not hide what raised
+            return ""
+        return str(file)
+
+    def stop(self, summary: TrialSummary, episodes: str | None = None) -> None:
+        """Keep how the trial ended, or how this attempt stopped; `episodes` is the test's CSV."""
+        if not self._writes:
+            return
+        if episodes is not None:
+            write_whole(self.folder.numbered(EPISODES), lambda file: file.write(episodes.encode()))
+        if summary.outcome.final:
+            write_json(self.folder.numbered(OUTCOME), summary.as_json())
+        else:
+            append_line(self.folder.path / ATTEMPTS, {"stopped": summary.as_json()})
+
+    def _replayed(self, kind: str) -> Path | None:
+        """The next step, if there is one.
+
+        Raises
+        ------
+        ConfigError
+            If it is of another kind: then the trial's code is not what it was.
+        EndOfRecord
+            If there is none, and the trial is only read.
+        """
+        step = next(self._steps, None)
+        if step is None and not self._writes:
+            raise EndOfRecord
+        if step is not None and step.name.partition("_")[2] != kind:
+            raise changed(step)
+        return step
+
+    def _keep(self, kind: str, write: Callable[[IO[bytes]], object]) -> None:
+        """Append a step: whole, and on disk when this returns."""
+        last = self.folder.all_steps()[-1:]
+        count = number(last[0]) + 1 if last else 0
+        write_whole(self.folder.path / f"{count:04d}_{kind}", write)
+
+
+def another(rng: np.random.Generator, times: int) -> np.random.Generator:
+    """A generator in the same place, with other numbers for an experiment that is made again."""
+    seed = rng.bit_generator.seed_seq
+    if not times or not isinstance(seed, np.random.SeedSequence):
+        return rng
+    entropy = [times, *seed.generate_state(4).tolist()]
+    return np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=seed.spawn_key))
+
+
+def changed(path: Path) -> ConfigError:
+    """The error of a step that does not fit the trial."""
+    return ConfigError(
+        str(path), "does not fit the trial: its code has changed since. Move the folder away to begin again"
+    )
+
+
+def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
+    """The content of a step.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read.
+    """
+    try:
+        return load(path)
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(str(path), f"cannot be read ({with_type(error)})") from error
+
+
+def _load_search(path: Path) -> Optimum:
+    """The optimum that a search found."""
+    fields = read_json(path)
+    return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
+
+
+def _dumped(content: Mapping[str, Any]) -> bytes:
+    """A mapping as JSON; NumPy's numbers are numbers."""
+    return json.dumps(content, indent=1, default=lambda value: value.tolist()).encode()

@@ -1,0 +1,147 @@
+"""What is said before anything is recorded: excitation, and whether parameters come back."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pendulum import NOISE, pendulum
+
+from simbias.__main__ import main
+from simbias.config import ConfigError
+from simbias.core.parameters import values_at
+from simbias.core.records import Rollout
+from simbias.learning.identification.identified import Identified
+from simbias.recordings.excitation import Designer, noise_of
+from simbias.recordings.recovery import Recovery, Take, record, recover
+from simbias.simulation.open_loop import World
+from simbias.trial.study import Study
+
+QUICK = ["identification=posterior", "identification.starts=4", "identification.rounds=2"]
+LAB = "excitation_143601.csv.gz"
+
+
+def limited(*limits: str) -> Study:
+    return pendulum(*QUICK, *limits)
+
+
+@pytest.fixture(scope="module")
+def lab() -> Rollout:
+    """Two seconds of a lab's chirps on the double pendulum."""
+    return pendulum().hardware.rollout(LAB)  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def study(lab: Rollout) -> Study:
+    """The limits that the lab's robot kept: positions, speeds and torques."""
+    states, inputs = np.abs(lab.states).max(axis=0), np.abs(lab.inputs).max(axis=0)
+    names = ("pos1", "pos2", "vel1", "vel2")
+    pairs = ", ".join(f"{name}: {most}" for name, most in zip(names, states, strict=True))
+    return limited(
+        f"hardware.safety.states={{{pairs}}}",
+        f"hardware.safety.inputs={{tau1: {inputs[0]}, tau2: {inputs[1]}}}",
+    )
+
+
+def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
+    designer = Designer(study, study.nominal, NOISE)
+    found = designer.design(1.0, 10, np.random.default_rng(0))
+    assert found is not None
+    bounds = study.conditions.safety.bounds(study.task)
+    assert (np.abs(found.rollout.inputs) <= bounds.inputs).all()
+    for rollout in designer._simulated(found.rollout.inputs):
+        assert (np.abs(rollout.states) <= bounds.states).all()
+    assert found.information > 0
+    assert (found.deviations < 1).any()
+    impossible = limited("hardware.safety.states={vel1: 1e-6}")
+    assert Designer(impossible, impossible.nominal, NOISE).design(1.0, 3, np.random.default_rng(0)) is None
+
+
+def test_more_trajectories_tell_more(study: Study) -> None:
+    designer = Designer(study, study.nominal, NOISE)
+    few, more = (designer.design(1.0, count, np.random.default_rng(0)) for count in (3, 30))
+    assert few is not None
+    assert more is not None
+    assert more.information >= few.information
+
+
+@pytest.mark.slow
+def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollout) -> None:
+    """Within the limits that the lab kept, in the same two seconds: posteriors of six robots are smaller,
+    and parameters are nearer to the truth.
+    """
+    designer = Designer(study, study.nominal, NOISE)
+    found = designer.design(2.0, 200, np.random.default_rng(0))
+    assert found is not None
+    takes = [Take(study.task.start_mean, lab.inputs), Take(study.task.start_mean, found.rollout.inputs)]
+    rng, volumes, errors = np.random.default_rng(1), [], []
+    for _ in range(6):
+        z = rng.standard_normal(len(study.nominal.parameters))
+        robot = study.nominal.with_parameters(values_at(study.nominal.parameters, z))
+        fits = [
+            study.identification.fit(study.nominal, [record(study, World(robot), take, NOISE, rng)])
+            for take in takes
+        ]
+        assert all(isinstance(fit, Identified) for fit in fits)
+        volumes.append([np.linalg.slogdet(fit.covariance)[1] / 2 / len(z) for fit in fits])  # type: ignore[attr-defined]
+        errors.append([np.sqrt(np.mean((fit.mode - z) ** 2)) for fit in fits])  # type: ignore[attr-defined]
+    of_lab, of_design = np.mean(volumes, axis=0)
+    assert np.exp(of_design - of_lab) < 0.85  # of the lab's deviation, a geometric mean over parameters
+    assert np.mean(errors, axis=0)[1] < np.mean(errors, axis=0)[0]
+
+
+def test_parameters_come_back_and_intervals_tell_the_truth(study: Study, lab: Rollout) -> None:
+    found = recover(limited(), [Take(lab.states[0], lab.inputs)], NOISE, robots=4)
+    by_name = {recovery.name: recovery for recovery in found}
+    assert by_name["friction_2"].comes_back
+    assert not by_name["mass_1"].comes_back  # only its product with the centre's distance is told
+    assert np.mean([recovery.held for recovery in found]) > 0.7
+    assert not Recovery("wrong", "kg", 3.0, 0.1, 0.2).comes_back  # sure, and wrong
+
+
+def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
+    """Every fifth frame, with noise: between these times a recording is linear."""
+    times = 0.01 * np.arange(101)
+    take = Take(np.zeros(4), np.full((500, 2), 0.3), times)
+    made = record(limited(), World(study.nominal), take, NOISE, np.random.default_rng(0))
+    assert made.frames == 500
+    bends = np.abs(np.diff(made.states, 2, axis=0)).max(axis=1) > 1e-12
+    assert set(np.flatnonzero(bends) % 5) == {4}
+
+
+def test_a_robot_that_fails_is_recorded_until_then(study: Study) -> None:
+    wild = Take(np.array([0.0, 0.0, 59.0, 0.0]), np.full((500, 2), 10.0))
+    made = record(limited(), World(study.nominal), wild, np.zeros(4), np.random.default_rng(0))
+    assert 0 < made.frames < 500
+    assert (study.task.violated(made.states) < 0).all()
+    gone = Take(np.array([0.0, 0.0, 70.0, 0.0]), np.zeros((100, 2)))
+    with pytest.raises(ConfigError, match="no robot that was drawn from the prior lasts"):
+        recover(limited(), [gone], NOISE, robots=1)
+
+
+def test_noise_is_that_which_was_added() -> None:
+    rng = np.random.default_rng(0)
+    smooth = np.sin(0.01 * np.arange(5000))[:, None] * [1.0, 5.0]
+    noisy = smooth + rng.standard_normal(smooth.shape) * [0.01, 0.1]
+    np.testing.assert_allclose(noise_of([Rollout(noisy, noisy[:-1])]), [0.01, 0.1], rtol=0.1)
+
+
+@pytest.mark.slow
+def test_the_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["preset=double_pendulum", *QUICK[1:], "hardware.safety.states={vel1: 12, vel2: 15}"]
+    assert main(["excite", *arguments, "--seconds", "1", "--into", "torques.csv"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^friction_2 +N m +1\.00  0\.\d\d$", out, re.MULTILINE)
+    written = pd.read_csv(tmp_path / "torques.csv")
+    assert list(written) == ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
+    assert len(written) == 500
+    assert main(["identify", "--recover", "torques.csv", *arguments]) == 0
+    assert re.search(r"^friction_2 +N m .* yes$", capsys.readouterr().out, re.MULTILINE)
+    assert main(["identify", *arguments]) == 2
+    assert capsys.readouterr().err == "simbias: identify: needs recordings: files or folders\n"

@@ -1,0 +1,238 @@
+"""What `identify` says of robots whose parameters are known, and what it leaves behind."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from mechanisms import cart_pole, mjcf
+from pendulum import COLUMNS, experiment, pendulum, truth
+
+import simbias
+from simbias.__main__ import main
+from simbias.config import ConfigError
+from simbias.core.records import Rollout
+from simbias.learning.identification.identified import Identified, Known
+from simbias.recordings.assessment import Assessment, assess
+from simbias.recordings.files import draws, write
+from simbias.recordings.horizons import Prediction
+from simbias.recordings.parts import parts
+from simbias.recordings.report import report
+from simbias.recordings.words import verdict
+from simbias.robots.mujoco.model import Mujoco
+from simbias.robots.mujoco.parameters import values_of
+from simbias.trial.study import Study
+
+QUICK = ["identification=posterior", "identification.starts=4", "identification.rounds=2"]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return pendulum(*QUICK)
+
+
+@pytest.fixture(scope="module")
+def robot(study: Study) -> tuple[dict[str, float], dict[str, Rollout]]:
+    """A robot's parameters, and two recordings of it."""
+    rng = np.random.default_rng(4)
+    model, values = truth(study.nominal, rng)
+    names = [parameter.name for parameter in study.nominal.parameters]
+    return dict(zip(names, values.tolist(), strict=True)), {
+        name: experiment(model, rng) for name in ("one", "<script>two")
+    }
+
+
+@pytest.fixture(scope="module")
+def assessment(study: Study, robot: tuple[dict[str, float], dict[str, Rollout]]) -> Assessment:
+    return assess(study, robot[1])
+
+
+def test_what_is_trusted_is_true(
+    assessment: Assessment, robot: tuple[dict[str, float], dict[str, Rollout]]
+) -> None:
+    """Each trusted value lies within three deviations of the truth, and some are trusted."""
+    trusted = [finding for finding in assessment.findings if finding.trusted]
+    assert {"friction_1", "friction_2"} <= {finding.prior.name for finding in trusted}
+    for finding in trusted:
+        estimate, true = finding.estimate, robot[0][finding.prior.name]
+        assert abs(estimate.value - true) < 3 * max(estimate.high - estimate.low, 1e-9) / 3.29
+        assert finding.shrinkage > 0.5
+
+
+def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessment) -> None:
+    """Its equations hold only their product, so along the quotient the posterior is the prior."""
+    direction = assessment.undetermined[0]
+    assert direction.deviation == pytest.approx(1.0, abs=1e-6)
+    doubted = {f.prior.name: f.doubts for f in assessment.findings}
+    assert doubted["mass_1"]
+    assert doubted["centre_1"]
+    by_name = {name: abs(weight) for name, weight in direction.weights.items()}
+    if set(by_name) == {"mass_1", "centre_1"}:
+        assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
+
+
+def test_it_predicts_better_what_it_was_not_fitted_to(assessment: Assessment) -> None:
+    assert assessment.better
+    assert assessment.ratio < 0.5
+    assert [prediction.seconds for prediction in assessment.predictions] == [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
+    assert list(assessment.ratios) == ["one", "<script>two"]
+    assert "the identified model errs 0." in verdict(assessment)
+
+
+def test_a_model_that_is_no_better_says_so(study: Study) -> None:
+    """Learned from a robot; what is held out is the nominal model's, which nothing can improve."""
+    rng = np.random.default_rng(3)
+    model, _ = truth(study.nominal, rng)
+    found = assess(study, {"a": experiment(model, rng)}, {"b": experiment(study.nominal, rng)})
+    assert not found.better
+    assert "no better than the nominal one on recordings that were held out" in verdict(found)
+
+
+def test_a_single_recording_is_cut_into_thirds() -> None:
+    states = np.arange(20.0)[:, None]
+    made = parts({"one": Rollout(states, states[:-1])})
+    assert [part.name for part in made] == ["one, part 1", "one, part 2", "one, part 3"]
+    cut = [part.rollouts[0] for part in made]
+    np.testing.assert_array_equal(np.concatenate([piece.inputs for piece in cut]), states[:-1])
+    assert all(len(piece.states) == piece.frames + 1 for piece in cut)
+    assert len(parts({str(i): cut[0] for i in range(12)})) == 5
+
+
+def test_regions_hold_what_they_promise() -> None:
+    """Normal errors, the same in all parts: 90%, for any covariance. Wider ones elsewhere: less."""
+    rng = np.random.default_rng(0)
+    e = [rng.standard_normal((4000, 2)) @ np.array([[1.0, 0.9], [0.0, 1e-4]]) for _ in range(3)]
+    assert Prediction(0.1, tuple(e), tuple(e)).coverage() == pytest.approx(0.9, abs=0.02)
+    wide = (e[0], e[1], 5 * e[2])
+    assert Prediction(0.1, wide, wide).coverage() < 0.75
+    few = tuple(each[:3] for each in e)
+    assert np.isnan(Prediction(0.1, few, few).coverage())
+
+
+def test_too_short_recordings_are_one_line(study: Study) -> None:
+    short = Rollout(np.zeros((60, 4)), np.zeros((59, 2)))
+    with pytest.raises(ConfigError, match=r"^short, part 1: is shorter than a window of 0\.2 s$"):
+        assess(study, {"short": short})
+    with pytest.raises(ConfigError, match="identification=posterior does"):
+        assess(pendulum(), {"short": short})
+
+
+@pytest.mark.slow
+def test_a_trial_begins_with_what_was_identified(assessment: Assessment, tmp_path: Path) -> None:
+    """The written option: the same posterior, to which experiments add."""
+    study = pendulum(*QUICK)
+    write(assessment, None, study.config["identification"], tmp_path, tmp_path / "conf")
+    options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
+    attached = simbias.load(options, tmp_path / "conf")
+    first = attached.first_model().nominal
+    assert isinstance(first, Identified)
+    assert first.estimates == assessment.identified.estimates
+    np.testing.assert_array_equal(first.covariance, assessment.identified.covariance)
+    robot, _ = truth(study.nominal, np.random.default_rng(4))
+    more = attached.identification.fit(attached.nominal, [experiment(robot, np.random.default_rng(9))])
+    assert isinstance(more, Identified)
+    volumes = [np.linalg.slogdet(each.covariance)[1] for each in (more, first)]
+    assert volumes[0] < volumes[1]
+    assert len(pd.read_csv(tmp_path / "draws.csv")) == 100
+    named = pd.read_csv(tmp_path / "parameters.csv").set_index("name")
+    assert named.loc["friction_1", "trusted"]
+
+
+def test_what_is_known_is_of_the_models_parameters(study: Study) -> None:
+    other = type(study.identification)(study.task, known=Known(["mass"], [0.0], [[1.0]]))  # type: ignore[call-arg]
+    with pytest.raises(ValueError, match=r"identification\.known is of mass; the nominal model's parameters"):
+        other.fit(study.nominal, [])
+
+
+def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
+    """Six digits of each parameter and of what moves with it; the same steps."""
+    model = Mujoco(
+        cart_pole(), mjcf(tmp_path), uncertainty={"pole.mass": 0.3, "slider.damping": 0.1, "*.size": 0.1}
+    )
+    values = np.array([0.7, 0.2, *[1.1] * (len(model.parameters) - 2)])
+    changed = model.with_parameters(values)
+    (tmp_path / "changed.xml").write_text(changed.mjcf())
+    again = Mujoco(cart_pole(), str(tmp_path / "changed.xml"))
+    assert values_of(again._robot.model, "pole.mass")["pole.mass"] == pytest.approx(0.7, rel=1e-5)
+    x, u = np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([[3.0]])
+    np.testing.assert_allclose(again.step(x, u), changed.step(x, u), rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
+    text = report(assessment, "<b>title</b>", None)
+    assert "<script" not in text
+    assert "<b>title" not in text
+    assert "&lt;script&gt;two" in text
+    assert not re.search(r"(?:src|href)=\"(?!data:)", text)
+    assert text.count("<img ") == 4
+
+
+def test_draws_are_within_the_priors(assessment: Assessment) -> None:
+    made = draws(assessment.identified)
+    assert (made > 0).all(axis=None)
+    for estimate in assessment.identified.estimates:
+        inside = made[estimate.name].between(estimate.low, estimate.high).mean()
+        assert inside == pytest.approx(0.9, abs=0.1)
+
+
+def write_csv(rollout: Rollout, file: Path) -> None:
+    """A recording with the task's own names."""
+    names = ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
+    time = 0.002 * np.arange(rollout.frames)
+    rows = np.column_stack([time, rollout.states[:-1], rollout.inputs])
+    pd.DataFrame(rows, columns=names).to_csv(file, index=False)
+
+
+@pytest.mark.slow
+def test_the_command_tells_and_writes(
+    study: Study,
+    robot: tuple[dict[str, float], dict[str, Rollout]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_csv(replace(robot[1]["one"]), tmp_path / "one.csv")
+    arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICK[1:]]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"^friction_1 +N m .* yes$", out, re.MULTILINE)
+    assert "Not determined: " in out
+    assert "On parts that it was not fitted to, the identified model errs 0." in out
+    written = {path.name for path in (tmp_path / "identified").rglob("*") if path.is_file()}
+    assert written == {
+        *("report.html", "parameters.csv", "errors.csv", "draws.csv", "excitation.csv", "identified.yaml")
+    }
+    write_csv(experiment(study.nominal, np.random.default_rng(0)), tmp_path / "two.csv")
+    assert main([*arguments, "--held-out", "two.csv", "--attach"]) == 1
+    assert "Do not use it." in capsys.readouterr().out
+    assert main(["identify", "three.csv", *arguments[2:]]) == 2
+    assert capsys.readouterr().err == (
+        "simbias: three.csv: no such recording (.csv, .csv.gz, .mcap, .db3, .bag, or a ROS 2 bag)\n"
+    )
+    assert main([*arguments, "--columns", "{angle: q}"]) == 2
+    assert capsys.readouterr().err == "simbias: columns: names what the task has not: angle\n"
+    assert main([*arguments, "--columns", "[angle]"]) == 2
+    assert "--columns: must be a mapping of names" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_trial_is_started_from_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a real robot; the trial's first search is made on the identified model."""
+    here = Path("tests/recordings").resolve()
+    monkeypatch.chdir(tmp_path)
+    columns = ["hardware.columns={" + COLUMNS + "}", f"hardware.folder={here}"]
+    short = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1", "bias=none"]
+    arguments = ["identify", str(here), "preset=double_pendulum", *columns, *short, "tracking=folders"]
+    assert main([*arguments, "--attach"]) in (0, 1)
+    assert "the identified model errs 0." in capsys.readouterr().out
+    (folder,) = (tmp_path / "trials").iterdir()
+    trial = simbias.load_trial(folder, config_dir=tmp_path / "identified" / "conf")
+    assert trial.iterations[0].model.nominal.estimates

@@ -1,0 +1,96 @@
+"""Statistics of sweeps, against published examples, other libraries and simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from simbias.sweep.statistics import (
+    bootstrap_interval,
+    equivalent,
+    holds,
+    holm,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+    sign_test,
+    success_curve,
+)
+
+
+def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:
+    assert holds("1" * 16)
+    assert not holds("1" * 15)
+    assert not holds("1" * 15 + "0")
+    assert not holds("")
+    assert holds("1" * 25 + "0")
+
+
+def test_interquartile_mean_leaves_out_a_quarter_on_each_side() -> None:
+    scores = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0], [6.0, 700.0]])
+    assert interquartile_mean(scores) == np.mean([2.0, 3.0, 4.0, 5.0])
+
+
+def test_probability_of_improvement_is_mann_whitneys() -> None:
+    rng = np.random.default_rng(0)
+    ours, theirs = rng.integers(0, 4, (7, 1)), rng.integers(0, 4, (5, 1))
+    expected = mannwhitneyu(ours[:, 0], theirs[:, 0]).statistic / 35
+    assert probability_of_improvement(ours, theirs) == pytest.approx(expected)
+    assert probability_of_improvement(np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]])) == 0.5  # cell by cell
+
+
+def test_a_profile_falls_from_all_to_none() -> None:
+    scores = np.array([[0.2, 0.4], [0.6, 0.8]])
+    assert performance_profile(scores, np.array([0.0, 0.4, 0.9])).tolist() == [1.0, 0.5, 0.0]
+
+
+def test_bootstrap_covers_and_is_stratified() -> None:
+    """Cells whose runs are all alike add nothing to the width, however much the cells differ."""
+    apart = np.tile([0.0, 1.0], (6, 1))
+    assert bootstrap_interval(np.mean, apart) == (0.5, 0.5)
+    rng = np.random.default_rng(1)
+    found = [bootstrap_interval(np.mean, rng.normal([0.0, 2.0], 1.0, (15, 2))) for _ in range(100)]
+    assert 0.85 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
+
+
+def test_success_curve_is_freireichs_example() -> None:
+    """Remission of leukaemia with 6-MP (Freireich et al., Blood 21, 1963), the textbooks' example."""
+    weeks = [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35]
+    ended = [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0]
+    curve = success_curve(np.array(weeks, dtype=float), np.array(ended, dtype=bool))
+    surviving = dict(zip(curve.experiments, 1 - curve.probability, strict=True))
+    expected = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
+    for week, value in expected.items():
+        assert surviving[week] == pytest.approx(value, abs=5e-4)
+    assert (curve.low <= curve.probability).all()
+    assert (curve.probability <= curve.high).all()
+
+
+def test_trials_that_never_succeed_count_up_to_where_they_were_censored() -> None:
+    curve = success_curve(np.array([2.0, 4.0, 20.0, 20.0]), np.array([True, True, False, False]))
+    assert curve.probability.tolist() == pytest.approx([0.25, 0.5, 0.5])
+
+
+def test_sign_test_is_mcnemars() -> None:
+    """Of 236 pairs that differ, 86 differ one way (A. Agresti, Categorical Data Analysis, Section 10.1)."""
+    assert sign_test([1.0] * 86 + [-1.0] * 150 + [0.0] * 1000) == pytest.approx(3.7e-5, rel=0.05)
+    assert sign_test([1.0] * 5) == pytest.approx(2 * 0.5**5)
+    assert sign_test([0.0, 0.0]) == 1.0
+
+
+def test_holm_is_the_textbooks() -> None:
+    assert holm({"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.005}) == pytest.approx(
+        {"a": 0.03, "b": 0.06, "c": 0.06, "d": 0.02}
+    )
+    assert holm({"a": 0.9, "b": 0.8}) == {"a": 1.0, "b": 1.0}
+
+
+def test_no_difference_is_said_only_within_the_margin() -> None:
+    rng = np.random.default_rng(2)
+    near = rng.normal(0.0, 0.1, 30)
+    assert equivalent(near.tolist(), 0.1)
+    assert not equivalent(near.tolist(), 0.02)  # too few pairs to tell
+    assert not equivalent((near + 0.2).tolist(), 0.1)
+    assert not equivalent([0.0], 0.1)
+    assert equivalent([0.0, 0.0, 0.0], 0.1)

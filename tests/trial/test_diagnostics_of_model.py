@@ -1,0 +1,45 @@
+"""A policy that stands on what the data do not determine of its identified model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import simbias
+from simbias.learning.identification.directions import undetermined
+from simbias.learning.identification.identified import Identified
+from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.trial.diagnostics import of_model
+from simbias.trial.study import Study
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    """A pole on a cart, which an LQR policy of its model holds upright."""
+    return simbias.load(["preset=cartpole", "tracking=none"])
+
+
+def of_spread(study: Study, open_deviation: float) -> tuple[Identified, list[str]]:
+    """The model at the prior's median, its pole's length open; what is said of its LQR policy."""
+    names = [parameter.name for parameter in study.nominal.parameters]
+    spread, p = np.diag([open_deviation if name == "length" else 0.01 for name in names]), len(names)
+    nominal = Identified(study.nominal, np.zeros(p), spread, {})
+    model = study.model(None, nominal)
+    (theta,) = lqr_policies(model, (INPUT_WEIGHTS[1],))
+    return nominal, [remark.words for remark in of_model(theta, model)]
+
+
+def test_it_is_told_and_the_direction_named(study: Study) -> None:
+    nominal, said = of_spread(study, 6.0)
+    (direction,) = undetermined(nominal)
+    assert direction.weights == {"length": 1.0}
+    assert said == [
+        "this policy lasts in simulation, but not a standard deviation aside in 1.0 length, which "
+        "the experiments do not determine"
+    ]
+
+
+def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:
+    assert of_spread(study, 0.6)[1] == []
+    assert undetermined(of_spread(study, 0.4)[0]) == []
+    assert list(of_model(np.zeros(2), study.model())) == []
