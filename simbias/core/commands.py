@@ -9,6 +9,8 @@ import shutil
 import sys
 from pathlib import Path
 
+SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130  # exit statuses
+
 
 def python() -> str:
     """The Python that runs, as it is typed in the working folder."""
