@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
-from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, add_own_components, python
+from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
@@ -95,7 +95,9 @@ def _trace_of_own_code(error: ConfigError) -> str:
 def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The arguments, and the `command` that is to be called with them; options may stand anywhere."""
     own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
-    add_own_components(own)
+    own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
+    allowed = "also let configs name classes of this module, as of those next to DIR; may be repeated"
+    own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
     own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
     own.add_argument("--version", action="version", version=f"simbias {__version__}")
     known, rest = own.parse_known_args(arguments)
