@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from simbias.core.commands import python
 from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, database, file_number, reaching, redact
+from simbias.mlflow.store import connect, database, file_number, reaching
 from simbias.mlflow.writes import Files, Point, flush, size
 from simbias.sweep.tracking import Export
 
@@ -73,13 +74,13 @@ class Runs:
             return self._connect()
         if file_number(self._file) != self._number:
             raise ConfigError(
-                "tracking.uri", f"{redact(self.uri)}: the store was moved, or another put there"
+                "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved, or another put there"
             )
         return self._client
 
     def address(self, run_id: str) -> str:
         """How a person looks at a run: a command and a page, or the page of a server."""
-        page, uri = "/" + pages.run_page(self.experiment_id, run_id), redact(self.uri)
+        page, uri = "/" + pages.run_page(self.experiment_id, run_id), redact(self.uri, self.uri)
         if self._is_server:
             return uri.rstrip("/") + page
         ui = f"{SPARING} {python()} -m mlflow ui --workers 1"

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from pandas import DataFrame
 from simbias.config import ConfigError, Variations
 from simbias.config.build import build
 from simbias.config.sent_code import packed
+from simbias.core.messages import redact
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
@@ -29,7 +31,7 @@ from simbias.sweep.worker import GONE, Plan, Result, lost, pack, run_plan, unpac
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, locked
 from simbias.trial.folder import PICTURES, TrialFolder
-from simbias.trial.origin import changed_code, provenance
+from simbias.trial.origin import changed_code, provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
@@ -199,6 +201,7 @@ class SweepState:
         self._outcomes: dict[str, Any] = {}  # of batches of experiments, where nothing is kept
         self._marker = ""
         if self.folder is not None:
+            tell_what_is_in_clear(sweep.base.from_environment, self.folder.path)
             self.folder.begin(_description(sweep, again))
             for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
                 left.unlink()
@@ -223,7 +226,8 @@ class SweepState:
 
     def plan(self, trial: Trial, shares_disk: bool) -> Plan:
         """A trial as a worker needs it."""
-        folder, composition = self._store.trial_folder(trial.hash), trial.composition
+        folder = self._store.trial_folder(trial.hash)
+        composition = replace(trial.composition, from_environment=())  # which has been told
         if folder is None:
             return Plan(composition)
         return Plan(
@@ -355,7 +359,7 @@ def _description(sweep: Sweep, again: str) -> dict[str, Any]:
     return {
         "name": sweep.name,
         "hash": sweep.hash,
-        "command": again,
+        "command": redact(again, str(sweep.base.config.get("tracking", {}).get("uri", ""))),
         "config": config,
         "axes": [{"name": axis.name, "keys": list(axis.keys)} for axis in sweep.axes],
         "trials": {
