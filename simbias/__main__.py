@@ -1,4 +1,4 @@
-"""The command line: `python -m simbias [run | check | identify | new | preview] [override ...]`."""
+"""The command line: `python -m simbias [command] [override ...]`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import os
 import shlex
 import sys
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simbias import __version__
+from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
 from simbias.core.commands import add_own_components, python
 
 if TYPE_CHECKING:
+    from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.tracking import Tracking
     from simbias.terminal.identify import Request
     from simbias.trial.study import Study
@@ -51,6 +53,8 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
+  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
   python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
@@ -124,16 +128,24 @@ def _parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
+    pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
     identify = commands.add_parser(
         "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
     )
     excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
     withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
-    takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
-    for each, command in takes_overrides:
+    ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
+    ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
+    takes_overrides = {run: _run_or_show, check: _check, preview: _preview, export: _export, ui: _ui}
+    for each, command in takes_overrides.items():
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
+    pictures.add_argument("trial", help="its folder, or its run in MLflow")
+    pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
+    pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
+    pictures.set_defaults(command=_pictures)
     for each, into, command in ((identify, "identified", _identify), (excite, "excitation.csv", _excite)):
         each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
         each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
@@ -178,6 +190,16 @@ def _preview(parsed: argparse.Namespace) -> int:
     from simbias.terminal.preview import preview
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
+    return SUCCEEDED
+
+
+def _pictures(parsed: argparse.Namespace) -> int:
+    """Draw all pictures of a trial."""
+    from simbias.pictures.trial.gallery import save_all
+
+    trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
+    files = save_all(trial.study, trial.iterations, Path(parsed.folder))
+    print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return SUCCEEDED
 
 
@@ -344,15 +366,29 @@ def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Var
 
 def _export(parsed: argparse.Namespace) -> int:
     """Show the trials and sweeps of a folder in MLflow."""
+    for line in _mlflow(parsed).export_all():
+        print(line)
+    return SUCCEEDED
+
+
+def _ui(parsed: argparse.Namespace) -> int:
+    """Open MLflow in a browser."""
+    if "=" in (parsed.hash or ""):
+        parsed.overrides, parsed.hash = [parsed.hash, *parsed.overrides], None
+    with suppress(KeyboardInterrupt):
+        _mlflow(parsed).show(parsed.hash, parsed.port)
+    return SUCCEEDED
+
+
+def _mlflow(parsed: argparse.Namespace) -> Mlflow:
+    """The store that the overrides name."""
     from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.services import tracking
 
     store = tracking(Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({}))
     if not isinstance(store, Mlflow):
         raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
-    for line in store.export_all():
-        print(line)
-    return SUCCEEDED
+    return store
 
 
 def _command(parsed: argparse.Namespace) -> str:

@@ -74,7 +74,7 @@ def _is_component(config: Any) -> bool:
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
     """The class, its version beyond the first, and the arguments that are not its defaults."""
     component = component_class(config, key, allowed)
-    provided = frozenset({"task"}) if key != "task" else frozenset[str]()
+    provided = frozenset({"task", "hardware_from"}) if key != "task" else frozenset[str]()
     arguments = constructor_arguments(component, config, key, provided)
     defaults = {
         name: parameter.default

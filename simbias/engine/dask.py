@@ -82,8 +82,9 @@ class Dask(Engine):
                     if not alone:
                         (waiting if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
                         continue
-                    result = WorkerLostError(f"its worker died {losses[index]} times")
-                yield index, result
+                    yield index, WorkerLostError(f"its worker died {losses[index]} times")
+                else:
+                    yield index, result
 
     @contextmanager
     def _client(self, code: Callable[[], bytes]) -> Iterator[Client]:

@@ -76,6 +76,11 @@ def reaching(uri: str) -> Iterator[None]:
         raise ConfigError("tracking.uri", redact(f"{uri}: {problem}", uri)) from error
 
 
+def is_server(uri: str) -> bool:
+    """Whether a store is a server, which may be away for a while."""
+    return uri.startswith(("http://", "https://"))
+
+
 def client_of(uri: str) -> MlflowClient:
     """MLflow's client of a store; a relative file of a SQLite store is that of today's working folder."""
     from mlflow import MlflowClient

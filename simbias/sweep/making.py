@@ -20,7 +20,7 @@ from simbias.sweep.interruption import Interruption, stopping_workers
 
 if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep
-    from simbias.sweep.running import SweepState
+    from simbias.sweep.state import SweepState
 
 
 class FigureObserver:
@@ -84,7 +84,7 @@ def _outcomes(
 ) -> list[Outcomes]:
     """The outcomes of all batches; those that are kept are not run again."""
     batch_of = {batch.hash: batch for batch in batches}
-    outcomes = state.outcomes(list(batch_of))
+    outcomes = state.folder.outcomes(list(batch_of))
     missing = [identity for identity in batch_of if identity not in outcomes]
     if missing:
         tasks = [batch_of[identity] for identity in missing]
@@ -98,7 +98,7 @@ def _outcomes(
                     raise FigureError(str(getattr(result, "error", result)))
                 with interruption.defer():
                     outcomes[missing[index]] = result
-                    state.keep_outcomes(missing[index], result)
+                    state.folder.keep_outcomes(missing[index], result)
                     advance()
     return [outcomes[batch.hash] for batch in batches]
 

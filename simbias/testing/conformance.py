@@ -20,8 +20,7 @@ from threadpoolctl import threadpool_limits
 from simbias.core.error_origin import told
 from simbias.core.messages import brief
 from simbias.testing import learners, robots, searches, studies  # noqa: F401  they register their checks
-from simbias.testing.check import CHECKS, Check
-from simbias.testing.expectations import ConformanceError
+from simbias.testing.expectations import CHECKS, Check, ConformanceError
 from simbias.trial.study import Study
 
 __all__ = ["CHECKS", "Check", "ConformanceError", "Verdict", "verdicts"]
