@@ -67,7 +67,7 @@ class Composition:
 
     @property
     def trial(self) -> Composition:
-        """What concerns a single trial."""
+        """The part that concerns a single trial."""
         config = {key: value for key, value in self.config.items() if key not in OF_SWEEPS}
         choices = {key: option for key, option in self.choices.items() if key not in OF_SWEEPS}
         return replace(self, config=config, choices=choices)
@@ -183,7 +183,7 @@ def _from_environment(config: DictConfig) -> Iterator[str]:
 
 
 class _Composed(NamedTuple):
-    """What Hydra composed."""
+    """A composition by Hydra."""
 
     config: DictConfig  # interpolations not yet resolved
     choices: Mapping[str, str]
@@ -273,7 +273,7 @@ def _in_one_line(error: Exception) -> ConfigError:
 
 
 def _no_such_key(key: str) -> ConfigError:
-    """What to say of a key that the config has not."""
+    """The error of a key that the config has not."""
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
     return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

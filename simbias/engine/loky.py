@@ -113,7 +113,7 @@ def _noted(starts: list[int], tasks: Mapping[int, T]) -> Iterator[tuple[int, T]]
 
 
 def _reason(error: BaseException) -> str:
-    """What loky says of a dead worker, in short."""
+    """Why a worker died, in short, by loky."""
     lines = [line.strip() for line in str(error).splitlines() if "exit codes" in line]
     return lines[0] if lines else type(error).__name__
 

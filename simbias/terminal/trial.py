@@ -1,4 +1,4 @@
-"""What a person sees in the terminal while a trial runs."""
+"""Output at a terminal while a trial runs."""
 
 from __future__ import annotations
 
