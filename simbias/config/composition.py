@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -31,6 +31,7 @@ class Composition:
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
     own: Own = field(default=NOTHING, compare=False)  # what it may name of the user's
+    from_environment: tuple[str, ...] = field(default=(), compare=False)  # keys whose values may be secrets
 
     @cached_property
     def identity_fields(self) -> Mapping[str, Any]:
@@ -137,7 +138,8 @@ class Variations:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self.overrides), reason(error)) from error
-        return Composition(plain, dict(composed.choices), own(plain, self._folders, self._allowed))
+        theirs = own(plain, self._folders, self._allowed)
+        return Composition(plain, dict(composed.choices), theirs, tuple(_from_environment(config)))
 
     def _split(self) -> tuple[list[str], dict[str, Any]]:
         """The overrides that Hydra composes, and those that change values of what it composed.
@@ -164,6 +166,20 @@ class Variations:
         """Hydra's work: once for each choice of options, while no file changes."""
         files = state([resource_folder("conf"), resource_folder("sweeps"), *self._folders])
         return _composed(tuple(overrides), self._config_dir, files)
+
+
+def _from_environment(config: DictConfig) -> Iterator[str]:
+    """The keys of what is written down whose values come from environment variables."""
+    from omegaconf import OmegaConf
+
+    groups: Any = OmegaConf.to_container(config, resolve=False)
+    waiting = [(str(key), value) for key, value in groups.items() if key != "tracking"]
+    for key, value in waiting:
+        if isinstance(value, dict | list):
+            parts = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(f"{key}.{part}", each) for part, each in parts]
+        elif "${oc.env:" in str(value):
+            yield key
 
 
 class _Composed(NamedTuple):
