@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core.kernel import Kernel
 from simbias.core.policy import Policy
 from simbias.core.records import Array, Indices, Rollout
 
@@ -65,8 +64,6 @@ class Task(ABC):
     input_limit: Array  # (m,) |u| <= input_limit; the inputs' scale
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
-    measure_kernel: Kernel | None = None
-    output_kernel: Kernel | None = None
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:

@@ -155,8 +155,6 @@ class Declared(Task):
         self.criteria = tuple(_criterion(name, each, tuple(states)) for name, each in failure.items())
         self._measure = self.expressions({name: _measure(name, each) for name, each in failure.items()})
         self._output = self.expressions({name: output.value for name, output in given.items()})
-        if not self._sensors:
-            self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
         self._figure = None if figure is None else Figure(self, figure)
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files

@@ -57,8 +57,7 @@ def parts_of(model: Model) -> tuple[Part, Part, Part, Part]:
 
 def of_measure(task: Task, points: Points) -> Part:
     """The task's measures."""
-    sizes = [len(task.criteria)]
-    return _own_or_traced(task.measure_kernel, task, "measure", lambda: ({"x": points.x}, sizes))
+    return _once(task, "measure", lambda: _traced(task, "measure", {"x": points.x}, [len(task.criteria)]))
 
 
 def of_cost(cost: Cost, task: Task) -> Part:
