@@ -57,8 +57,8 @@ class OneColumn(robot.WithoutWind):
 
 
 class Unbounded(robot.Spring):
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        return 1e3 * x[..., :1], memory
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return 1e3 * x[..., :1], policy_state
 
 
 class ImitatesByOne(robot.Spring):

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
-from simbias.config.renamed import unknown
+from simbias.config.renamed import check_attributes, unknown
 from simbias.core.errors import ConfigError, reason
 from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
@@ -38,11 +38,13 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
             raise ConfigError(f"{key}.{name}", "is provided, not configured")
     arguments = constructor_arguments(component, config, key, frozenset(provided), own.folders)
     try:
-        return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
+        made = component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
         raise ConfigError(key, words(error)) from error
+    check_attributes(made, key)
+    return made
 
 
 def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:

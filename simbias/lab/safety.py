@@ -163,12 +163,12 @@ class SafetyLimitedPolicy(Policy):
         self.safety_bounds = safety_bounds
         self._task = task
         self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
-        self.memory_size = policy.memory_size
+        self.state_size = policy.state_size
         self._last: _SafetyLimitedController | None = None
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        """Inputs and memory of the policy, without limits."""
-        return self.policy.act(theta, x, t, memory)
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs and state of the policy, without limits."""
+        return self.policy.act(theta, x, t, policy_state)
 
     def outputs(self, x: Array) -> Array:
         """The policy's outputs z (..., q) at states x (..., n)."""

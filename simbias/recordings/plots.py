@@ -20,7 +20,7 @@ from simbias.pictures.elements.style import (
 )
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.findings import Finding
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 COLUMNS = 4  # of parameters
 SECONDS = 1.0  # of each prediction that is drawn
@@ -93,7 +93,7 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
     rollout = Rollout(rollout.states[: frames + 1], rollout.inputs[:frames])
     windows = Windows.of([rollout], window, 1)
     models = [assessment.nominal, assessment.models[index]]
-    made = [predict([World(model)], windows)[0] for model in models]
+    made = [predict([PredictionModel(model)], windows)[0] for model in models]
     figure, grid = panels(len(task.states), 1, 1.1)
     t = task.time_step * np.arange(frames + 1)
     for i, (axes, state) in enumerate(zip(grid[:, 0], task.states, strict=True)):

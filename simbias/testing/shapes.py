@@ -22,8 +22,8 @@ _Component = TypeVar("_Component")
 def watch(study: Study) -> Study:
     """The study, whose task, policy, nominal model and bias raise where a shape is not the contract's.
 
-    Sizes are n states, m inputs, q outputs, c criteria, p policy parameters, s numbers in the policy's memory
-    and h in the nominal model's.
+    Sizes are n states, m inputs, q outputs, c criteria, p policy parameters, s numbers in the policy state
+    and h in the model state.
     Arrays may have leading axes, as the contracts say; those of a result are those of what it is made from.
 
     Raises
@@ -38,8 +38,8 @@ def watch(study: Study) -> Study:
         "q": len(task.outputs),
         "c": len(task.criteria),
         "p": policy.n_parameters,
-        "s": policy.memory_size,
-        "h": study.nominal.memory_size,
+        "s": policy.state_size,
+        "h": study.nominal.state_size,
     }
 
     def fitted(bias: FittedBias) -> FittedBias:
@@ -48,8 +48,8 @@ def watch(study: Study) -> Study:
 
     def nominal(model: Nominal) -> Nominal:
         step = _shaped(model, "step", {"x": "n", "u": "m"}, {"x_next": "n"}, sizes)
-        takes, gives = {"x": "n", "u": "m", "memory": "h"}, {"x_next": "n", "memory": "h"}
-        more = {"advance": _shaped(model, "advance", takes, gives, sizes)} if model.memory_size else {}
+        takes, gives = {"x": "n", "u": "m", "model_state": "h"}, {"x_next": "n", "model_state": "h"}
+        more = {"advance": _shaped(model, "advance", takes, gives, sizes)} if model.state_size else {}
         return _with(model, step=step, draw=_then(model.draw, nominal), **more)
 
     return replace(
@@ -64,8 +64,8 @@ def watch(study: Study) -> Study:
             act=_shaped(
                 policy,
                 "act",
-                {"theta": "p", "x": "n", "t": "", "memory": "s"},
-                {"u": "m", "memory": "s"},
+                {"theta": "p", "x": "n", "t": "", "policy_state": "s"},
+                {"u": "m", "policy_state": "s"},
                 sizes,
             ),
         ),

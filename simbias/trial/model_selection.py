@@ -9,7 +9,7 @@ import numpy as np
 
 from simbias.core.records import Array, Rollout
 from simbias.learning.prediction_errors import ErrorDistribution
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.steps import ModelVariant, learn
 from simbias.trial.study import Study
 
@@ -60,7 +60,7 @@ def most_likely(values: Mapping[str, float]) -> ModelVariant:
 def _errors(study: Study, variant: ModelVariant, kept: Sequence[Rollout], left_out: Windows) -> Array:
     """Errors (w, J, n) of the windows that were left out."""
     model = learn(study, kept, [kept], variant).model
-    return predict([World(model.nominal)], left_out, model.bias)[0] - left_out.means
+    return predict([PredictionModel(model.nominal)], left_out, model.bias)[0] - left_out.means
 
 
 def _folds(experiments: Sequence[Rollout], least: int) -> list[list[Rollout]]:

@@ -244,6 +244,11 @@ class Study:
         begin = self.task.draw_start(rng) if start is None else start
         return self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
 
+    def passes(self, rollout: Rollout) -> bool:
+        """Whether a rollout, its cost set, is a success: as the task says or, where it does not, the cost."""
+        succeeds = None if rollout.failed_at is not None else self.task.succeeds(rollout.states)
+        return self.cost.passes(rollout) if succeeds is None else succeeds
+
     @cached_property
     def checked_hardware(self) -> CheckedHardware:
         """The hardware, its experiments bounded in time and checked."""

@@ -68,8 +68,8 @@ def test_a_plain_component_of_ones_own_keeps_to_its_shapes() -> None:
         (
             "policy",
             "act",
-            lambda theta, x, t, memory: x[..., :1],
-            r"act: expected 2 arrays: u, memory, got 4",
+            lambda theta, x, t, policy_state: x[..., :1],
+            r"act: expected 2 arrays: u, policy_state, got 4",
         ),
     ],
 )

@@ -111,7 +111,7 @@ def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Mea
     """The criterion that an experiment failed, or else the first that failed; the cost if that tells more."""
     names = [criterion.name for criterion in study.task.criteria]
     failures = [rollout.failure for rollout in (experiment, *shown) if rollout.failure in names]
-    too_costly = experiment.failed_at is None and not study.cost.passes(experiment)
+    too_costly = experiment.failed_at is None and not study.passes(experiment)
     if too_costly or not failures:
         return _cost_so_far(study)
     return _criterion(study.task, names.index(str(failures[0])))

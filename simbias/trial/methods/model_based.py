@@ -96,7 +96,7 @@ class ModelBased(Method):
                 limits = self._passes, self._before_stop
                 rollouts = experiment(study, theta, hardware_rng, observer, *limits)
             experiments += rollouts
-            succeeded = all(map(study.cost.passes, rollouts))
+            succeeded = all(map(study.passes, rollouts))
             likelihoods: dict[str, float] = {}
             with clock("learning"):
                 if not succeeded:
