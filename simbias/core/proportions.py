@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import betaincinv, ndtri  # scipy.stats has both intervals, but takes a second to import
 
 CONFIDENCE = 0.95
 
@@ -24,7 +24,7 @@ def wilson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
     """
     if not n:
         return Interval(np.nan, np.nan)
-    z, share = float(ndtri(0.5 + confidence / 2)), k / n
+    z, share = NormalDist().inv_cdf(0.5 + confidence / 2), k / n
     centre = share + z**2 / (2 * n)
     spread = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2)
     low, high = (centre - spread) / (1 + z**2 / n), (centre + spread) / (1 + z**2 / n)
@@ -36,6 +36,8 @@ def clopper_pearson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
 
     Its coverage is at least the confidence, whatever the share.
     """
+    from scipy.special import betaincinv  # lazily: workers do without it
+
     if not n:
         return Interval(np.nan, np.nan)
     tail = (1 - confidence) / 2

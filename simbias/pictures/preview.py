@@ -18,16 +18,14 @@ from simbias.pictures.elements.style import LIMIT, SIMULATION, label, plain
 from simbias.trial.prediction import DRAWS, Prediction
 from simbias.trial.study import Study
 
-HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
+HEIGHT = 1.5  # in, of a panel
 
 
 def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
     task, expected = study.task, prediction.expected
-    columns = min(COLUMNS, len(task.states) + len(task.inputs))
-    rows = -(-(len(task.states) + len(task.inputs)) // columns)
-    figure, grid = panels(rows, columns, HEIGHT)
-    empty = list(grid.flat)
+    figure, (grid,) = panels(len(task.states) + len(task.inputs), HEIGHT)
+    empty = iter(grid)
     for quantities, values, band, limits in (
         (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states)),
         (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds),
@@ -35,11 +33,9 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
         for index, quantity in enumerate(quantities):
             low, high = (edge[:, index] for edge in band)
             edges = [limit[index] for limit in limits]
-            _draw(empty.pop(0), quantity, task.time_step, values[:, index], low, high, edges)
-    for axes in empty:
-        axes.axis("off")
+            _draw(next(empty), quantity, task.time_step, values[:, index], low, high, edges)
     fail = len(prediction.failures)
-    headline(grid[0, 0], "the next experiment, as predicted")
+    headline(grid[0], "the next experiment, as predicted")
     legend(
         figure,
         {

@@ -6,9 +6,9 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.records import Array
-from simbias.testing.check import check
 from simbias.testing.expectations import (
     POINTS,
+    check,
     equal,
     expect,
     expect_any_leading_axes,

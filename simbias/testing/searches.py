@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.testing.check import check
 from simbias.testing.expectations import (
     ConformanceError,
+    check,
     equal,
     expect,
 )

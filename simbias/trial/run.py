@@ -16,6 +16,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.trial import diagnostics
+from simbias.trial.claim import claim_of
 from simbias.trial.folder import Withdrawal
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.record import FolderRecord
@@ -153,6 +154,7 @@ class _Run(Observer):
         method, test = self._study.method, self._policy_test
         made = [rollout for each in self._iterations for rollout in each.experiments] + self._unfinished
         before = self._kept.folder if self._kept else None
+        claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
         summary = TrialSummary(
             outcome=outcome,
             reason=reason,
@@ -169,6 +171,8 @@ class _Run(Observer):
             long_success_rate=test.long_success_rate if test else nan,
             long_seconds=test.long_seconds if test else nan,
             test_words=test.words if test else "",
+            claim=str(claim) if claim else "",
+            claimed_share=claim.low if claim else nan,
             platforms=tuple(dict.fromkeys([*(before.platforms() if before else ()), platform.kind()])),
             processor=platform.processor(),
             diagnostics=tuple(sorted({remark.kind for remark in diagnostics.of_trial(self._iterations)})),

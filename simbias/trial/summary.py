@@ -53,6 +53,8 @@ class TrialSummary:
     long_success_rate: float = nan  # likewise, of the long ones
     long_seconds: float = nan  # mean duration of these
     test_words: str = ""  # the test in one sentence
+    claim: str = ""  # of the last policy, by the trial's own experiments: holds 90% of starts (80% to 96%)
+    claimed_share: float = nan  # of starts, at least
     platforms: tuple[str, ...] = ()  # that it ran on: two if it was resumed elsewhere
     processor: str = ""  # model of the last one's
     diagnostics: tuple[str, ...] = ()  # what is odd about it

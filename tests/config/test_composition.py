@@ -110,8 +110,6 @@ def test_yaml_keys_are_the_constructors_arguments() -> None:
 def test_own_components_come_from_a_config_dir() -> None:
     study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
     assert type(study.nominal).__module__ == "point_mass"
-    searched = simbias.load([*POINT_MASS, "tracking=none", f"hydra.searchpath=[file://{OWN_CONF}]"])
-    assert searched.hash == study.hash
 
 
 def test_defaults_are_table_1() -> None:

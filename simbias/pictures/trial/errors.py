@@ -61,7 +61,7 @@ def prediction_errors(
     if not horizons:
         raise NoPictureError("no experiment lasted as long as the shortest horizon")
     groups = _groups(study.task)
-    figure, grid = panels(len(groups), len(horizons), HEIGHT)
+    figure, grid = panels(len(horizons), HEIGHT, len(horizons), blocks=len(groups))
     shown: dict[str, Line2D] = {}
     for iteration in iterations:
         for name, (bias, nominal) in _models(study, iterations, iteration).items():

@@ -82,8 +82,10 @@ def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> lis
     Raises
     ------
     ConfigError
-        If the folder cannot be made.
+        If no iteration has ended, or the folder cannot be made.
     """
+    if not iterations:
+        raise ConfigError(str(folder), "no iteration has ended, so there is nothing to draw")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
