@@ -15,9 +15,10 @@ from conftest import OWN_CONF, POINT_MASS, rest_slow
 from rich.console import Console
 
 import simbias
-from simbias.__main__ import BAD_INPUT, main
+from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core import NOT_A_NUMBER, Cost
+from simbias.core.commands import BAD_INPUT
 from simbias.core.error_origin import told
 from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Rollout, Selection, Transitions

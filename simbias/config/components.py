@@ -111,7 +111,7 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 
 @cache
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
-    """What checks a constructor's arguments, but for those that are provided."""
+    """The schema of a constructor's arguments, but for those that are provided."""
     hints = get_type_hints(component.__init__, include_extras=True)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
@@ -122,7 +122,7 @@ def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
 
 
 def _adapter(fields: dict[str, Any]) -> TypeAdapter:
-    """What checks a mapping with these fields."""
+    """The schema of a mapping with these fields."""
     schema = TypedDict("schema", fields)  # type: ignore[misc]
     schema.__pydantic_config__ = ConfigDict(  # type: ignore[attr-defined]
         extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False

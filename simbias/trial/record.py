@@ -36,7 +36,7 @@ from simbias.trial.folder import (
     number,
     running,
 )
-from simbias.trial.origin import description
+from simbias.trial.origin import description, tell_what_is_in_clear
 from simbias.trial.replay import EndOfRecord, Record
 from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
@@ -84,6 +84,7 @@ class FolderRecord(Record):
         for file in path.glob(f"*{PART}"):  # of a process that was killed while it wrote
             file.unlink()
         if not (path / TRIAL).exists():
+            tell_what_is_in_clear(self._study.composition.from_environment, path / TRIAL)
             write_json(path / TRIAL, description(self._study))
         here, before = platform.kind(), self.folder.platforms()
         if before and here not in before and self.folder.steps():

@@ -92,6 +92,10 @@ class Origin(Protocol):
         """Digests of the modules of the user's that its components come from, by name."""
 
     @property
+    def from_environment(self) -> tuple[str, ...]:
+        """Keys of the config whose values come from environment variables."""
+
+    @property
     def hash(self) -> str:
         """The trial's identity: a hash of everything that affects its result."""
 
