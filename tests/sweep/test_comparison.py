@@ -22,12 +22,6 @@ TINY = [  # one cell in place of eleven, of a second each
 ]
 QUICK = [*TINY, "task.horizon=50", "budget.experiments=3"]
 QUICK += ["policy_test.episodes=2", "policy_test.long_seconds=3"]
-    *TINY,
-    "task.horizon=50",
-    "budget.experiments=3",
-    "policy_test.episodes=2",
-    "policy_test.long_seconds=3",
-]
 
 
 @pytest.fixture(scope="module")
