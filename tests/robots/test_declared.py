@@ -178,7 +178,7 @@ def test_nothing_else_is_an_expression(text: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"failure": {}}, "task: failure is empty"),
+        ({"inputs": {}}, "task: inputs is empty"),
         (
             {"failure": {"falls": {"value": "angel", "above": 1}}},
             "task: falls: 'angel': nothing is called angel",
