@@ -13,7 +13,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior, Problem
 from simbias.learning.prediction_errors import ErrorDistribution
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 DRAWS = 4  # models, the most probable one the first, on which a trajectory keeps the limits and is judged
@@ -108,7 +108,7 @@ class Designer:
         start = self._study.task.start_mean
         states = np.broadcast_to(start, (len(inputs) + 1, len(start)))
         windows = Windows.of([Rollout(states, inputs)], len(inputs), 1)
-        made = predict([World(model) for model in self._models], windows)[:, 0]
+        made = predict([PredictionModel(model) for model in self._models], windows)[:, 0]
         return [Rollout(np.vstack([start, each]), inputs) for each in made]
 
     def _allowed(self, rollout: Rollout) -> bool:
@@ -137,7 +137,9 @@ class Designer:
         rng = np.random.default_rng(SEED)
         noisy = rollout.states + self._noise * rng.standard_normal(rollout.states.shape)
         windows = self._posterior.windows([Rollout(noisy, rollout.inputs)])
-        return ErrorDistribution.of(predict([World(self._models[0])], windows)[0] - windows.means, windows)
+        return ErrorDistribution.of(
+            predict([PredictionModel(self._models[0])], windows)[0] - windows.means, windows
+        )
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:

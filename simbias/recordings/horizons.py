@@ -9,7 +9,7 @@ import numpy as np
 
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array, Flags, Rollout
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 HORIZONS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # s
 SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
@@ -87,7 +87,7 @@ def errors(
     if not cut:
         return np.empty((0, rollouts[0].states.shape[1]))
     windows = Windows.of(cut, frames, 1)
-    wrong = predict([World(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
+    wrong = predict([PredictionModel(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
     return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
 
 

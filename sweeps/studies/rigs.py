@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -32,9 +32,8 @@ from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
 from simbias.recordings.horizons import HORIZONS, errors, inside, ratio
-from simbias.recordings.parts import others, parts
-from simbias.recordings.residual import guarded
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.recordings.parts import Part, others, parts
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 RIGS = Path(__file__).with_name("rigs.yaml")
@@ -42,6 +41,7 @@ COMPARED = (0.1, 0.5)  # s
 COLUMNS = {"pos1": "pos_meas1", "pos2": "pos_meas2", "vel1": "vel_meas1", "vel2": "vel_meas2"}
 COLUMNS |= {"tau1": "tau_meas1", "tau2": "tau_meas2"}
 MOST = 4.0  # prior standard deviations that least squares may go
+MOST_RATIO = 1.0  # of errors with a guarded residual over those without, in any third and horizon
 Models = Mapping[str, tuple[Nominal, FittedBias | None]]
 
 
@@ -66,16 +66,43 @@ def least_squares_fit(study: Study, rollout: Rollout) -> Nominal:
     posterior: Any = study.identification
     windows: Windows = posterior.windows([rollout])
     parameters, observed = study.nominal.parameters, windows.means
-    wrong = predict([World(study.nominal)], windows)[0] - observed
+    wrong = predict([PredictionModel(study.nominal)], windows)[0] - observed
     scale = np.median(np.abs(wrong), axis=(0, 1))
 
     def residuals(z: Array) -> Array:
         model = study.nominal.with_parameters(values_at(parameters, z))
-        made = (predict([World(model)], windows)[0] - observed) / scale
+        made = (predict([PredictionModel(model)], windows)[0] - observed) / scale
         return np.nan_to_num(made, nan=1e3, posinf=1e3, neginf=-1e3).ravel()
 
     z = least_squares(residuals, np.full(len(parameters), 0.01), bounds=(-MOST, MOST), max_nfev=40).x
     return study.nominal.with_parameters(values_at(parameters, z))
+
+
+class Residual(NamedTuple):
+    """A bias, and how well such biases predicted what they were not learned from."""
+
+    bias: FittedBias | None  # None where it may hurt
+    ratios: tuple[float, ...]  # errors with over without, of each part and horizon
+
+
+def guarded(study: Study, identified: Nominal, models: Sequence[Nominal], parts: Sequence[Part]) -> Residual:
+    """The bias of an identified model, learned from all parts, if none of them speaks against it.
+
+    Each part is predicted by its own model, which was not fitted to it, and a bias learned from the others.
+    The bias is left out where it makes predictions of any part worse, at any horizon.
+    """
+    found = []
+    for i, (model, part) in enumerate(zip(models, parts, strict=True)):
+        bias = study.bias.learn(study.no_data, others(parts, i), model)
+        for seconds in COMPARED:
+            k = study.task.frames(seconds)
+            with_bias, without = (errors(model, part.rollouts, k, each) for each in (bias, None))
+            if len(without):
+                found.append(ratio(with_bias, without))
+    if not found or max(found) > MOST_RATIO:
+        return Residual(None, tuple(found))
+    rollouts = [rollout for part in parts for rollout in part.rollouts]
+    return Residual(study.bias.learn(study.no_data, rollouts, identified), tuple(found))
 
 
 def models(study: Study, lab: Study, rollout: Rollout) -> tuple[Models, dict[str, Any]]:

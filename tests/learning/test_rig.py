@@ -14,7 +14,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.robots.mujoco.model import Mujoco
-from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.trial.study import Study
 
 MOTOR = Motor(0.2, 0.1, 0.02, 0.01, "vel1", 0.3, 0.2)
@@ -36,7 +36,7 @@ def recorded(rig: Nominal, rng: np.random.Generator, frames: int = 1000, noise: 
     """A rig under smooth random torques."""
     t = 0.002 * np.arange(frames)[:, None]
     u = np.sum([0.7 * np.sin(rng.uniform(2, 20, 2) * t + rng.uniform(0, 6, 2)) for _ in range(4)], axis=0)
-    states, memory = [np.zeros(4)], np.zeros(rig.memory_size)
+    states, memory = [np.zeros(4)], np.zeros(rig.state_size)
     for each in u:
         y, memory = rig.advance(states[-1], each, memory)
         states.append(y)
@@ -62,7 +62,10 @@ def test_the_compiled_rig_is_the_plain_one(study: Study) -> None:
         assert rig.kernel is not None
         windows = Windows.of([recorded(rig, rng, 300)], 50, 5)
         np.testing.assert_allclose(
-            predict([World(rig)], windows), plain([World(rig)], windows), rtol=1e-8, atol=1e-10
+            predict([PredictionModel(rig)], windows),
+            plain([PredictionModel(rig)], windows),
+            rtol=1e-8,
+            atol=1e-10,
         )
 
 
@@ -129,7 +132,9 @@ def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rollout = Rollout(0.1 * rng.standard_normal((31, 4)), rng.standard_normal((30, 1)))
     windows = Windows.of([rollout], 10, 5)
-    np.testing.assert_allclose(predict([World(half)], windows), plain([World(half)], windows), rtol=1e-8)
+    np.testing.assert_allclose(
+        predict([PredictionModel(half)], windows), plain([PredictionModel(half)], windows), rtol=1e-8
+    )
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:

@@ -328,7 +328,7 @@ def test_parameters_are_those_that_are_uncertain_and_draws_differ():
     one, two = (model.draw(rng).kernel.parameters for _ in range(2))
     assert np.isfinite(one).all()
     assert (one != two).sum() > 20
-    assert model.memory_size == 1 + 10
+    assert model.state_size == 1 + 10
 
 
 def test_priors_are_as_declared():
@@ -365,14 +365,14 @@ def test_a_motor_acts_on_the_torque():
     ideal, offset = LagrangianBongoboard(TASK, 1.0), with_values(TASK, torque_offset=3.0)
     both = with_values(TASK, torque_offset=3.0, motor_gain=0.5)
     for model, torque in ((ideal, u), (offset, u + 3.0), (both, 0.5 * u + 3.0)):
-        memory = np.zeros((3, model.memory_size))
+        memory = np.zeros((3, model.state_size))
         np.testing.assert_allclose(model.step(x, u), ideal.step(x, torque), rtol=1e-12)
         advanced, after = model.advance(x, u, memory)
         np.testing.assert_allclose(advanced, ideal.step(x, torque), rtol=1e-12)
         assert after.shape == memory.shape
-        assert model.memories(x, u).shape == memory.shape
+        assert model.model_states(x, u).shape == memory.shape
         np.testing.assert_allclose(model.energy(x), model.energy(MOVING))
-    assert ideal.memories(x, u).shape == (3, 0)
+    assert ideal.model_states(x, u).shape == (3, 0)
 
 
 def test_what_is_not_sampled_is_not_there_until_it_is_identified():
@@ -382,10 +382,10 @@ def test_what_is_not_sampled_is_not_there_until_it_is_identified():
     for one, other in ((model, plain), (each.draw(np.random.default_rng(1)) for each in (model, plain))):
         assert one.kernel.function is other.kernel.function
         np.testing.assert_array_equal(one.kernel.parameters, other.kernel.parameters)
-        assert one.memory_size == 0
+        assert one.state_size == 0
     identified = model.with_parameters(np.array([parameter.value for parameter in model.parameters]))
-    assert identified.memory_size == 1 + 10
-    assert identified.draw(np.random.default_rng(1)).memory_size == 0
+    assert identified.state_size == 1 + 10
+    assert identified.draw(np.random.default_rng(1)).state_size == 0
     with pytest.raises(ValueError, match=r"^sampled: no uncertainty is called slop; there is masses, "):
         LagrangianBongoboard(TASK, sampled=["slop"])
 

@@ -68,7 +68,7 @@ class Rig(Nominal):
         _check_names(motors, inputs, "motors")
         _check_names(sensors, states, "sensors")
         _check_names([m.velocity for m in motors.values() if m.velocity], states, "motors")
-        if motors and nominal.memory_size:
+        if motors and nominal.state_size:
             raise ValueError("identification.motors: the nominal model has lag and delay of its own")
         for name, motor in motors.items():
             if (motor.stribeck or motor.load) and motor.velocity is None:
@@ -100,7 +100,7 @@ class Rig(Nominal):
             for u in self._inputs
         ]
         self._actuators = Actuators(actuators, self._time_step, self._taps) if self._has_motors else None
-        self.memory_size = self._actuators.memory_size if self._actuators else self._nominal.memory_size
+        self.state_size = self._actuators.state_size if self._actuators else self._nominal.state_size
         self._numbers = np.array(
             [
                 *(v.get(f"{x}.offset", 0.0) for x in self._states),
@@ -117,7 +117,7 @@ class Rig(Nominal):
         if mechanics is None:
             return None
         function = _recorded(
-            mechanics.function, len(self._states), self._brakes, self._nominal.memory_size > 0
+            mechanics.function, len(self._states), self._brakes, self._nominal.state_size > 0
         )
         recorded = Kernel(function, np.concatenate([self._numbers, mechanics.parameters]))
         return self._actuators.before(recorded) if self._actuators else recorded
@@ -127,19 +127,19 @@ class Rig(Nominal):
         acting = self._actuators.settled(u) if self._actuators else u
         return self._record(self._nominal.step(*self._truth(x, acting)))
 
-    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
-        """y_next (..., n), and the memory (..., s) for the next frame."""
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """y_next (..., n), and the model state (..., s) for the next frame."""
         if self._actuators:
-            acting, memory = self._actuators.acting(u, memory)
-            return self._record(self._nominal.step(*self._truth(x, acting))), memory
-        x_next, memory = self._nominal.advance(*self._truth(x, u), memory)
-        return self._record(x_next), memory
+            acting, model_state = self._actuators.acting(u, model_state)
+            return self._record(self._nominal.step(*self._truth(x, acting))), model_state
+        x_next, model_state = self._nominal.advance(*self._truth(x, u), model_state)
+        return self._record(x_next), model_state
 
-    def memories(self, states: Array, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record, from its start on."""
+    def model_states(self, states: Array, inputs: Array) -> Array:
+        """Model states (k, s) in each frame of a record, from its start on."""
         if self._actuators:
-            return self._actuators.memories(inputs)
-        return self._nominal.memories(*self._truth(states, inputs))
+            return self._actuators.model_states(inputs)
+        return self._nominal.model_states(*self._truth(states, inputs))
 
     def with_parameters(self, values: Array) -> Rig:
         """The rig with other values (k,) of its parameters."""
