@@ -190,7 +190,7 @@ class _Composed(NamedTuple):
     choices: Mapping[str, str]
 
 
-@lru_cache(maxsize=200)
+@lru_cache(maxsize=2000)
 def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset) -> _Composed:
     """Hydra's composition, which takes 40 ms; `files` is the state of what it reads."""
     import hydra

@@ -43,7 +43,7 @@ pytestmark = pytest.mark.slow
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
 
 
-@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])  # tests/figures
+@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith(("fig", "methods"))])
 def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     base = compose([f"+sweep={name}"]).config  # not expanded: that takes as long as the trials
     axes = [read_axis(*axis) for axis in base["sweep"]["axes"].items()]
