@@ -109,4 +109,5 @@ def identify(
     from simbias.recordings.reading import read
 
     study = load(overrides, config_dir, allow)
-    return assess(study, read(study, recordings, columns), read(study, held_out, columns))
+    kept = read(study, held_out, columns).rollouts
+    return assess(study, read(study, recordings, columns).rollouts, kept)

@@ -1,4 +1,4 @@
-"""The command line: `python -m simbias [run | check | identify | new | preview] [override ...]`."""
+"""The command line: `python -m simbias [command] [override ...]`."""
 
 from __future__ import annotations
 
@@ -8,22 +8,20 @@ import os
 import shlex
 import sys
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simbias import __version__
+from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
-from simbias.core.commands import add_own_components, python
+from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
 
 if TYPE_CHECKING:
-    from simbias.sweep.tracking import Tracking
+    from simbias.mlflow.tracking import Mlflow
     from simbias.terminal.identify import Request
-    from simbias.trial.study import Study
 
 PROGRAM = "python -m simbias"
 GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
-SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
-
 RUN = "run"  # the command that is meant where none is named
 
 EXAMPLES = """\
@@ -51,6 +49,8 @@ examples:
   python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
   python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
   python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
+  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
   python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
   python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
   python -m simbias preview            # what the first experiment is predicted to do; none is made
@@ -95,7 +95,9 @@ def _trace_of_own_code(error: ConfigError) -> str:
 def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The arguments, and the `command` that is to be called with them; options may stand anywhere."""
     own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
-    add_own_components(own)
+    own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
+    allowed = "also let configs name classes of this module, as of those next to DIR; may be repeated"
+    own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
     own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
     own.add_argument("--version", action="version", version=f"simbias {__version__}")
     known, rest = own.parse_known_args(arguments)
@@ -124,16 +126,24 @@ def _parser(
         "preview", help="show what the first experiment is predicted to do", parents=[own]
     )
     export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
+    pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
     identify = commands.add_parser(
         "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
     )
     excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
     withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
-    takes_overrides = ((run, _run_or_show), (check, _check), (preview, _preview), (export, _export))
-    for each, command in takes_overrides:
+    ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
+    ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
+    takes_overrides = {run: _run_or_show, check: _check, preview: _preview, export: _export, ui: _ui}
+    for each, command in takes_overrides.items():
         each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
         each.set_defaults(command=command)
+    pictures.add_argument("trial", help="its folder, or its run in MLflow")
+    pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
+    pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
+    pictures.set_defaults(command=_pictures)
     for each, into, command in ((identify, "identified", _identify), (excite, "excitation.csv", _excite)):
         each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
         each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
@@ -178,6 +188,16 @@ def _preview(parsed: argparse.Namespace) -> int:
     from simbias.terminal.preview import preview
 
     preview(parsed.overrides, parsed.config_dir, parsed.allow)
+    return SUCCEEDED
+
+
+def _pictures(parsed: argparse.Namespace) -> int:
+    """Draw all pictures of a trial."""
+    from simbias.pictures.trial.gallery import save_all
+
+    trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
+    files = save_all(trial.study, trial.iterations, Path(parsed.folder), trial.withdrawn)
+    print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return SUCCEEDED
 
 
@@ -243,8 +263,12 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
         print(_as_yaml(composition), end="")
         return SUCCEEDED
     if "sweep" in composition.config:
-        return _sweep(parsed, composition, variations)
-    return _run(parsed, composition)
+        from simbias.terminal import run_sweep
+
+        return run_sweep.run(variations, composition, _command(parsed))
+    from simbias.terminal import run
+
+    return run.run(composition, _command(parsed))
 
 
 def _as_yaml(composition: Composition) -> str:
@@ -254,105 +278,31 @@ def _as_yaml(composition: Composition) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(dict(composition.config)))
 
 
-def _run(parsed: argparse.Namespace, composition: Composition) -> int:
-    """Run one trial in the terminal, or resume it."""
-    from simbias.config.build import build
-    from simbias.sweep.services import engine, tracking
-    from simbias.terminal.notices import preparing, slowness_in_one_line
-    from simbias.testing.rehearsal import rehearse
-
-    engine(composition)  # a single trial needs none, but a bad one is bad input
-    store = tracking(composition)
-    with slowness_in_one_line():
-        with preparing():
-            study = build(composition)
-            rehearse(study)
-        return _run_study(study, store, _command(parsed))
-
-
-def _run_study(study: Study, store: Tracking, again: str) -> int:
-    """Run a trial as far as it gets, resume or replay it; `again` is the command that resumes it."""
-    from simbias.core.messages import counted, with_type
-    from simbias.sweep.tracking import Export
-    from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
-    from simbias.trial.folder import TrialFolder
-    from simbias.trial.run import run_trial
-    from simbias.trial.study import Observers
-    from simbias.trial.summary import Outcome
-
-    folder = store.trial_folder(study.hash)
-    export = store.export_trial(folder) if folder else Export()
-    replayed = folder is not None and TrialFolder(folder).ended
-    if folder is not None and (changed := changed_since(study, folder)):
-        print(f"simbias: {changed}", file=sys.stderr)
-    try:
-        with TrialConsole(study) as console:
-            record = run_trial(asking(study, console), folder, Observers(console, export))
-        if folder is not None and store.pictures:
-            from simbias.pictures.trial.gallery import illustrate
-
-            illustrate(record, folder)
-    except (ConfigError, KeyboardInterrupt):
-        raise
-    except Exception as error:  # of the disk: what a component raises is in the record
-        print(f"simbias: {with_type(error)} (resume with:  {again})", file=sys.stderr)
-        return FAILED
-    finally:
-        export.update(final=True)
-    summary = record.summary
-    if summary.outcome.final:
-        console.conclude(record, export.where, replayed)
-        return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
-    kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
-    trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
-    print(f"simbias: {summary.reason} ({kept}{trace}; resume with:  {again})", file=sys.stderr)
-    return WAITING if summary.outcome is Outcome.WAITING else FAILED
-
-
-def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Variations) -> int:
-    """Run a sweep in the terminal, or tell what it would run."""
-    from simbias.mlflow.store import cause
-    from simbias.sweep.running import changed_trials, prepare, run_sweep
-    from simbias.sweep.services import engine, tracking
-    from simbias.terminal.notices import preparing, slowness_in_one_line
-    from simbias.terminal.sweep import SweepConsole, dry_run
-
-    trials_engine, store = engine(composition), tracking(composition)
-    with preparing(), slowness_in_one_line():
-        sweep, study, finished = prepare(store, variations)
-    if sweep.dry_run:
-        dry_run(sweep, study, finished, trials_engine)
-        return SUCCEEDED
-    console, again = SweepConsole(), _command(parsed)
-    if changed := changed_trials(sweep, store):
-        print(f"simbias: {changed}", file=sys.stderr)
-    try:
-        trials, where = run_sweep(sweep, trials_engine, store, again, console)
-    except KeyboardInterrupt:
-        console.stopped("interrupted", again)
-        return INTERRUPTED
-    except ConfigError:
-        raise
-    except Exception as error:  # of the store or the engine: what a trial raises is in its record
-        console.stopped(f"{type(error).__name__}: {cause(error)}", again)
-        return FAILED
-    console.conclude(trials, where)
-    if console.waiting:
-        return WAITING
-    return FAILED if (trials["outcome"] == "error").any() else SUCCEEDED
-
-
 def _export(parsed: argparse.Namespace) -> int:
     """Show the trials and sweeps of a folder in MLflow."""
+    for line in _mlflow(parsed).export_all():
+        print(line)
+    return SUCCEEDED
+
+
+def _ui(parsed: argparse.Namespace) -> int:
+    """Open MLflow in a browser."""
+    if "=" in (parsed.hash or ""):
+        parsed.overrides, parsed.hash = [parsed.hash, *parsed.overrides], None
+    with suppress(KeyboardInterrupt):
+        _mlflow(parsed).show(parsed.hash, parsed.port)
+    return SUCCEEDED
+
+
+def _mlflow(parsed: argparse.Namespace) -> Mlflow:
+    """The store that the overrides name."""
     from simbias.mlflow.tracking import Mlflow
     from simbias.sweep.services import tracking
 
     store = tracking(Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({}))
     if not isinstance(store, Mlflow):
         raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
-    for line in store.export_all():
-        print(line)
-    return SUCCEEDED
+    return store
 
 
 def _command(parsed: argparse.Namespace) -> str:

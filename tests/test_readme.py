@@ -1,25 +1,29 @@
-"""What README shows works, from a folder that is not the checkout; what it links to is there."""
+"""What README shows works, from the wheel in an empty folder; what it links to is there."""
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 from conftest import OWN_CONF, ROOT
+from hatchling.builders.wheel import WheelBuilder
 from pendulum import COLUMNS
 
-from simbias.__main__ import main
-
+LARGEST_WHEEL = 1_000_000  # bytes
 README = (ROOT / "README.md").read_text()
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *(
         ROOT / folder / "README.md"
-        for folder in ("conf", "simbias", "simbias/robots", "tests", "sweeps/results")
+        for folder in ("conf", "simbias", "simbias/engine", "simbias/robots", "tests", "sweeps/results")
     ),
 ]
 SHORT = [
@@ -41,7 +45,8 @@ COMMANDS = sorted(
 
 def shortened(command: str) -> list[str]:
     """The command's arguments, so that it is soon done; Arm is a robot that readers write themselves."""
-    arguments = shlex.split(command)[1:]
+    module, name, *arguments = shlex.split(command)[1:]
+    assert (module, name) == ("-m", "simbias")
     if {"--help", "new"} & set(arguments):
         return arguments
     own = {
@@ -60,36 +65,75 @@ def shortened(command: str) -> list[str]:
     return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
 
 
-def test_readme_has_commands() -> None:
-    assert len(COMMANDS) >= 8
+PROGRAM = """
+import ast, sys
+import simbias
+from simbias.__main__ import main
+from simbias.sweep.grid import expand
 
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_runs(
-    command: str,
-    new_store: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """In this process, as a new one takes seconds; `tests/terminal/test_command_line.py` starts some."""
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(new_store, tmp_path)
-    module, name, *arguments = shortened(command)
-    assert (module, name) == ("-m", "simbias")
-    if not {"--help", "new", "check", "tracking=folders"} & set(arguments):
-        arguments.append(
-            f"tracking.uri=sqlite:///{tmp_path}/mlflow.db"
-        )  # MLflow keeps what a relative one meant
+print("home", simbias.__file__)
+for name in ("fig4", "fig5", "fig6", "fig7"):  # whose classes lie beside the sweeps
+    figure = expand([f"+sweep={name}"]).figures[name]
+    assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
+for arguments in ast.literal_eval(sys.argv[1]):
     try:
         status = main(arguments)
     except SystemExit as end:  # of --help
-        status = int(end.code or 0)
-    out, err = capsys.readouterr()
-    assert status in (0, 1, 3), err  # 1: so short a trial need not succeed; 3: it waits
-    assert "Traceback" not in err
-    assert out
+        status = end.code
+    print("status", status, flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, as it is published."""
+    folder = str(tmp_path_factory.mktemp("wheel"))
+    return Path(next(WheelBuilder(str(ROOT)).build(directory=folder, versions=["standard"])))
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_what_commands_read_and_no_pictures(wheel: Path) -> None:
+    assert wheel.stat().st_size < LARGEST_WHEEL
+    names = set(zipfile.ZipFile(wheel).namelist())
+    read = [*ROOT.glob("conf/**/*.yaml"), *ROOT.glob("sweeps/*.yaml"), *ROOT.glob("sweeps/results/*/*.csv")]
+    assert len(read) > 100
+    assert {f"simbias/{file.relative_to(ROOT).as_posix()}" for file in read} <= names
+    assert {Path(name).suffix for name in names if name.startswith("simbias/")} == {
+        *(".csv", ".md", ".py", ".xml", ".yaml"),
+    }
+    assert not [name for name in names if name.startswith("simbias/sweeps/studies")]
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment whose simbias is the wheel's."""
+    target = tmp_path_factory.mktemp("installed")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target"]
+    subprocess.run([*pip, str(target), str(wheel)], check=True)
+    compiled = ROOT / "simbias" / "__pycache__"  # by other tests
+    path = os.pathsep.join((str(target), str(OWN_CONF.parent)))
+    return os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(compiled)}
+
+
+@pytest.mark.slow
+def test_commands_run(installed: dict[str, str], new_store: Path, tmp_path: Path) -> None:
+    """One after the other in one process, as a new one takes seconds: `test_command_line.py` starts some."""
+    shutil.copy(new_store, tmp_path)
+    wanted = [shortened(command) for command in COMMANDS]
+    assert len(wanted) >= 8
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, repr(wanted)],
+        cwd=tmp_path,
+        env=installed,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"home {installed['PYTHONPATH'].partition(os.pathsep)[0]}" in done.stdout
+    statuses = re.findall(r"^status (\d)$", done.stdout, re.MULTILINE)
+    assert len(statuses) == len(wanted)
+    assert set(statuses) <= {"0", "1", "3"}, done.stderr  # a trial may fail, or wait
+    assert "Traceback" not in done.stderr
 
 
 def test_the_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,9 +69,9 @@ class Spring(Policy):
     def __init__(self, task: PointMass) -> None:
         self._limit = task.input_limit
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         force = theta[..., 2:] - np.sum(theta[..., :2] * x, axis=-1, keepdims=True)
-        return np.clip(force, -self._limit, self._limit), memory
+        return np.clip(force, -self._limit, self._limit), policy_state
 
     def outputs(self, x: Array) -> Array:
         return x.copy()

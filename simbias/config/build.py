@@ -53,8 +53,9 @@ def build(composition: Composition) -> Study:
     own = composition.own
     task = construct(config["task"], Task, "task", own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
+    hardware_from = partial(_hardware, own=own, task=task)
     components = {
-        group: construct(config[group], contract, group, own, task=task)
+        group: construct(config[group], contract, group, own, task=task, hardware_from=hardware_from)
         for group, contract in contracts.items()
         if group != "task"
     }

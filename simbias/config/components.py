@@ -13,10 +13,12 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
-from simbias.config.renamed import unknown
+from simbias.config.renamed import check_attributes, unknown
 from simbias.core.errors import ConfigError, reason
 from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
+
+TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
 
 
 def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
@@ -38,11 +40,13 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
             raise ConfigError(f"{key}.{name}", "is provided, not configured")
     arguments = constructor_arguments(component, config, key, frozenset(provided), own.folders)
     try:
-        return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
+        made = component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
         raise ConfigError(key, words(error)) from error
+    check_attributes(made, key)
+    return made
 
 
 def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
@@ -107,7 +111,7 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 
 @cache
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
-    """What checks a constructor's arguments, but for those that are provided."""
+    """The schema of a constructor's arguments, but for those that are provided."""
     hints = get_type_hints(component.__init__, include_extras=True)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
@@ -118,7 +122,7 @@ def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
 
 
 def _adapter(fields: dict[str, Any]) -> TypeAdapter:
-    """What checks a mapping with these fields."""
+    """The schema of a mapping with these fields."""
     schema = TypedDict("schema", fields)  # type: ignore[misc]
     schema.__pydantic_config__ = ConfigDict(  # type: ignore[attr-defined]
         extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
@@ -167,10 +171,13 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
 def _in_one_line(error: ValidationError, key: str) -> ConfigError:
     """The first of pydantic's errors, as one line that names the key."""
     errors = error.errors(include_url=False)
-    first = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])  # a typo
+    first = next((each for each in errors if each["type"] in TYPOS), errors[0])
     where = ".".join(str(part) for part in ((key,) if key else ()) + first["loc"])
-    if first["type"] == "extra_forbidden":
-        return unknown([where], where, "no such key")
+    if first["type"] in TYPOS:
+        cut = ")" in where  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
+        return unknown(
+            [where], where, f"no such key{'; quotes keep an expression with commas together' * cut}"
+        )
     if first["type"] == "missing":
         return ConfigError(where, "missing")
     problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)

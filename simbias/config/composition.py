@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -31,6 +31,7 @@ class Composition:
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
     own: Own = field(default=NOTHING, compare=False)  # what it may name of the user's
+    from_environment: tuple[str, ...] = field(default=(), compare=False)  # keys whose values may be secrets
 
     @cached_property
     def identity_fields(self) -> Mapping[str, Any]:
@@ -66,7 +67,7 @@ class Composition:
 
     @property
     def trial(self) -> Composition:
-        """What concerns a single trial."""
+        """The part that concerns a single trial."""
         config = {key: value for key, value in self.config.items() if key not in OF_SWEEPS}
         choices = {key: option for key, option in self.choices.items() if key not in OF_SWEEPS}
         return replace(self, config=config, choices=choices)
@@ -90,7 +91,7 @@ def compose(
 class Variations:
     """Compositions that differ in a few settings, the same as if these were further overrides.
 
-    Hydra composes once for each choice of options; values are merged, which takes a tenth of the time.
+    Hydra composes once for each choice of options, which takes 100 ms; values are merged in a few.
     """
 
     def __init__(
@@ -104,7 +105,7 @@ class Variations:
         check_no_primary(config_dir)
         self.overrides = list(overrides)
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
-        self._folders = _searched(overrides) if config_dir is None else [Path(config_dir)]
+        self._folders = [] if config_dir is None else [Path(config_dir)]
         self._allowed = prefixes(self._folders, allow)
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
@@ -122,13 +123,14 @@ class Variations:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # Hydra only warns of a search path that does not exist
-                groups = self._compose(()).choices if settings else {}
-                options = tuple(f"{key}={value}" for key, value in settings.items() if key in groups)
-                composed = self._compose(options)
-                config = composed.config.copy() if settings else composed.config
-                for key, value in settings.items():
-                    if key not in groups:
-                        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
+                structure, changes = self._split
+                groups = self._compose(structure).choices if settings else {}
+                options = [f"{key}={value}" for key, value in settings.items() if key in groups]
+                composed = self._compose([*structure, *options])
+                values = changes | {key: value for key, value in settings.items() if key not in groups}
+                config = composed.config.copy() if values else composed.config
+                for key, value in values.items():
+                    _set(config, key, value)
                 plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
         except ConfigError:
             raise
@@ -136,22 +138,59 @@ class Variations:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self.overrides), reason(error)) from error
-        return Composition(plain, dict(composed.choices), own(plain, self._folders, self._allowed))
+        theirs = own(plain, self._folders, self._allowed)
+        return Composition(plain, dict(composed.choices), theirs, tuple(_from_environment(config)))
 
-    def _compose(self, options: tuple[str, ...]) -> _Composed:
+    @cached_property
+    def _split(self) -> tuple[list[str], dict[str, Any]]:
+        """The overrides that Hydra composes, and those that change values of what it composed.
+
+        Where one adds or deletes a key, all are Hydra's: their order counts.
+        """
+        from hydra.core.override_parser.types import OverrideType
+
+        folders = [resource_folder("conf"), *self._folders]
+        structure: list[str] = []
+        values: dict[str, Any] = {}
+        for text, each in zip(self.overrides, _parsed(self.overrides), strict=True):
+            key = each.key_or_group
+            changes = each.type is OverrideType.CHANGE and not each.is_sweep_override() and not each.package
+            if "/" in key or any((folder / key).is_dir() for folder in folders) or key == "sweep":
+                structure.append(text)
+            elif changes and not key.startswith("hydra."):
+                values[key] = each.value()
+            else:
+                return self.overrides, {}
+        return structure, values
+
+    def _compose(self, overrides: Sequence[str]) -> _Composed:
         """Hydra's work: once for each choice of options, while no file changes."""
         files = state([resource_folder("conf"), resource_folder("sweeps"), *self._folders])
-        return _composed((*self.overrides, *options), self._config_dir, files)
+        return _composed(tuple(overrides), self._config_dir, files)
+
+
+def _from_environment(config: DictConfig) -> Iterator[str]:
+    """The keys of what is written down whose values come from environment variables."""
+    from omegaconf import OmegaConf
+
+    groups: Any = OmegaConf.to_container(config, resolve=False)
+    waiting = [(str(key), value) for key, value in groups.items() if key != "tracking"]
+    for key, value in waiting:
+        if isinstance(value, dict | list):
+            parts = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(f"{key}.{part}", each) for part, each in parts]
+        elif "${oc.env:" in str(value):
+            yield key
 
 
 class _Composed(NamedTuple):
-    """What Hydra composed."""
+    """A composition by Hydra."""
 
     config: DictConfig  # interpolations not yet resolved
     choices: Mapping[str, str]
 
 
-@lru_cache(maxsize=200)
+@lru_cache(maxsize=2000)
 def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset) -> _Composed:
     """Hydra's composition, which takes 40 ms; `files` is the state of what it reads."""
     import hydra
@@ -171,6 +210,17 @@ def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset
     own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
     OmegaConf.set_struct(own, True)
     return _Composed(own, choices)
+
+
+def _set(config: DictConfig, key: str, value: Any) -> None:
+    """Set a value; a key that the config lacks begins with +."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import ConfigAttributeError, ConfigKeyError
+
+    try:
+        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
+    except (ConfigAttributeError, ConfigKeyError) as error:
+        raise _no_such_key(key) from error
 
 
 def overridden(overrides: Sequence[str]) -> list[str]:
@@ -202,19 +252,6 @@ def _parsed(overrides: Sequence[str]) -> list[Override]:
     return OverridesParser.create().parse_overrides(list(overrides))
 
 
-def _searched(overrides: Sequence[str]) -> list[Path]:
-    """The folders that overrides of hydra.searchpath name."""
-    from hydra.errors import HydraException
-
-    named = [override for override in overrides if override.lstrip("+").startswith("hydra.searchpath=")]
-    try:
-        values = [each.value() for each in _parsed(named)]
-    except (HydraException, ValueError, RecursionError):  # which is told when they are composed
-        return []
-    paths = [str(path) for value in values if isinstance(value, list) for path in value]
-    return [Path(path.removeprefix("file://")) for path in paths if path.startswith("file://")]
-
-
 def _in_one_line(error: Exception) -> ConfigError:
     """Hydra's and OmegaConf's multi-line errors, as one line that names the key."""
     from hydra.errors import MissingConfigException, OverrideParseException
@@ -225,8 +262,6 @@ def _in_one_line(error: Exception) -> ConfigError:
         choice = f"{group}={option}"
         return unknown([choice], choice, f"no such option; {group} has {', '.join(error.options)}")
     cause = error.__cause__
-    if isinstance(error, ConfigAttributeError | ConfigKeyError):
-        return _no_such_key(error.full_key or "")
     if isinstance(cause, ConfigAttributeError | ConfigKeyError):
         return _no_such_key(str(error).split("'")[1])
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
@@ -239,7 +274,7 @@ def _in_one_line(error: Exception) -> ConfigError:
 
 
 def _no_such_key(key: str) -> ConfigError:
-    """What to say of a key that the config has not."""
+    """The error of a key that the config has not."""
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
     return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

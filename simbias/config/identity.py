@@ -1,4 +1,4 @@
-"""What a trial is: what of its config deviates from the constructors' defaults and affects its result.
+"""Identity of a trial: whatever of its config is no constructor's default and affects its result.
 
 A value that equals its constructor's default is left out. So an option that is added, its default the old
 behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
@@ -40,7 +40,7 @@ DIGITS = 12  # hexadecimal
 def identity_fields(
     config: Mapping[str, Any], left_out: Sequence[str], allowed: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """What a config says of a trial, some groups left out, in plain containers; `allowed` as of `construct`.
+    """A trial's config, some groups left out, in plain containers; `allowed` as of `component_class`.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def _is_component(config: Any) -> bool:
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
     """The class, its version beyond the first, and the arguments that are not its defaults."""
     component = component_class(config, key, allowed)
-    provided = frozenset({"task"}) if key != "task" else frozenset[str]()
+    provided = frozenset({"task", "hardware_from"}) if key != "task" else frozenset[str]()
     arguments = constructor_arguments(component, config, key, provided)
     defaults = {
         name: parameter.default

@@ -55,6 +55,15 @@ RENAMED: Mapping[str, str] = {
     "tracking.journals": "tracking.trials",
 }
 
+ATTRIBUTES = {"memory_size": "state_size"}  # of components, likewise
+
+
+def check_attributes(component: object, key: str) -> None:
+    """Raise a ConfigError of `key` if a component has an attribute under its old name."""
+    for old, new in ATTRIBUTES.items():
+        if hasattr(component, old):
+            raise ConfigError(key, f"{type(component).__name__}.{old} is now {new}")
+
 
 def new_name(old: str) -> str | None:
     """Where an old name is now, by its own entry or that of a name above it; None if it has none."""

@@ -11,7 +11,7 @@
 
 All names are imported from here.
 
-n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's memory; T frames of
+n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's own state; T frames of
 `time_step` seconds. Units are the task's. Components are built from YAML: the keys of
 `conf/<group>/<name>.yaml` are the constructor's arguments, checked against its annotations; an argument named
 `task` receives the task. One that reads files lists them as `source_files`, so that it is told when they
@@ -31,10 +31,12 @@ from simbias.core.robot import (
     Criterion,
     Hardware,
     HardwareError,
+    Push,
     Quantity,
     Task,
     Waiting,
     failure_name,
+    wrapped,
 )
 from simbias.core.search import Cost, Evaluation, Objective, Optimizer, Simulator
 
@@ -56,6 +58,7 @@ __all__ = [
     "Objective",
     "Optimizer",
     "Policy",
+    "Push",
     "Quantity",
     "Samples",
     "Simulator",
@@ -63,4 +66,5 @@ __all__ = [
     "Task",
     "Waiting",
     "failure_name",
+    "wrapped",
 ]

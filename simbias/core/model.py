@@ -19,13 +19,13 @@ from simbias.core.robot import Task
 class Nominal(ABC):
     """The simulation model f' (Section IV-A).
 
-    A model of what the state does not show, as an actuator's lag or a delay, keeps it in its memory, which is
-    zero at the start (`simbias.simulation.actuator`).
+    A model of what the state does not show, as an actuator's lag or a delay, keeps it in its own state,
+    which is zero at the start (`simbias.simulation.actuator`).
     """
 
     kernel: Kernel | None = None
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
-    memory_size: int = 0  # s
+    state_size: int = 0  # s, of the model state
     estimates: Sequence[Estimate] = ()  # what has been identified
     diagnostics: Mapping[str, float] = MappingProxyType({})  # what the identification says of its fit
 
@@ -33,19 +33,19 @@ class Nominal(ABC):
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n) = x + f'(x, u), one time step after x (..., n) under u (..., m) (Eq. 1).
 
-        Of a model with memory: as if u had acted for long.
+        Of a model with a state of its own: as if u had acted for long.
         """
 
-    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
-        """x_next (..., n), and the memory (..., s) for the next frame; only models with memory need it."""
-        return self.step(x, u), memory
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the model state (..., s) for the next frame; for models that have one."""
+        return self.step(x, u), model_state
 
-    def memories(self, states: Array, inputs: Array) -> Array:
-        """Memory (k, s) in each frame of a record, from its start on, of states (k, n) and inputs (k, m)."""
-        kept, memory = np.zeros((len(inputs), self.memory_size)), np.zeros(self.memory_size)
-        for t in range(len(inputs) if self.memory_size else 0):
-            kept[t] = memory
-            _, memory = self.advance(states[t], inputs[t], memory)
+    def model_states(self, states: Array, inputs: Array) -> Array:
+        """Model states (k, s) in each frame of a record: of its states (k, n) and inputs (k, m)."""
+        kept, model_state = np.zeros((len(inputs), self.state_size)), np.zeros(self.state_size)
+        for t in range(len(inputs) if self.state_size else 0):
+            kept[t] = model_state
+            _, model_state = self.advance(states[t], inputs[t], model_state)
         return kept
 
     def along(self, states: Array, inputs: Array) -> Array:
@@ -53,9 +53,9 @@ class Nominal(ABC):
 
         What the states do not show is simulated from the inputs that came before.
         """
-        if not self.memory_size:
+        if not self.state_size:
             return self.step(states, inputs)
-        return self.advance(states, inputs, self.memories(states, inputs))[0]
+        return self.advance(states, inputs, self.model_states(states, inputs))[0]
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""

@@ -21,19 +21,19 @@ class Law(NamedTuple):
 class Policy(ABC):
     """The feedback law whose parameters theta are searched.
 
-    A law with a filter, an integral or a delay keeps what it needs in its memory, which is zero at the start.
+    A law with a filter, an integral or a delay keeps what it needs in its own state, zero at the start.
     """
 
     n_parameters: int
     bounds: tuple[Array, Array]  # lower (p,), upper (p,)
-    memory_size: int = 0  # s
+    state_size: int = 0  # s, of the policy state
 
     @abstractmethod
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        """Inputs u (..., m) within the task's limits, and the memory (..., s) for the next frame.
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) within the task's limits, and the policy state (..., s) for the next frame.
 
-        theta (..., p), (measured) states x (..., n), time t in s since the start, memory (..., s). Most laws
-        ignore the time, and return the memory as it came.
+        theta (..., p), (measured) states x (..., n), time t in s since the start. Most laws ignore the time
+        and return the policy state as it came.
         """
 
     @abstractmethod
@@ -53,7 +53,7 @@ class Policy(ABC):
 
     def law(self, theta: Array) -> Law:
         """The policy theta (p,) for people and programs without simbias, as far as it can be said."""
-        return Law(f"u = {type(self).__name__}.act(theta, x, t, memory)", {"theta": theta})
+        return Law(f"u = {type(self).__name__}.act(theta, x, t, policy_state)", {"theta": theta})
 
     def controller(self, theta: Array, time_step: float) -> Controller:
         """The policy theta (p,) as a robot's control loop runs it: once a frame of `time_step` s."""
@@ -61,18 +61,18 @@ class Policy(ABC):
 
 
 class Controller:
-    """A policy in a control loop: u (m,) = controller(x), called once a frame; it keeps time and memory."""
+    """A policy in a control loop: u (m,) = controller(x), called once a frame; it keeps time and state."""
 
     def __init__(self, policy: Policy, theta: Array, time_step: float) -> None:
         self._policy = policy
         self._theta = theta
         self._time_step = time_step
         self._frame = 0
-        self._memory = np.zeros(policy.memory_size)
+        self._state = np.zeros(policy.state_size)
 
     def __call__(self, x: Array) -> Array:
         """Input u (m,) at the (measured) state x (n,) of the next frame."""
         time = self._frame * self._time_step
-        u, self._memory = self._policy.act(self._theta, x, time, self._memory)
+        u, self._state = self._policy.act(self._theta, x, time, self._state)
         self._frame += 1
         return u

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class Quantity(NamedTuple):
     name: str
     unit: str
     kind: str = ""  # what it shares with others, so that noise can be declared of all at once: "angle"
+    wraps: bool = False  # whether it is an angle in rad that is the same after a turn
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,13 +48,33 @@ class Criterion(NamedTuple):
     bounds: Mapping[str, float] = MappingProxyType({})  # state -> |state| that it allows, whatever the others
 
 
+class Push(NamedTuple):
+    """Pushes on an input during an episode: Gaussian pulses at random times, of either sign."""
+
+    input: int
+    count: int
+    amplitude: tuple[float, float]  # least and largest, in the input's unit; it may exceed the input's limit
+    seconds: tuple[float, float]  # standard deviation of a pulse, least and largest
+
+
+def wrapped(differences: Array, quantities: Sequence[Quantity]) -> Array:
+    """Differences (..., k) of quantities; of those that wrap, within half a turn."""
+    wraps = np.array([float(quantity.wraps) for quantity in quantities])
+    if not wraps.any():
+        return differences
+    return differences - 2 * np.pi * wraps * np.floor((differences + np.pi) / (2 * np.pi))
+
+
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:
     """The name of a violated criterion, or of a state that is no number and violates none."""
     return criteria[index].name if index < len(criteria) else NOT_A_NUMBER
 
 
 class Task(ABC):
-    """What is to be done: quantities, time, limits, starts and failure; no dynamics."""
+    """What is to be done: quantities, time, limits, starts, goal, success and failure; no dynamics.
+
+    The goal is where `aim` is to be at each time, `reference`: by default all states, at zero.
+    """
 
     states: tuple[Quantity, ...]
     inputs: tuple[Quantity, ...]
@@ -64,11 +85,33 @@ class Task(ABC):
     input_limit: Array  # (m,) |u| <= input_limit; the inputs' scale
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
+    pushes: tuple[Push, ...] = ()  # on inputs, in simulation and on simulated hardware
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
         """Lower and upper limits (m,) of the inputs; a task whose limits are not symmetric has its own."""
         return -self.input_limit, self.input_limit
+
+    @property
+    def goals(self) -> tuple[Quantity, ...]:
+        """The quantities that the goal is about."""
+        return self.states
+
+    def aim(self, x: Array) -> Array:
+        """The goal's quantities (..., g) at states x (..., n)."""
+        return x
+
+    def reference(self, t: Any) -> Array:
+        """Where they are to be, (..., g) or (g,), at times t (...) in s."""
+        return np.zeros(len(self.goals))
+
+    def error(self, x: Array, t: Any) -> Array:
+        """How far (..., g) states x (..., n) are from the goal at times t (...) in s."""
+        return wrapped(self.aim(x) - self.reference(t), self.goals)
+
+    def succeeds(self, states: Array) -> bool | None:
+        """Whether an episode that has not failed succeeds, its states (T+1, n); None: its cost decides."""
+        return None
 
     @abstractmethod
     def measure(self, x: Array) -> Array:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Cost, Quantity, Task
-from simbias.core.ranges import NonNegative, Positive
+from simbias.core import Cost, Task
+from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
+from simbias.cost.weights import Weights, weights_of
 
 LARGEST = 1e100  # of a peak: in a frame, a simulated state may grow until its square is no number any more
-Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
 
 
 class Quadratic(Cost):
@@ -36,8 +35,8 @@ class Quadratic(Cost):
         self.max_cost = max_cost
         self.horizon, self.time_step = task.horizon, task.time_step
         self._failure_weight = failure_weight
-        self._R = _diagonal("state_weights", state_weights, task.states)  # (n,)
-        self._Q = _diagonal("input_weights", input_weights, task.inputs)  # (m,)
+        self._R = weights_of("state_weights", state_weights, task.states)  # (n,)
+        self._Q = weights_of("input_weights", input_weights, task.inputs)  # (m,)
 
     def with_horizon(self, horizon: int) -> Quadratic:
         """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
@@ -55,17 +54,3 @@ class Quadratic(Cost):
     def of_totals(self, totals: Array, lost: Indices) -> Array:
         """Z (...) of peaks and efforts (..., 2), and the frames (...) lost by failure (Eq. 8)."""
         return self._failure_weight * lost + np.minimum(totals, LARGEST).sum(axis=-1)
-
-
-def _diagonal(name: str, weights: Weights, quantities: Sequence[Quantity]) -> Array:
-    """The weight of each quantity: by its place, or by its own name or else its kind."""
-    if not isinstance(weights, dict):
-        if len(weights) != len(quantities):
-            raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
-        return np.array(weights)
-    known = dict.fromkeys(name for quantity in quantities for name in quantity.names)
-    for key in weights:
-        if key not in known:
-            raise ValueError(f"{name}: nothing is called {key}; there is {', '.join(known)}")
-    own = [[weights[key] for key in quantity.names if key in weights] for quantity in quantities]
-    return np.array([values[0] if values else 0.0 for values in own])

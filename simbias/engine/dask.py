@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from simbias.core.errors import ConfigError
 from simbias.core.extras import library
 from simbias.core.ranges import Workers
-from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
+from simbias.engine.contract import MOST_LOSSES, Engine, R, Results, T, WorkerLostError
 from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ class Dask(Engine):
         Workers of the local cluster.
     """
 
+    shares_disk = False  # as far as anybody knows
+
     def __init__(self, address: str | None = None, n_jobs: Workers = 2) -> None:
         library("distributed", "Dask", "dask")
         self._address = address
@@ -44,7 +46,7 @@ class Dask(Engine):
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
-    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+    ) -> Results[R]:
         """Yield indices and results as tasks end; a cluster at an address is sent the `code`.
 
         Two tasks for each worker are with Dask at a time: one that runs, and one that waits to. Dask blames a
@@ -80,8 +82,9 @@ class Dask(Engine):
                     if not alone:
                         (waiting if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
                         continue
-                    result = WorkerLostError(f"its worker died {losses[index]} times")
-                yield index, result
+                    yield index, WorkerLostError(f"its worker died {losses[index]} times")
+                else:
+                    yield index, result
 
     @contextmanager
     def _client(self, code: Callable[[], bytes]) -> Iterator[Client]:

@@ -13,7 +13,8 @@ from simbias.core import Hardware, HardwareError, Policy, Task
 from simbias.core.files import ConfigFile
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import place_of
-from simbias.lab.table import read_table
+from simbias.lab.recording import Reader
+from simbias.lab.signals import checked_columns
 
 ENDS = "recording_ends"
 
@@ -22,9 +23,9 @@ ENDS = "recording_ends"
 class Recorded(Hardware):
     """Experiment i of a trial is recording i, again from the first one after the last.
 
-    A recording is a CSV file with a line of names, also compressed (.csv.gz). Between its lines, states and
-    inputs change linearly; they are read off in each frame of the task, up to its horizon. One that is
-    shorter counts as failed in its last frame.
+    A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
+    Between samples, states and inputs change linearly; they are read off in each frame of the task, up to its
+    horizon (`simbias.lab.recording`). One that is shorter counts as failed in its last frame.
 
     Parameters
     ----------
@@ -33,7 +34,8 @@ class Recorded(Hardware):
     files
         Their names, in order; by default every file of the folder, by name.
     columns
-        The name of the column of `time` (s), and of each state and input; by default its own.
+        The name of the column of `time` (s), and of each state and input, by default its own, with its unit
+        behind it if that is not the task's (`q1 [deg]`); of a ROS bag or an MCAP file `/topic.field[0]`.
     """
 
     sets_start = False
@@ -45,14 +47,11 @@ class Recorded(Hardware):
         files: list[str] | None = None,
         columns: Mapping[str, str] | None = None,
     ) -> None:
-        names = [quantity.name for quantity in (*task.states, *task.inputs)]
-        unknown = sorted(set(columns or {}) - {"time", *names})
-        if unknown:
-            raise ValueError(f"columns names what the task has not: {', '.join(unknown)}")
+        names = ["time", *(quantity.name for quantity in (*task.states, *task.inputs))]
         self._task = task
         self._folder = Path(folder)
         self._files = files
-        self._columns = [(columns or {}).get(name, name) for name in ("time", *names)]
+        self.reader = Reader(task, checked_columns(columns, names))
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """The next recording, numbered by the generator, which was spawned from the trial's."""
@@ -74,37 +73,18 @@ class Recorded(Hardware):
         return [self._folder / name for name in sorted(named) if (self._folder / name).is_file()]
 
     def rollout(self, file: str) -> Rollout:
-        """A recording in the task's frames, up to its horizon."""
-        whole, horizon = self.read(self._folder / file), self._task.horizon
-        if whole.frames < horizon:
-            return replace(whole, failed_at=whole.frames, failure=ENDS)
-        states = whole.states[: horizon + 1]
-        return replace(whole, states=states, inputs=whole.inputs[:horizon], measured=states)
-
-    def read(self, path: Path) -> Rollout:
-        """A whole recording in the task's frames.
+        """A recording in the task's frames, up to its horizon.
 
         Raises
         ------
         HardwareError
-            If the file cannot be read, or its times do not increase.
+            If the file cannot be read, or has a gap.
         """
-        columns = self._read(path)
-        time, n = columns[0], len(self._task.states)
-        if len(time) < 2 or not (np.diff(time) > 0).all():
-            raise HardwareError(f"{path}: its times do not increase")
-        frames = int((time[-1] - time[0]) / self._task.time_step + 1e-9)
-        at = time[0] + self._task.time_step * np.arange(frames + 1)
-        states, inputs = (
-            np.array([np.interp(at, time, column) for column in some]).T
-            for some in (columns[1 : n + 1], columns[n + 1 :])
-        )
-        return Rollout(states, inputs[:-1], measured=states, sensed=True)
-
-    def _read(self, path: Path) -> Array:
-        """The columns (1 + n + m, r) of time, states and inputs."""
-        table = read_table(path)
-        lacking = [name for name in self._columns if name not in table.names]
-        if lacking:
-            raise HardwareError(f"{path}: row 1: expected a column {', '.join(lacking)}, got none")
-        return table.numbers([table.names.index(name) for name in self._columns]).T
+        pieces, horizon = self.reader.read(self._folder / file).pieces, self._task.horizon
+        if len(pieces) > 1:
+            raise HardwareError(f"{self._folder / file}: its times have a gap or a reset")
+        (whole,) = pieces
+        if whole.frames < horizon:
+            return replace(whole, failed_at=whole.frames, failure=ENDS)
+        states = whole.states[: horizon + 1]
+        return replace(whole, states=states, inputs=whole.inputs[:horizon], measured=states)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from simbias.core.commands import python
 from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, reaching, redact
+from simbias.mlflow.store import connect, database, file_number, is_server, reaching
 from simbias.mlflow.writes import Files, Point, flush, size
 from simbias.sweep.tracking import Export
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Run
 
-SPARING = "MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false"  # a fifth of the memory, and sooner up
+URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # where none are named
 AWAY = "simbias: MLflow: %s. All is kept in %s; `python -m simbias export` shows it once the store is back"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
@@ -45,31 +46,57 @@ class Runs:
         self.uri, self._experiment, self._trials = uri, experiment, trials
         self._away = False
         self._client: MlflowClient | None = None
-        if not self._is_server:
+        if not is_server(self.uri):
             self._connect()
-
-    @property
-    def _is_server(self) -> bool:
-        """Whether the store is a server, which may be away for a while."""
-        return self.uri.startswith(("http://", "https://"))
 
     def _connect(self) -> MlflowClient:
         """Reach the store, or raise a ConfigError."""
         self._client, self.experiment_id = connect(self.uri, self._experiment)
+        self._file = database(self.uri)
+        self._number = file_number(self._file)
         return self._client
 
     @property
     def client(self) -> MlflowClient:
-        """MLflow's client of the store."""
-        return self._client or self._connect()
+        """MLflow's client of the store.
 
-    def address(self, run_id: str) -> str:
-        """How a person looks at a run: a command and a page, or the page of a server."""
-        page, uri = "/" + pages.run_page(self.experiment_id, run_id), redact(self.uri)
-        if self._is_server:
-            return uri.rstrip("/") + page
-        ui = f"{SPARING} {python()} -m mlflow ui --workers 1"
-        return f"{ui} --backend-store-uri {shlex.quote(uri)}  # http://127.0.0.1:5000{page}"
+        Raises
+        ------
+        ConfigError
+            If it cannot be used, or is not where it was any more, where MLflow would begin another one.
+        """
+        if self._client is None:
+            return self._connect()
+        if file_number(self._file) != self._number:
+            raise ConfigError(
+                "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved, or another put there"
+            )
+        return self._client
+
+    def address(self, identity: str, run_id: str) -> str:
+        """How a person looks at the run of a hash: a command, or the page of a server."""
+        uri = redact(self.uri, self.uri)
+        if is_server(self.uri):
+            return f"{uri.rstrip('/')}/{pages.run_page(self.experiment_id, run_id)}"
+        values = {"uri": (uri, URI), "experiment": (self._experiment, EXPERIMENT)}
+        changed = [f"tracking.{key}={value}" for key, (value, usual) in values.items() if value != usual]
+        return f"{python()} {shlex.join(['-m', 'simbias', 'ui', identity, *changed])}"
+
+    def page(self, identity: str | None) -> str:
+        """The page of the run of this hash, or of all runs, within the UI.
+
+        Raises
+        ------
+        ConfigError
+            If no run has the hash.
+        """
+        if identity is None:
+            return pages.list_page(self.experiment_id)
+        found = self._search(f"tags.hash = '{identity}'") if identity.isalnum() else iter(())
+        run = next(found, None)
+        if run is None:
+            raise ConfigError(identity, "no run of the store has this hash; `export` shows a folder's trials")
+        return pages.run_page(self.experiment_id, run.info.run_id)
 
     def reach(self, write: Callable[[], None], again: bool = False) -> None:
         """Write into the store; one that fails is reported once, and left alone until `again`."""
@@ -168,7 +195,8 @@ class RunExport(Export):
     @property
     def where(self) -> str:
         """How a person looks at the run, or at the folder where the store is away."""
-        return self.runs.address(self.run_id) if self.run_id else str(self.path)
+        identity = self.path.name.rpartition("_")[2]  # a sweep's name comes before its hash
+        return self.runs.address(identity, self.run_id) if self.run_id else str(self.path)
 
     def bring(
         self,

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
 from simbias.engine import workplace
 from simbias.trial.disk import locked
 
@@ -31,13 +32,9 @@ LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log, with a traceback
 OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
-SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password of an address
+ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
+MOVED = "was moved or copied: its files are in {}; delete it, and `python -m simbias export` makes it again"
 MAKING_SECONDS = 120.0  # that a process waits for another one that makes the same store
-
-
-def redact(text: str) -> str:
-    """Text without users and passwords of addresses in it."""
-    return SECRET.sub(r"\1://", text)
 
 
 def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
@@ -52,6 +49,11 @@ def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
         artifacts = _probe_database(uri)
         client = client_of(uri)
         return client, _experiment_id(client, experiment, artifacts)
+
+
+def file_number(file: Path | None) -> int:
+    """The file system's number of a SQLite store's file; 0 if it is gone, or there is none."""
+    return file.stat().st_ino if file is not None and file.exists() else 0
 
 
 @contextmanager
@@ -71,14 +73,21 @@ def reaching(uri: str) -> Iterator[None]:
     except Exception as error:
         words = cause(error)
         problem = OTHER_VERSION if "out-of-date database schema" in words else words
-        raise ConfigError("tracking.uri", f"{redact(uri)}: {problem}") from error
+        raise ConfigError("tracking.uri", redact(f"{uri}: {problem}", uri)) from error
+
+
+def is_server(uri: str) -> bool:
+    """Whether a store is a server, which may be away for a while."""
+    return uri.startswith(("http://", "https://"))
 
 
 def client_of(uri: str) -> MlflowClient:
-    """MLflow's client of a store."""
+    """MLflow's client of a store; a relative file of a SQLite store is that of today's working folder."""
     from mlflow import MlflowClient
 
-    return MlflowClient(tracking_uri=uri)
+    match, file = SQLITE.fullmatch(uri), database(uri)
+    absolute = uri if match is None else f"{uri[: match.start('file')]}{file}{uri[match.end('file') :]}"
+    return MlflowClient(tracking_uri=absolute)
 
 
 def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> str:
@@ -95,6 +104,9 @@ def _experiment_id(client: MlflowClient, name: str, artifacts: str | None) -> st
                 raise
     if known.lifecycle_stage != "active":
         raise ConfigError("tracking.experiment", f"{name} is deleted in the store; restore it")
+    location = known.artifact_location
+    if artifacts and location != artifacts and location.endswith(f"/{ARTIFACTS}"):
+        raise ConfigError("tracking.uri", MOVED.format(location))
     return known.experiment_id
 
 
@@ -107,7 +119,7 @@ def _probe_database(uri: str) -> str | None:
 
             sqlalchemy.create_engine(uri).connect().close()
         return None
-    artifacts = path.parent / "mlartifacts"
+    artifacts = path.parent / ARTIFACTS
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder {path.parent}")
     if artifacts.exists() and not artifacts.is_dir():
@@ -189,7 +201,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 
 def cause(error: BaseException) -> str:
-    """What an error comes from, in one line: the system's or SQLite's own words, if it comes from there."""
+    """The cause of an error in one line: the system's or SQLite's own words, if it comes from there."""
     chain: list[BaseException] = [error]
     while (deeper := chain[-1].__cause__ or chain[-1].__context__) is not None:
         chain.append(deeper)

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from simbias.core.errors import ConfigError
 from simbias.core.messages import counted
-from simbias.mlflow.runs import Runs, readable
+from simbias.mlflow.runs import EXPERIMENT, URI, Runs, readable
 from simbias.mlflow.store import database, reaching
 from simbias.mlflow.sweep import SweepRun
 from simbias.mlflow.trial import TrialExport
+from simbias.mlflow.ui import show
 from simbias.sweep.folder import SweepFolder, sweep_folders
 from simbias.sweep.tracking import Export, Tracking
 from simbias.trial.folder import TRIAL
@@ -34,8 +35,8 @@ class Mlflow(Tracking):
 
     def __init__(
         self,
-        uri: str = "sqlite:///mlflow.db",
-        experiment: str = "simbias",
+        uri: str = URI,
+        experiment: str = EXPERIMENT,
         pictures: bool = True,
         trials: str | None = None,
     ) -> None:
@@ -48,7 +49,7 @@ class Mlflow(Tracking):
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
-        """Of all trials."""
+        """The folder of all trials."""
         if self._trials:
             return Path(self._trials)
         file = database(self._uri)
@@ -66,6 +67,21 @@ class Mlflow(Tracking):
     def export_sweep(self, folder: SweepFolder) -> Export:
         """The sweep's run, and a nested run for each trial."""
         return SweepRun(self._runs, folder)
+
+    def show(self, identity: str | None, port: int | None) -> None:
+        """Open MLflow at the run of this hash, or at the list of all; a local server ends with Ctrl-C.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such store or run.
+        """
+        file = database(self._uri)
+        if file is not None and not file.exists():
+            raise ConfigError("tracking.uri", f"{self._uri}: no such store")
+        with reaching(self._uri):
+            page = self._runs.page(identity)
+        show(self._uri, page, port)
 
     def export_all(self) -> Iterator[str]:
         """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,27 +18,24 @@ from simbias.pictures.elements.style import LIMIT, SIMULATION, label, plain
 from simbias.trial.prediction import DRAWS, Prediction
 from simbias.trial.study import Study
 
-HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
+HEIGHT = 1.5  # in, of a panel
 
 
 def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
     task, expected = study.task, prediction.expected
-    columns = min(COLUMNS, len(task.states) + len(task.inputs))
-    rows = -(-(len(task.states) + len(task.inputs)) // columns)
-    figure, grid = panels(rows, columns, HEIGHT)
-    empty = list(grid.flat)
+    figure, (grid,) = panels(len(task.states) + len(task.inputs), HEIGHT)
+    empty = iter(grid)
     for quantities, values, band, limits in (
-        (task.states, expected.states, prediction.band(), bounds.states),
-        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.inputs),
+        (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states)),
+        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds),
     ):
         for index, quantity in enumerate(quantities):
             low, high = (edge[:, index] for edge in band)
-            _draw(empty.pop(0), quantity, task.time_step, values[:, index], low, high, limits[index])
-    for axes in empty:
-        axes.axis("off")
+            edges = [limit[index] for limit in limits]
+            _draw(next(empty), quantity, task.time_step, values[:, index], low, high, edges)
     fail = len(prediction.failures)
-    headline(grid[0, 0], "the next experiment, as predicted")
+    headline(grid[0], "the next experiment, as predicted")
     legend(
         figure,
         {
@@ -51,13 +50,19 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
 
 
 def _draw(
-    axes: Axes, quantity: Quantity, time_step: float, values: Array, low: Array, high: Array, limit: float
+    axes: Axes,
+    quantity: Quantity,
+    time_step: float,
+    values: Array,
+    low: Array,
+    high: Array,
+    limits: Sequence[float],
 ) -> None:
-    """A quantity over time."""
+    """A quantity over time, its band from low to high, and its limits."""
     axes.fill_between(time_step * np.arange(len(low)), low, high, color=SIMULATION, alpha=0.2, linewidth=0.0)
     axes.plot(time_step * np.arange(len(values)), values, color=SIMULATION, linewidth=1.0)
     bottom, top = axes.get_ylim()
-    for edge in (-limit, limit):
+    for edge in limits:
         if np.isfinite(edge) and bottom - (top - bottom) <= edge <= top + (top - bottom):
             axes.axhline(edge, color=LIMIT, linestyle=":", linewidth=0.8)
     axes.set(xlabel="time (s)", ylabel=label(quantity))

@@ -1,4 +1,4 @@
-"""Output feedback with memory: a filter, an integral, and the last inputs; and with a constant."""
+"""Output feedback with a state of its own: a filter, an integral and the last inputs; and with a constant."""
 
 from __future__ import annotations
 
@@ -90,14 +90,14 @@ class DynamicOutputFeedback(Policy):
             lower, upper = [*lower, *least.tolist()], [*upper, *most_input.tolist()]
         self.bounds = np.array(lower), np.array(upper)
         self.n_parameters = len(lower)
-        self.memory_size = 2 * q + self._delay * m
+        self.state_size = 2 * q + self._delay * m
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        """Inputs u (..., m) at states x (..., n), and the memory: y (q), rho w (q), last inputs (m d)."""
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n), and y (q), rho w (q), last inputs (m d)."""
         q, m, d = self._q, self._m, self._delay
         H, smoothing, gathering, g, u_0 = self._parameters(theta)
         z = self.outputs(x)
-        before, w, past = memory[..., :q], memory[..., q : 2 * q], memory[..., 2 * q :]
+        before, w, past = policy_state[..., :q], policy_state[..., q : 2 * q], policy_state[..., 2 * q :]
         y = before + smoothing * (z - before)
         past = past.reshape(*past.shape[:-1], m, d)
         asked = (H @ (y + w)[..., None])[..., 0] + g * past.sum(axis=-1) + u_0

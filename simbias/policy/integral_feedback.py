@@ -39,18 +39,18 @@ class IntegralFeedback(Policy):
                 raise ValueError(f"outputs: none is called {name}; there are {', '.join(names)}")
         self._task = task
         self._chosen = [names.index(name) for name in chosen]
-        self.memory_size = len(chosen)
+        self.state_size = len(chosen)
         self.n_parameters = len(task.inputs) * (len(names) + len(chosen))
         self.bounds = np.full(self.n_parameters, -bound), np.full(self.n_parameters, bound)
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the next integral w (..., i)."""
         z = self.outputs(x)
         gains = signed_exponential(theta).reshape(*theta.shape[:-1], len(self._task.inputs), -1)
-        asked = (gains @ np.concatenate([z, memory], axis=-1)[..., None])[..., 0]
+        asked = (gains @ np.concatenate([z, policy_state], axis=-1)[..., None])[..., 0]
         u = np.clip(asked, *self._task.input_bounds)
         free = np.where(np.abs(u - asked).sum(axis=-1, keepdims=True) > 0, 0.0, 1.0)
-        return u, memory + self._task.time_step * free * z[..., self._chosen]
+        return u, policy_state + self._task.time_step * free * z[..., self._chosen]
 
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""

@@ -26,10 +26,10 @@ class OutputFeedback(Policy):
         h = signed_exponential(theta)
         return h.reshape(*h.shape[:-1], len(self._task.inputs), len(self._task.outputs))
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n) (Eq. 9)."""
         u = (self.gains(theta) @ self.outputs(x)[..., None])[..., 0]
-        return np.clip(u, *self._task.input_bounds), memory
+        return np.clip(u, *self._task.input_bounds), policy_state
 
     def law(self, theta: Array) -> Law:
         """Eq. 9, its gains in the task's units: a row for each input, a column for each output."""

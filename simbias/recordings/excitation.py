@@ -13,7 +13,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior, Problem
 from simbias.learning.prediction_errors import ErrorDistribution
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 DRAWS = 4  # models, the most probable one the first, on which a trajectory keeps the limits and is judged
@@ -54,14 +54,15 @@ class Designer:
         posterior = study.identification
         assert isinstance(posterior, Posterior)
         self._study, self._posterior = study, posterior
-        rng, p = np.random.default_rng(SEED), len(model.parameters)
+        self.nominal = posterior.prior(study.nominal)
+        parameters = self.nominal.parameters
+        rng, p = np.random.default_rng(SEED), len(parameters)
         if isinstance(model, Identified):
             mode, spread, self._errors = model.mode, model.spread, model.errors
         else:
             mode, spread, self._errors = np.zeros(p), np.eye(p), None
         self._z = mode + np.vstack([np.zeros(p), rng.standard_normal((DRAWS - 1, p))]) @ spread.T
-        self.nominal = study.nominal
-        self._models = [self.nominal.with_parameters(values_at(model.parameters, each)) for each in self._z]
+        self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in self._z]
         self._precision = np.linalg.inv(spread @ spread.T)
         self.before = np.sqrt(np.diag(spread @ spread.T))  # (p,)
         self._bounds = study.conditions.safety.bounds(study.task)
@@ -107,7 +108,7 @@ class Designer:
         start = self._study.task.start_mean
         states = np.broadcast_to(start, (len(inputs) + 1, len(start)))
         windows = Windows.of([Rollout(states, inputs)], len(inputs), 1)
-        made = predict([World(model) for model in self._models], windows)[:, 0]
+        made = predict([PredictionModel(model) for model in self._models], windows)[:, 0]
         return [Rollout(np.vstack([start, each]), inputs) for each in made]
 
     def _allowed(self, rollout: Rollout) -> bool:
@@ -136,7 +137,9 @@ class Designer:
         rng = np.random.default_rng(SEED)
         noisy = rollout.states + self._noise * rng.standard_normal(rollout.states.shape)
         windows = self._posterior.windows([Rollout(noisy, rollout.inputs)])
-        return ErrorDistribution.of(predict([World(self._models[0])], windows)[0] - windows.means, windows)
+        return ErrorDistribution.of(
+            predict([PredictionModel(self._models[0])], windows)[0] - windows.means, windows
+        )
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:

@@ -20,7 +20,7 @@ from simbias.pictures.elements.style import (
 )
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.findings import Finding
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 COLUMNS = 4  # of parameters
 SECONDS = 1.0  # of each prediction that is drawn
@@ -32,11 +32,9 @@ CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not d
 def parameters(assessment: Assessment) -> Figure:
     """Of each parameter: prior and posterior from 5% to 95%, and what each part alone says."""
     found = assessment.findings
-    figure, grid = panels(-(-len(found) // COLUMNS), COLUMNS, 0.8)
-    for axes, finding in zip(grid.flat, found, strict=False):
+    figure, (grid,) = panels(len(found), 0.8, COLUMNS)
+    for axes, finding in zip(grid, found, strict=True):
         _parameter(axes, finding)
-    for axes in grid.flat[len(found) :]:
-        axes.set_axis_off()
     shown = {
         "prior, 5% to 95%": Line2D([], [], color=PRIOR, linewidth=3.0),
         "posterior": Line2D([], [], color=SIMULATION, linewidth=3.0),
@@ -66,7 +64,7 @@ def _parameter(axes: Axes, finding: Finding) -> None:
 def errors(assessment: Assessment) -> Figure:
     """Root mean square errors of each state, by how far ahead."""
     task, made = assessment.task, assessment.predictions
-    figure, grid = panels(1, len(task.states), 1.8)
+    figure, grid = panels(len(task.states), 1.8, len(task.states))
     seconds = [prediction.seconds for prediction in made]
     both = np.array([prediction.rmse() for prediction in made])  # (horizons, 2, n)
     for i, (axes, state) in enumerate(zip(grid[0], task.states, strict=True)):
@@ -93,10 +91,10 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
     rollout = Rollout(rollout.states[: frames + 1], rollout.inputs[:frames])
     windows = Windows.of([rollout], window, 1)
     models = [assessment.nominal, assessment.models[index]]
-    made = [predict([World(model)], windows)[0] for model in models]
-    figure, grid = panels(len(task.states), 1, 1.1)
+    made = [predict([PredictionModel(model)], windows)[0] for model in models]
+    figure, (grid,) = panels(len(task.states), 1.1, 1)
     t = task.time_step * np.arange(frames + 1)
-    for i, (axes, state) in enumerate(zip(grid[:, 0], task.states, strict=True)):
+    for i, (axes, state) in enumerate(zip(grid, task.states, strict=True)):
         measured = rollout.states[:, i]
         axes.plot(t, measured, color=HARDWARE, linewidth=1.0)
         for values, color in zip(made, (NOMINAL, SIMULATION), strict=True):
@@ -105,7 +103,7 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
                 axes.plot(t[start : start + window + 1], shown, color=color, linewidth=1.2)
         axes.set_ylabel(label(state), fontsize=SMALL)
         plain(axes)
-    grid[-1, 0].set_xlabel("time (s)")
+    grid[-1].set_xlabel("time (s)")
     entries = {"measured": HARDWARE, "nominal model": NOMINAL, "identified model": SIMULATION}
     legend(figure, {name: Line2D([], [], color=color) for name, color in entries.items()})
     return figure

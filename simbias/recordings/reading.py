@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from simbias.core import HardwareError
 from simbias.core.errors import ConfigError
 from simbias.core.messages import words
-from simbias.core.records import Rollout
+from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
+from simbias.lab.signals import BAGS
 from simbias.trial.study import Study
 
+ENDS = (".csv", ".csv.gz", *BAGS)
 
-def read(
-    study: Study, places: Sequence[Path | str], columns: Mapping[str, str] | None = None
-) -> dict[str, Rollout]:
-    """Recordings by name, of files and of all CSV files in folders.
+
+class Recordings(NamedTuple):
+    """What files hold."""
+
+    rollouts: dict[str, Rollout]  # by name: a file's, with a number behind it where gaps cut it
+    times: dict[str, Array]  # (k,) when each was measured, in s from its start
+    notes: tuple[str, ...]  # what was done to the data, by file
+
+
+def read(study: Study, places: Sequence[Path | str], columns: Mapping[str, str] | None = None) -> Recordings:
+    """Recordings of files, and of all files in folders.
 
     Without columns, those of the study's `hardware=recorded` are read, or else the task's own names.
 
@@ -32,10 +42,20 @@ def read(
         except ValueError as error:
             raise ConfigError("columns", words(error).removeprefix("columns ")) from error
     files = [file for place in places for file in _files(Path(place))]
-    try:
-        return {_name(file, files): hardware.read(file) for file in files}
-    except HardwareError as error:
-        raise ConfigError("", words(error)) from error
+    found = Recordings({}, {}, ())
+    for file in files:
+        try:
+            recording = hardware.reader.read(file)
+        except HardwareError as error:
+            raise ConfigError("", words(error)) from error
+        name = _name(file, files)
+        numbers = (
+            [""] if len(recording.pieces) == 1 else [f" ({i + 1})" for i in range(len(recording.pieces))]
+        )
+        for number, piece, times in zip(numbers, recording.pieces, recording.times, strict=True):
+            found.rollouts[name + number], found.times[name + number] = piece, times
+        found = found._replace(notes=(*found.notes, *(f"{name}: {note}" for note in recording.notes)))
+    return found
 
 
 def columns(text: str) -> dict[str, str]:
@@ -60,10 +80,15 @@ def columns(text: str) -> dict[str, str]:
 
 
 def _files(place: Path) -> list[Path]:
-    """A file, or those of a folder."""
-    found = sorted(place.glob("*.csv*")) if place.is_dir() else [place]
-    if not found or not all(file.is_file() for file in found):
-        raise ConfigError(str(place), "no such recording (.csv, .csv.gz)")
+    """A file, a ROS 2 bag, or the files of a folder."""
+    bag = (place / "metadata.yaml").is_file()
+    found = (
+        sorted(each for end in ENDS for each in place.glob(f"*{end}"))
+        if place.is_dir() and not bag
+        else [place]
+    )
+    if not found or not all(bag or file.is_file() for file in found):
+        raise ConfigError(str(place), f"no such recording ({', '.join(ENDS)}, or a ROS 2 bag)")
     return found
 
 

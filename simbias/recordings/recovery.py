@@ -11,7 +11,8 @@ from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import QUANTILE, Identified
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.learning.identification.posterior import Posterior
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 ROBOTS = 10
@@ -59,13 +60,15 @@ def recover(
     ConfigError
         If no robot lasts for a window.
     """
-    rng, parameters = np.random.default_rng(study.seed), study.nominal.parameters
+    assert isinstance(study.identification, Posterior)
+    nominal = study.identification.prior(study.nominal)
+    rng, parameters = np.random.default_rng(study.seed), nominal.parameters
     true, modes, deviations = [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
         z = rng.standard_normal(len(parameters))
-        robot = study.nominal.with_parameters(values_at(parameters, z))
-        made = [record(study, World(robot), take, noise, rng) for take in takes]
+        robot = nominal.with_parameters(values_at(parameters, z))
+        made = [record(study, PredictionModel(robot), take, noise, rng) for take in takes]
         fitted = study.identification.fit(study.nominal, [rollout for rollout in made if rollout.frames])
         if isinstance(fitted, Identified):
             true.append(z)
@@ -86,11 +89,13 @@ def recover(
     ]
 
 
-def record(study: Study, world: World, take: Take, noise: Array, rng: np.random.Generator) -> Rollout:
+def record(
+    study: Study, model: PredictionModel, take: Take, noise: Array, rng: np.random.Generator
+) -> Rollout:
     """What a robot does in a take until it fails, measured with noise (n,) at the take's times."""
     states = np.broadcast_to(take.start, (len(take.inputs) + 1, len(take.start)))
     windows = Windows.of([Rollout(states, take.inputs)], len(take.inputs), 1)
-    x = np.vstack([take.start, predict([world], windows)[0, 0]])
+    x = np.vstack([take.start, predict([model], windows)[0, 0]])
     failed = np.flatnonzero(study.task.violated(x) >= 0)
     frames = max(0, failed[0] - 1) if len(failed) else len(take.inputs)
     x = x[: frames + 1]

@@ -43,7 +43,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Drives:
-    """What the drives of both joints add."""
+    """Friction and inertia that the drives of both joints add."""
 
     damping_1: NonNegative = 0.0  # b, N m s/rad
     damping_2: NonNegative = 0.0
@@ -158,7 +158,7 @@ class DoublePendulum(Nominal):
 
 
 def _of_links(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
-    """What is not known of the links."""
+    """Parameters of the links that may be uncertain."""
     return [
         Parameter(f"{name}_{i}", unit, values[f"{name}_{i}"], getattr(uncertainty, spread), "log_normal")
         for name, (spread, unit) in _OF_LINKS.items()
@@ -167,7 +167,7 @@ def _of_links(values: dict[str, float], uncertainty: Uncertainty) -> list[Parame
 
 
 def _of_drives(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
-    """What is not known of the drives: at least what is declared."""
+    """Parameters of the drives that may be uncertain; each is at least what is declared."""
     return [
         Parameter(name, unit, values[name], getattr(uncertainty, spread), "half_normal")
         for name, (spread, unit) in _OF_DRIVES.items()
@@ -175,7 +175,7 @@ def _of_drives(values: dict[str, float], uncertainty: Uncertainty) -> list[Param
 
 
 def _lumped(values: dict[str, float], gravity: float) -> list[float]:
-    """What the equations of motion read."""
+    """Constants of the equations of motion, in the order in which the kernel takes them."""
     first = values["mass_1"] * values["centre_1"] + values["mass_2"] * values["length_1"]
     second = values["mass_2"] * values["centre_2"]
     return [

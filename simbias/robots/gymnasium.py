@@ -23,7 +23,7 @@ ExpressionList = Annotated[list[Expression], Field(min_length=1)]
 
 @dataclass(frozen=True)
 class Start:
-    """What sets an environment to a start: expressions of the task's states.
+    """Expressions of the task's states that set an environment to a start.
 
     MuJoCo's environments have positions and velocities, those of classic control a state.
     """
@@ -132,7 +132,7 @@ class Gymnasium(Hardware):
 
 
 class _Action:
-    """The action of an input."""
+    """Maps an input (m,) to an action of the environment."""
 
     def __init__(self, space: Any, task: Task, action: list[str] | None, environment: str) -> None:
         names = [each.name for each in task.inputs]
@@ -169,7 +169,7 @@ class _Action:
 
 
 class _Running(Robot):
-    """The environment under way."""
+    """An experiment under way in the environment."""
 
     def __init__(
         self, task: Task, environment: Any, states: Expressions, action: _Action, start: Array
@@ -196,7 +196,7 @@ class _Running(Robot):
 
 
 def _make(name: str, options: dict[str, Any]) -> Any:
-    """The environment."""
+    """Make the environment of this name."""
     gymnasium = library("gymnasium", "Gymnasium", "gymnasium")
     if ":" in name:  # whose first part would be imported
         raise ValueError(f"{quote(name)} names a module; only registered environments are made")
@@ -207,7 +207,7 @@ def _make(name: str, options: dict[str, Any]) -> Any:
 
 
 def _start(own: Any, task: Task, start: Start | None, name: str) -> Any:
-    """What sets the environment to a start (n,); None if nothing does."""
+    """A function that sets the environment to a start (n,); None if nothing is declared."""
     if start is None:
         return None
     names = [state.name for state in task.states]

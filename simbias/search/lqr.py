@@ -20,18 +20,18 @@ from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
-MEMORY_WEIGHT = 1e-9  # Q of what the model's memory holds
+MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
 STEADY = 0.03  # share of the limits of steady inputs that disturb records of a regulator with an integral
 NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
 STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
 RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
 EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
-SETTLED = 1000  # frames, after which a memory is that of a steady input
+SETTLED = 1000  # frames, after which the model state is that of a steady input
 
 
 class Linear(NamedTuple):
-    """A model around a rest: s' - s_0 = A (s - s_0) + B (u - u_0), s the states, then the memory."""
+    """A model around a rest: s' - s_0 = A (s - s_0) + B (u - u_0), s the states, then the model state."""
 
     A: Array  # (l, l)
     B: Array  # (l, m)
@@ -107,20 +107,20 @@ def rest(model: Model) -> tuple[Array, Array]:
 
 
 def linearised(model: Model) -> Linear:
-    """The corrected model with its memory, by central differences."""
+    """The corrected model with its state, by central differences."""
     x, u = rest(model)
-    n, size, limit = len(x), model.nominal.memory_size, model.task.input_limit
-    memory = model.nominal.memories(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
-    point = np.concatenate([x, memory, u])
+    n, size, limit = len(x), model.nominal.state_size, model.task.input_limit
+    model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
+    point = np.concatenate([x, model_state, u])
     steps = STEP * np.diag(np.concatenate([np.ones(n + size), limit]))
 
     def following(points: Array) -> Array:
-        states, memories, inputs = np.split(points, [n, n + size], axis=-1)
-        after, kept = model.nominal.advance(states, inputs, memories)
+        states, model_states, inputs = np.split(points, [n, n + size], axis=-1)
+        after, kept = model.nominal.advance(states, inputs, model_states)
         return np.concatenate([after + model.bias.correction(states, inputs), kept], axis=-1)
 
     slopes = (following(point + steps) - following(point - steps)) / (2 * np.diag(steps)[:, None])
-    Q = np.diag(np.concatenate([np.ones(n), np.full(size, MEMORY_WEIGHT)]))
+    Q = np.diag(np.concatenate([np.ones(n), np.full(size, MODEL_STATE_WEIGHT)]))
     return Linear(slopes[: n + size].T, slopes[n + size :].T, point[: n + size], u, n, Q)
 
 
@@ -152,7 +152,7 @@ def lqr_gains(linear: Linear, R: Array) -> Array | None:
 
 
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Of each K (m, l): states (k, T, n) and inputs (k, T, m) of the linear model that it regulates.
+    """Records of the linear model under each K (m, l): states (k, T, n) and inputs (k, T, m).
 
     The model begins at the task's starts, and random inputs excite it.
     """

@@ -61,7 +61,7 @@ class Actuators:
         weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
         self._parameters = np.column_stack([columns, keep, weights])  # (m, 5 + taps)
-        self.memory_size = len(actuators) * (1 + taps)
+        self.state_size = len(actuators) * (1 + taps)
         self.ideal = all(actuator == Actuator() for actuator in actuators)
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
 
@@ -87,7 +87,7 @@ class Actuators:
         rows = elementwise(both, u, memory, parameters=self.kernel.parameters)
         return rows[..., :m], rows[..., m:]
 
-    def memories(self, inputs: Array) -> Array:
+    def model_states(self, inputs: Array) -> Array:
         """Memory (k, s) in each frame of a record of inputs (k, m) from the start on."""
         from scipy.signal import lfilter  # half of what `import simbias` would take, and few need it
 
@@ -106,7 +106,7 @@ class Drive:
         self._ideal = actuators.ideal
         self._act, parameters = actuators.kernel
         self._parameters = tuple(parameters.tolist())
-        self._memory: tuple[float, ...] = (0.0,) * actuators.memory_size
+        self._memory: tuple[float, ...] = (0.0,) * actuators.state_size
 
     def __call__(self, u: Sequence[float]) -> tuple[float, ...]:
         """What acts in this frame."""

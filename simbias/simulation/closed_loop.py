@@ -27,18 +27,18 @@ def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost |
     )
 
 
-class Worlds(Protocol):
+class Scenarios(Protocol):
     """Simulators of one task that are run together."""
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+    def costs(self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices) -> tuple[Array, Indices]:
+        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
 
-    def rollouts(self, thetas: Array, starts: Array, worlds: Indices) -> Sequence[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+    def rollouts(self, thetas: Array, starts: Array, scenarios: Indices) -> Sequence[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
 
 
-def join(simulators: Sequence[Simulator]) -> Worlds:
-    """Simulators as one, for a policy search: in step, if they share enough.
+def join(simulators: Sequence[Simulator]) -> Scenarios:
+    """Simulators as one, for a policy search: in lockstep, if they share enough.
 
     Compiled ones have to share all but the nominal model's parameters and the noise.
     """
@@ -47,12 +47,12 @@ def join(simulators: Sequence[Simulator]) -> Worlds:
     if plain:
         _say_what_is_slow(plain[0].models[0])
     if len(compiled) == len(simulators):
-        return CompiledSimulator.join(compiled) or Apart(simulators)
+        return CompiledSimulator.join(compiled) or SimulatorSequence(simulators)
     if len(plain) == len(simulators):
         models = [model for simulator in plain for model in simulator.models]
         disturbances = [d for simulator in plain for d in simulator.disturbances]
         return PlainSimulator(models, disturbances, plain[0].correct)
-    return Apart(simulators)
+    return SimulatorSequence(simulators)
 
 
 def _say_what_is_slow(model: Model) -> None:
@@ -66,23 +66,23 @@ def _say_what_is_slow(model: Model) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Apart:
+class SimulatorSequence:
     """Simulators that have to be run one after the other."""
 
     simulators: Sequence[Simulator]
 
-    def costs(self, cost: Cost, thetas: Array, starts: Array, worlds: Indices) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+    def costs(self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices) -> tuple[Array, Indices]:
+        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
         costs, frames = np.empty(len(thetas)), np.empty(len(thetas), np.int64)
-        for world, simulator in enumerate(self.simulators):
-            own = worlds == world
+        for index, simulator in enumerate(self.simulators):
+            own = scenarios == index
             costs[own], frames[own] = simulator.costs(cost, thetas[own], starts[own])
         return costs, frames
 
-    def rollouts(self, thetas: Array, starts: Array, worlds: Indices) -> list[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
+    def rollouts(self, thetas: Array, starts: Array, scenarios: Indices) -> list[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
         made: dict[int, Rollout] = {}
-        for world, simulator in enumerate(self.simulators):
-            own = np.flatnonzero(worlds == world)
+        for index, simulator in enumerate(self.simulators):
+            own = np.flatnonzero(scenarios == index)
             made |= zip(own.tolist(), simulator.rollouts(thetas[own], starts[own]), strict=True)
         return [made[index] for index in range(len(thetas))]

@@ -47,7 +47,7 @@ class CompiledSimulator:
         parts = parts_of(model)
         if any(part.kernel is None for part in parts):
             return None
-        task, sizes = model.task, (model.policy.memory_size, model.nominal.memory_size)
+        task, sizes = model.task, (model.policy.state_size, model.nominal.state_size)
         measure, policy, nominal, bias = (part.kernel for part in parts)
         rows = 0 if disturbance is None else task.horizon + 1
         noise = np.zeros((1, rows, len(task.inputs) + len(task.states)))

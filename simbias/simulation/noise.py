@@ -1,4 +1,4 @@
-"""Noise on inputs and sensors, on hardware and in simulation (Section VI-A)."""
+"""Noise and pushes, on hardware and in simulation (Section VI-A)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
-from simbias.core import Quantity, Task
+from simbias.core import Push, Quantity, Task
 from simbias.core.ranges import Variance
 from simbias.core.records import Array, Disturbance
 
@@ -28,6 +28,8 @@ QUIET: dict[str, float] = {}
 class Noise:
     """Zero-mean Gaussian noise on a task's inputs and on what its policy sees of the states (Table II).
 
+    The task's pushes are added to the noise on the inputs.
+
     Parameters
     ----------
     variances
@@ -46,14 +48,15 @@ class Noise:
                 raise ValueError(
                     f"no noise is called {key}; there is {', '.join(n + SUFFIX for n in sorted(known))}"
                 )
-        self._horizon = task.horizon
+        self._horizon, self._pushes = task.horizon, task.pushes
+        self._times = task.time_step * np.arange(task.horizon)[:, None]  # (T, 1)
         self.input_variance = _variances(task.inputs, variances)  # (m,)
         self.sensor_variance = _variances(task.states, variances)  # (n,)
 
     @property
     def is_silent(self) -> bool:
-        """Whether there is none."""
-        return not (self.input_variance.any() or self.sensor_variance.any())
+        """Whether there is none, and nothing pushes."""
+        return not (self._pushes or self.input_variance.any() or self.sensor_variance.any())
 
     def draw(self, rng: np.random.Generator) -> Disturbance:
         """Noise for a whole rollout.
@@ -63,7 +66,17 @@ class Noise:
         """
         inputs = rng.standard_normal((self._horizon, len(self.input_variance)))
         sensors = rng.standard_normal((self._horizon + 1, len(self.sensor_variance)))
-        return Disturbance(np.sqrt(self.input_variance) * inputs, np.sqrt(self.sensor_variance) * sensors)
+        inputs *= np.sqrt(self.input_variance)
+        for push in self._pushes:
+            inputs[:, push.input] += self._pulses(push, rng)
+        return Disturbance(inputs, np.sqrt(self.sensor_variance) * sensors)
+
+    def _pulses(self, push: Push, rng: np.random.Generator) -> Array:
+        """The pulses (T,) of an episode."""
+        middle = rng.uniform(0.0, self._times[-1, 0], push.count)
+        height = rng.uniform(*push.amplitude, push.count) * rng.choice([-1.0, 1.0], push.count)
+        width = rng.uniform(*push.seconds, push.count)
+        return (height * np.exp(-0.5 * ((self._times - middle) / width) ** 2)).sum(axis=1)
 
 
 def _variances(quantities: Sequence[Quantity], variances: Variances) -> Array:

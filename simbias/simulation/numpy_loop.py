@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Cost, FittedBias, Model, Nominal, failure_name
+from simbias.core import Cost, FittedBias, Model, failure_name
 from simbias.core.records import Array, Disturbance, Indices, Rollout
 
 MOST = 256  # rollouts side by side: their records take memory
@@ -21,43 +21,43 @@ def _in_numpy(bias: FittedBias, x: Array, u: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PlainSimulator:
-    """The closed loop in NumPy, in one world or in several, which share task and policy.
+    """The closed loop in NumPy, in one scenario or in several, which share task and policy.
 
     All rollouts of a call are stepped together; those that have ended drop out.
     """
 
-    models: Sequence[Model]
+    models: Sequence[Model]  # of each scenario
     disturbances: Sequence[Disturbance | None]
     correct: Callable[[FittedBias, Array, Array], Array] = _in_numpy  # what a bias adds to each row
 
     def rollout(self, theta: Array, start: Array) -> Rollout:
-        """Run theta (p,) from start (n,) to failure or horizon, in the first world."""
+        """Run theta (p,) from start (n,) to failure or horizon, in the first scenario."""
         return self.rollouts(theta[None], start[None])[0]
 
-    def rollouts(self, thetas: Array, starts: Array, worlds: Indices | None = None) -> list[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n) in its world of (k,)."""
-        worlds = np.zeros(len(thetas), np.int64) if worlds is None else worlds
+    def rollouts(self, thetas: Array, starts: Array, scenarios: Indices | None = None) -> list[Rollout]:
+        """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
+        scenarios = np.zeros(len(thetas), np.int64) if scenarios is None else scenarios
         rollouts = []
         for first in range(0, len(thetas), MOST):
             some = slice(first, first + MOST)
-            rollouts += self._together(thetas[some], starts[some], worlds[some])
+            rollouts += self._together(thetas[some], starts[some], scenarios[some])
         return rollouts
 
     def costs(
-        self, cost: Cost, thetas: Array, starts: Array, worlds: Indices | None = None
+        self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices | None = None
     ) -> tuple[Array, Indices]:
         """Costs (k,) of these rollouts, and their frames (k,)."""
-        return costs_of(cost, self.rollouts(thetas, starts, worlds))
+        return costs_of(cost, self.rollouts(thetas, starts, scenarios))
 
-    def _together(self, thetas: Array, starts: Array, worlds: Indices) -> list[Rollout]:
-        """All of them, frame by frame."""
+    def _together(self, thetas: Array, starts: Array, scenarios: Indices) -> list[Rollout]:
+        """Rollouts in lockstep, frame by frame."""
         task, policy, k = self.models[0].task, self.models[0].policy, len(thetas)
         states = np.empty((k, task.horizon + 1, len(task.states)))
         inputs = np.empty((k, task.horizon, len(task.inputs)))
         frames, violated = np.full(k, task.horizon), np.full(k, -1)
         states[:, 0] = starts
-        going, memory = np.arange(k), np.zeros((k, policy.memory_size))
-        hidden = np.zeros((k, self.models[0].nominal.memory_size))
+        going, policy_state = np.arange(k), np.zeros((k, policy.state_size))
+        model_state = np.zeros((k, self.models[0].nominal.state_size))
         for t in range(task.horizon + 1):
             failing = task.violated(states[going, t])
             stay = failing < 0
@@ -66,61 +66,43 @@ class PlainSimulator:
             if t == task.horizon or not stay.any():
                 break
             if len(ended):
-                going, memory, hidden = going[stay], memory[stay], hidden[stay]
-            x, own = states[going, t], worlds[going]
-            seen, unknown = self._noise(x, own, t)
-            inputs[going, t], memory = policy.act(thetas[going], seen, t * task.time_step, memory)
-            u = inputs[going, t] + unknown
-            f, hidden = self._advance(x, u, hidden, own)
-            g = self._by_world(self.correct, [model.bias for model in self.models], x, u, own)
-            states[going, t + 1] = f + g
-        return [self._record(*each) for each in zip(states, inputs, frames, violated, strict=True)]
+                going, policy_state, model_state = going[stay], policy_state[stay], model_state[stay]
+            x, own = states[going, t], scenarios[going]
+            seen, force = self._noise(x, own, t)
+            time = t * task.time_step
+            inputs[going, t], policy_state = policy.act(thetas[going], seen, time, policy_state)
+            states[going, t + 1], model_state = self._step(x, inputs[going, t] + force, model_state, own)
+        ends = zip(frames.tolist(), violated.tolist(), strict=True)
+        return [record(task.criteria, x, u, *end) for x, u, end in zip(states, inputs, ends, strict=True)]
 
-    def _noise(self, x: Array, worlds: Indices, t: int) -> tuple[Array, Array | float]:
+    def _noise(self, x: Array, scenarios: Indices, t: int) -> tuple[Array, Array | float]:
         """What the policies see of x (k, n), and what acts besides their inputs: (k, m), or nothing."""
         noise = [disturbance for disturbance in self.disturbances if disturbance is not None]
         if not noise:
             return x, 0.0
-        return x + np.array([d.sensors[t] for d in noise])[worlds], np.array([d.inputs[t] for d in noise])[
-            worlds
-        ]
+        sensors, inputs = np.array([d.sensors[t] for d in noise]), np.array([d.inputs[t] for d in noise])
+        return x + sensors[scenarios], inputs[scenarios]
 
-    def _advance(self, x: Array, u: Array, hidden: Array, worlds: Indices) -> tuple[Array, Array]:
-        """What each world's nominal model makes of its rows, and what it then keeps (k, s)."""
-        models = [model.nominal for model in self.models]
-        if not hidden.shape[1]:
-            return self._by_world(_step, models, x, u, worlds), hidden
-        f, kept = np.empty_like(x), np.empty_like(hidden)
-        for world in np.unique(worlds):
-            rows = worlds == world
-            f[rows], kept[rows] = models[world].advance(x[rows], u[rows], hidden[rows])
-        return f, kept
-
-    def _by_world(
-        self,
-        function: Callable[[Any, Array, Array], Array],
-        parts: Sequence,
-        x: Array,
-        u: Array,
-        worlds: Indices,
-    ) -> Array:
-        """What a function (k, n) of each world's part gives for its rows of x (k, n) and u (k, m)."""
-        if all(part is parts[0] for part in parts):
-            return function(parts[0], x, u)
-        values = np.empty_like(x)
-        for world in np.unique(worlds):
-            rows = worlds == world
-            values[rows] = function(parts[world], x[rows], u[rows])
-        return values
-
-    def _record(self, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
-        """The record of a rollout."""
-        return record(self.models[0].task.criteria, states, inputs, int(frames), int(violated))
+    def _step(self, x: Array, u: Array, model_state: Array, scenarios: Indices) -> tuple[Array, Array]:
+        """The next states (k, n) and model states (k, s) by each scenario's model and bias (Eq. 7)."""
+        x_next, kept, g = np.empty_like(x), np.empty_like(model_state), np.empty_like(x)
+        for nominal, rows in _rows_of([model.nominal for model in self.models], scenarios):
+            if nominal.state_size:
+                x_next[rows], kept[rows] = nominal.advance(x[rows], u[rows], model_state[rows])
+            else:
+                x_next[rows] = nominal.step(x[rows], u[rows])
+        for bias, rows in _rows_of([model.bias for model in self.models], scenarios):
+            g[rows] = self.correct(bias, x[rows], u[rows])
+        return x_next + g, kept
 
 
-def _step(model: Nominal, x: Array, u: Array) -> Array:
-    """x_next (k, n) of x (k, n) under u (k, m)."""
-    return model.step(x, u)
+def _rows_of(parts: Sequence, scenarios: Indices) -> Iterator[tuple[Any, Any]]:
+    """Parts of models, each once, and the rows that are simulated with it."""
+    if all(part is parts[0] for part in parts):
+        yield parts[0], slice(None)
+    else:
+        for index in np.unique(scenarios):
+            yield parts[index], scenarios == index
 
 
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:

@@ -1,7 +1,7 @@
-"""Predictions of recorded experiments under their recorded inputs, many models in step.
+"""Predictions of recorded experiments under their recorded inputs, many models in lockstep.
 
 Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one;
-what the state does not show, the memory of the nominal model, runs on. What comes out are means over chunks
+what the state does not show, the model state, runs on. What comes out are means over chunks
 of successive frames: they hold what single noisy frames say, in fewer numbers.
 """
 
@@ -31,7 +31,7 @@ class Windows:
     """Recorded experiments, cut into w windows of `window` frames, and these into J chunks of `chunk` frames.
 
     Windows are counted from the end, where those who fall are the fastest. What is left over at the beginning
-    is no window: it only fills the memory of models that have one.
+    is no window: it only fills the state of models that have one.
     """
 
     states: Array  # (F, n), of all experiments
@@ -90,7 +90,7 @@ class Windows:
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class PredictionModel:
     """A model that experiments are predicted with."""
 
     nominal: Nominal
@@ -98,7 +98,7 @@ class World:
     offset: Array | None = None  # (n,) added to the state at the beginning of each window
 
 
-def predict(models: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
+def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias | None = None) -> Array:
     """Means (k, w, J, n) over each chunk as each of k models predicts it; they share the bias."""
     if not len(windows):
         return np.zeros((len(models), *windows.means.shape))
@@ -114,7 +114,7 @@ def predict(models: Sequence[World], windows: Windows, bias: FittedBias | None =
         correct,
         np.array([model.weight for model in models]),
         np.array(offsets),
-        models[0].nominal.memory_size,
+        models[0].nominal.state_size,
     )
 
 
@@ -149,28 +149,28 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
     return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)), 0)[0, :, 0]
 
 
-def plain(worlds: Sequence[World], windows: Windows, bias: FittedBias | None = None) -> Array:
+def plain(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias | None = None) -> Array:
     """The same in NumPy: for any components; the compiled loop's reference."""
-    return np.array([_plain(world, windows, bias) for world in worlds])
+    return np.array([_plain(model, windows, bias) for model in models])
 
 
-def _plain(world: World, windows: Windows, bias: FittedBias | None) -> Array:
-    """Of one world, all windows side by side."""
-    nominal, starts = world.nominal, windows.starts
-    x = windows.states[starts] + (0.0 if world.offset is None else world.offset)
-    memory, made = memories(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
+def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) -> Array:
+    """Of one model, all windows side by side."""
+    nominal, starts = model.nominal, windows.starts
+    x = windows.states[starts] + (0.0 if model.offset is None else model.offset)
+    model_state, made = model_states(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
     for t in range(windows.window):
         u = windows.inputs[starts + t]
-        x_next, memory = nominal.advance(x, u, memory)
-        made[:, t] = x = x_next if bias is None else x_next + world.weight * bias.correction(x, u)
+        x_next, model_state = nominal.advance(x, u, model_state)
+        made[:, t] = x = x_next if bias is None else x_next + model.weight * bias.correction(x, u)
     return windows._chunked(made)
 
 
-def memories(nominal: Nominal, windows: Windows) -> Array:
-    """The memory (w, s) of the model at the beginning of each window: what the inputs before leave in it."""
-    kept = np.zeros((len(windows.states), nominal.memory_size))
-    if nominal.memory_size:
+def model_states(nominal: Nominal, windows: Windows) -> Array:
+    """The model state (w, s) at the beginning of each window: what the inputs before leave in it."""
+    kept = np.zeros((len(windows.states), nominal.state_size))
+    if nominal.state_size:
         for first, lead, frames in zip(windows.firsts, windows.leads, windows.frames, strict=True):
             rows = slice(first - lead, first + frames)
-            kept[rows] = nominal.memories(windows.states[rows], windows.inputs[rows])
+            kept[rows] = nominal.model_states(windows.states[rows], windows.inputs[rows])
     return kept[windows.starts]

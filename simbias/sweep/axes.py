@@ -9,7 +9,6 @@ from typing import Any, NotRequired, Required
 
 from simbias.config import ConfigError
 from simbias.config.components import validate
-from simbias.core.messages import quote
 
 RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
     [
@@ -85,24 +84,9 @@ def _checked(axis: Axis) -> Axis:
         raise ConfigError(where, "has no values")
     if not all(text.isprintable() for text in (axis.name, *axis.labels)):
         raise ConfigError(where, "has a name or label with letters that cannot be printed")
-    for text in (axis.name, *axis.labels):
-        _check_drawable(text, where)
     if len(set(axis.labels)) != len(axis.labels):
         raise ConfigError(where, f"has the same value or label twice: {', '.join(axis.labels)}")
     return axis
-
-
-def _check_drawable(text: str, where: str) -> None:
-    """Refuse mathematics that Matplotlib cannot set: no figure of the sweep could be drawn."""
-    if text.count("$") < 2:
-        return
-    from matplotlib.mathtext import MathTextParser  # lazily: it takes long
-
-    try:
-        MathTextParser("path").parse(text)
-    except ValueError as error:
-        problem = f"between dollars Matplotlib expects mathematics, got {quote(text)}; `labels` gives others"
-        raise ConfigError(where, problem) from error
 
 
 def _tuple(value: Any, length: int, where: str) -> tuple[Any, ...]:

@@ -82,5 +82,5 @@ def run_batch(batch: Batch) -> Outcomes:
         costs=tuple(float(rollout.cost) for rollout in rollouts),
         frames=tuple(rollout.frames for rollout in rollouts),
         failures=tuple(rollout.failure or "" for rollout in rollouts),
-        successes=tuple(map(study.cost.passes, rollouts)),
+        successes=tuple(map(study.passes, rollouts)),
     )

@@ -5,11 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pandas import DataFrame
-
-from simbias.config import Composition
 
 if TYPE_CHECKING:
     from simbias.sweep.batches import Batch, Outcomes
@@ -17,20 +15,7 @@ if TYPE_CHECKING:
     from simbias.sweep.picture import Picture
     from simbias.trial.run import TrialRecord
 
-
 Row = Mapping[Any, Any]  # of a table of trials
-
-
-class LabelledCell(Protocol):
-    """A cell of a sweep's grid, as far as a figure needs it."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """One for each axis."""
-
-    @property
-    def composition(self) -> Composition:
-        """The config of its trials, but for their seed."""
 
 
 class FigureError(RuntimeError):
@@ -39,7 +24,7 @@ class FigureError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class SweptTrials:
-    """What a sweep found: a table of its trials, and each trial in full."""
+    """The trials of a sweep, as a table and each in full."""
 
     sweep: Sweep
     table: DataFrame  # as `simbias.sweep.results` describes it

@@ -63,13 +63,13 @@ class SweepFolder:
 
     def publish(self, files: Iterable[Path]) -> None:
         """Keep a figure's files; they replace those of the same names."""
-        (self.path / FIGURES).mkdir(parents=True, exist_ok=True)
+        (self.path / FIGURES).mkdir(exist_ok=True)
         for file in files:
             shutil.copy(file, self.path / FIGURES)
 
     def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
         """Keep the outcomes of a batch of experiments, by its hash."""
-        (self.path / EXPERIMENTS).mkdir(parents=True, exist_ok=True)
+        (self.path / EXPERIMENTS).mkdir(exist_ok=True)
         text = outcomes.as_json()
         write_whole(self.path / EXPERIMENTS / f"{batch}.json", lambda file: file.write(text.encode()))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,11 +16,11 @@ from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
 from simbias.sweep.figure import FigureError
-from simbias.sweep.interruption import Interruption, stopping_workers
+from simbias.sweep.interruption import Interruption
 
 if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep
-    from simbias.sweep.running import SweepState
+    from simbias.sweep.state import SweepState
 
 
 class FigureObserver:
@@ -84,21 +84,21 @@ def _outcomes(
 ) -> list[Outcomes]:
     """The outcomes of all batches; those that are kept are not run again."""
     batch_of = {batch.hash: batch for batch in batches}
-    outcomes = state.outcomes(list(batch_of))
+    outcomes = state.folder.outcomes(list(batch_of))
     missing = [identity for identity in batch_of if identity not in outcomes]
     if missing:
         tasks = [batch_of[identity] for identity in missing]
         code = partial(packed, [task.composition for task in tasks])
         with (
             observer.working(f"{name}: batches of experiments", len(batch_of), len(outcomes)) as advance,
-            stopping_workers(engine.run(run_batch, tasks, code)) as results,
+            closing(engine.run(run_batch, tasks, code)) as results,
         ):
             for index, result in results:
                 if isinstance(result, WorkerLostError) or result.error:
                     raise FigureError(str(getattr(result, "error", result)))
                 with interruption.defer():
                     outcomes[missing[index]] = result
-                    state.keep_outcomes(missing[index], result)
+                    state.folder.keep_outcomes(missing[index], result)
                     advance()
     return [outcomes[batch.hash] for batch in batches]
 

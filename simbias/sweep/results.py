@@ -29,21 +29,27 @@ DIGITS = 4  # of times in published results
 COUNTS = ("experiments", "iterations")
 SHOWN = (Outcome.SUCCEEDED, Outcome.NOT_SUCCEEDED, Outcome.ERROR)  # outcomes of trials in tables
 EPISODES = ("test_episodes", "lasting_episodes")
-LATER = ("hardware_seconds", *EPISODES, "long_success_rate", "long_seconds")  # that some results lack
+# Columns that some published results lack, and what stands there then.
+LATER: Mapping[str, Any] = {
+    "hardware_seconds": nan,
+    **dict.fromkeys(EPISODES, ""),
+    "long_success_rate": nan,
+    "long_seconds": nan,
+}
 COLUMNS = ("hash", "repetition", "seed", "outcome", *COUNTS, "seconds", *LATER, "raised")
 
 
 def of_folders(
-    sweep: Sweep, trials: Path, damaged: Callable[[ConfigError], object] = lambda error: None
+    sweep: Sweep, trials: Path | None, damaged: Callable[[ConfigError], object] = lambda error: None
 ) -> pd.DataFrame:
-    """The trials that ended or raised, in the sweep's order.
+    """The trials that ended or raised, in the sweep's order; none where there is no folder.
 
     A folder that cannot be read counts as none; `damaged` is called with the error that names it.
     """
     rows = {}
     for trial in sweep.trials:
         try:
-            summary = TrialFolder(trials / trial.hash).summary()
+            summary = TrialFolder(trials / trial.hash).summary() if trials else None
         except ConfigError as error:
             damaged(error)
             continue
@@ -99,8 +105,7 @@ def published(sweep: Sweep) -> pd.DataFrame:
     types = {**dict.fromkeys((*names, *EPISODES), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}
     trials = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=blanks)
-    for name in set(LATER) - set(trials):
-        trials[name] = "" if name in EPISODES else nan
+    trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})
     lacking = {*names, *COLUMNS} - set(trials)
     if lacking:
         raise ConfigError(path.name, f"lacks {', '.join(sorted(lacking))}")

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import logging
-import time
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cached_property, partial
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import Any
-from uuid import uuid4
 
 from pandas import DataFrame
 
@@ -18,29 +13,18 @@ from simbias.config import ConfigError, Variations
 from simbias.config.build import build
 from simbias.config.sent_code import packed
 from simbias.engine.contract import Engine, WorkerLostError
-from simbias.sweep import results, tables
-from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial, expanded
-from simbias.sweep.interruption import Interruption, stopping_workers
+from simbias.sweep.interruption import Interruption
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.services import engine, tracking
-from simbias.sweep.tracking import Export, Tracking
-from simbias.sweep.worker import Plan, Result, lost, pack, run_plan, unpack
+from simbias.sweep.state import SweepState, finished
+from simbias.sweep.tracking import Tracking
+from simbias.sweep.worker import Result, lost, run_plan
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, locked
-from simbias.trial.folder import PICTURES, TrialFolder
-from simbias.trial.origin import changed_code, provenance
-from simbias.trial.run import TrialRecord, read_trial
+from simbias.trial.folder import TrialFolder
+from simbias.trial.origin import changed_code
 from simbias.trial.study import Study
-from simbias.trial.summary import Outcome, TrialSummary
-
-DAMAGED = "simbias: %s; the trial is run again"
-MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
-DONE = "**Done**"  # first words on a sweep without an error
-MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
-STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
-STATE_SHARE = 0.02  # unless it would take more than this of the time
-IN_SWEEPS = ("overview",)  # pictures of a cell's first trial; the others take long
 
 
 class SweepObserver(FigureObserver):
@@ -100,33 +84,11 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, Data
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
-    finished = _finished(sweep, store)
-    if len(finished) < len(sweep.trials):
+    ended = finished(sweep, store)
+    if len(ended) < len(sweep.trials):
         for study in studies.values():  # compiled here once, workers find it in the cache
             rehearse(study)
-    return sweep, next(iter(studies.values())), finished
-
-
-def _finished(sweep: Sweep, store: Tracking) -> DataFrame:
-    """The trials of a sweep that have ended."""
-    return (
-        _done(results.of_folders(sweep, store.folder), store) if store.folder else results.in_order({}, sweep)
-    )
-
-
-def _done(trials: DataFrame, store: Tracking) -> DataFrame:
-    """Those trials that have ended, and have their pictures; a kill may have come between."""
-    ended = trials[trials["outcome"] != Outcome.ERROR]
-    drawn = [
-        not _pictures(repetition, store) or Path(store.folder or "", identity, PICTURES).is_dir()
-        for identity, repetition in zip(ended["hash"], ended["repetition"], strict=True)
-    ]
-    return ended.loc[drawn]
-
-
-def _pictures(repetition: int, store: Tracking) -> tuple[str, ...]:
-    """Pictures of a trial: a cell's first trial has some, which stand for all."""
-    return IN_SWEEPS if store.pictures and not repetition else ()
+    return sweep, next(iter(studies.values())), ended
 
 
 def run_sweep(
@@ -151,7 +113,7 @@ def run_sweep(
     """
     observer = observer or SweepObserver()
     folder = store.sweep_folder(sweep.name, sweep.hash)
-    with _alone(folder.path if folder else None):
+    with locked(folder.path / LOCK, 0.0, ConfigError("sweep", "another process is running this sweep")):
         state = SweepState(sweep, store, again)
         try:
             with Interruption() as interruption:
@@ -172,205 +134,15 @@ def run_sweep(
         return state.results(), state.export.where
 
 
-@contextmanager
-def _alone(folder: Path | None) -> Iterator[None]:
-    """Run a sweep in no other process at the same time."""
-    if folder is None:
-        yield
-        return
-    with locked(folder / LOCK, 0.0, ConfigError("sweep", "another process is running this sweep")):
-        yield
-
-
-class SweepState:
-    """A sweep that runs: its trials so far, in its folder and exported from there."""
-
-    def __init__(self, sweep: Sweep, store: Tracking, again: str) -> None:
-        self._sweep, self._store, self._again = sweep, store, again
-        self.folder = store.sweep_folder(sweep.name, sweep.hash)
-        done = results.of_folders(sweep, store.folder, _warn) if store.folder else results.in_order({}, sweep)
-        self.finished = _done(done, store)
-        self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
-        ended = self.finished["hash"] if store.folder else ()
-        ran_on = (tuple(TrialFolder(store.folder / name).platforms()) for name in ended)
-        self._platforms = Counter(filter(None, ran_on))  # trials of each
-        self._captions: dict[str, str] = {}  # of figures
-        self._due = 0.0
-        self._outcomes: dict[str, Any] = {}  # of batches of experiments, where nothing is kept
-        self._marker = ""
-        if self.folder is not None:
-            self.folder.begin(_description(sweep, again))
-            for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
-                left.unlink()
-            self._marker = str((self.folder.path / f"{MARKER}{uuid4().hex}").absolute())
-            Path(self._marker).touch()
-
-    @cached_property
-    def export(self) -> Export:
-        """Shows the sweep elsewhere."""
-        return self._store.export_sweep(self.folder) if self.folder else Export()
-
-    def begin(self) -> None:
-        """Note that trials or figures are about to be made; a finished sweep stays so."""
-        if self.folder is not None and (self.missing or self.folder.state().get("verdict") != DONE):
-            self._write("**Running**")
-
-    @property
-    def missing(self) -> list[Trial]:
-        """The trials that have not ended."""
-        ended = set(self.finished["hash"])
-        return [trial for trial in self._sweep.trials if trial.hash not in ended]
-
-    def plan(self, trial: Trial) -> Plan:
-        """What a worker needs of a trial."""
-        folder, composition = self._store.trial_folder(trial.hash), trial.composition
-        if folder is None:
-            return Plan(composition)
-        return Plan(
-            composition,
-            str(folder.absolute()),
-            self._marker,
-            pack(folder) if TrialFolder(folder).steps() else b"",
-            _pictures(trial.repetition, self._store),
-        )
-
-    def keep(self, trial: Trial, result: Result) -> None:
-        """Note a trial that ended or stopped, and export it."""
-        folder, summary = self._store.trial_folder(trial.hash), result.summary
-        if folder is not None and result.packed:
-            unpack(result.packed, folder)
-        self._rows.pop(trial.hash, None)  # of an attempt that raised
-        if summary.outcome in results.SHOWN:
-            self._rows[trial.hash] = results.row(trial, self._sweep, summary)
-        self._note_platforms(summary)
-        if folder is not None:
-            self.export.trial_ended(folder)
-        if time.monotonic() > self._due:
-            self._write("**Running**")
-
-    def _note_platforms(self, summary: TrialSummary) -> None:
-        """Count the platforms; say so when another comes in."""
-        if not summary.platforms:
-            return
-        mixed = bool(self._platforms) and summary.platforms not in self._platforms
-        self._platforms[summary.platforms] += 1
-        if mixed:
-            logging.getLogger(__name__).warning(MIXED, len(self._platforms), self._mixed())
-
-    def _mixed(self) -> str:
-        """The platforms and how many trials ran on each."""
-        return "; ".join(f"{count} on {' then '.join(each)}" for each, count in self._platforms.items())
-
-    def results(self) -> DataFrame:
-        """The trials that ended or raised."""
-        return results.in_order(self._rows, self._sweep)
-
-    def swept(self) -> SweptTrials:
-        """The trials for figures; each can be read back in full."""
-        trials, folder = {trial.hash: trial for trial in self._sweep.trials}, self._store.folder or Path()
-
-        def load(identity: str) -> TrialRecord:
-            return read_trial(build(trials[identity].composition), folder / identity)
-
-        return SweptTrials(self._sweep, self.results(), load)
-
-    def outcomes(self, batches: Sequence[str]) -> dict[str, Any]:
-        """Those outcomes of batches of experiments that are kept."""
-        return self.folder.outcomes(batches) if self.folder else {}
-
-    def keep_outcomes(self, batch: str, outcomes: Any) -> None:
-        """Keep the outcomes of a batch of experiments, by its hash."""
-        if self.folder is not None:
-            self.folder.keep_outcomes(batch, outcomes)
-
-    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
-        """Keep a figure and its caption."""
-        self._captions[name] = caption
-        if self.folder is not None:
-            self.folder.publish(files)
-
-    def close(self, error: BaseException | None = None) -> None:
-        """Write how the sweep ended; the error says why it ended early."""
-        try:
-            self._write(_verdict(error, "error" in set(self.results()["outcome"])), final=True)
-        except Exception:
-            if error is None:
-                raise  # else what ended the sweep, as a full disk, may well end this too
-        finally:
-            if self._marker:
-                Path(self._marker).unlink(missing_ok=True)
-
-    def _write(self, verdict: str, final: bool = False) -> None:
-        """Write how far the sweep is, and export it."""
-        began = time.monotonic()
-        if self.folder is not None:
-            trials, sweep = self.results(), self._sweep
-            table = tables.cells(trials, sweep)
-            arrangement = tables.markdown(tables.layout(table, sweep))
-            state = {
-                "verdict": verdict,
-                "done": len(trials),
-                "trials": len(sweep.trials),
-                "outcomes": dict(Counter(trials["outcome"])),
-                "mean_experiments": None
-                if trials["experiments"].isna().all()
-                else trials["experiments"].mean(),
-                "platforms": self._mixed() if len(self._platforms) > 1 else "",
-                "table": arrangement,
-                "legend": tables.legend(sweep, trials),
-                "captions": self._captions,
-            }
-            files = {"trials.csv": results.csv(trials), "table.md": arrangement}
-            files["table.csv"] = table.to_csv(index=False)
-            self.folder.write_state(state, files if final else {})
-        self.export.update(final)
-        ended = time.monotonic()
-        self._due = ended + max(STATE_SECONDS, (ended - began) / STATE_SHARE)
-
-
-def _warn(damaged: ConfigError) -> None:
-    """Say which folder cannot be read."""
-    logging.getLogger(__name__).warning(DAMAGED, damaged)
-
-
 def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, Result]]:
     """Trials with their results, as they end."""
     trials = state.missing
-    plans, cells = [state.plan(trial) for trial in trials], {trial.cell.identity: trial for trial in trials}
+    plans = [state.plan(trial, trials_engine.shares_disk) for trial in trials]
+    cells = {trial.cell.identity: trial for trial in trials}
     code = partial(packed, [trial.composition for trial in cells.values()])
-    with stopping_workers(trials_engine.run(run_plan, plans, code)) as ended:
+    with closing(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
-
-
-def _description(sweep: Sweep, again: str) -> dict[str, Any]:
-    """A sweep in JSON's types."""
-    config = {key: value for key, value in sweep.base.config.items() if key != "tracking"}
-    axes = [axis.name for axis in sweep.axes]
-    return {
-        "name": sweep.name,
-        "hash": sweep.hash,
-        "command": again,
-        "config": config,
-        "axes": [{"name": axis.name, "keys": list(axis.keys)} for axis in sweep.axes],
-        "trials": {
-            trial.hash: {
-                "name": trial.name,
-                "repetition": trial.repetition,
-                "labels": dict(zip(axes, trial.cell.labels, strict=True)),
-            }
-            for trial in sweep.trials
-        },
-        **provenance(),
-    }
-
-
-def _verdict(error: BaseException | None, raised: bool) -> str:
-    """First words on a sweep that ended."""
-    if error is None:
-        return "**Ended**, some trials with an error" if raised else DONE
-    interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
-    return "**Interrupted**" if interrupted else "**Ended early** by an error"
 
 
 def changed_trials(sweep: Sweep, store: Tracking) -> str:

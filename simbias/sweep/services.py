@@ -1,4 +1,4 @@
-"""From a composition to what a study runs with: an engine and a store."""
+"""From a composition to what a study runs with: an engine and a store. Errors as of `build`."""
 
 from __future__ import annotations
 
@@ -12,29 +12,17 @@ from simbias.sweep.tracking import Tracking
 
 
 def engine(composition: Composition) -> Engine:
-    """Construct where a sweep's trials run.
-
-    Raises
-    ------
-    ConfigError
-        As `build` does.
-    """
-    return construct(_group(composition, "engine"), Engine, "engine", composition.own)
+    """Construct where a sweep's trials run."""
+    return _service(composition, "engine", Engine)
 
 
 def tracking(composition: Composition) -> Tracking:
-    """Construct the store of a study's or a sweep's trials.
-
-    Raises
-    ------
-    ConfigError
-        As `build` does.
-    """
-    return construct(_group(composition, "tracking"), Tracking, "tracking", composition.own)
+    """Construct the store of a study's or a sweep's trials."""
+    return _service(composition, "tracking", Tracking)
 
 
-def _group(composition: Composition, group: str) -> Any:
-    """The config of a group."""
+def _service(composition: Composition, group: str, contract: type) -> Any:
+    """Construct what a group names."""
     if group not in composition.config:
         raise ConfigError(group, "missing")
-    return composition.config[group]
+    return construct(composition.config[group], contract, group, composition.own)

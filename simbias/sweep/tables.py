@@ -31,15 +31,6 @@ class Layout(NamedTuple):
     body: list[list[str]]
 
 
-LATER: dict[str, Any] = {  # columns that some published trials lack
-    "hardware_seconds": nan,
-    "test_episodes": "",
-    "lasting_episodes": "",
-    "long_success_rate": nan,
-    "long_seconds": nan,
-}
-
-
 def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     """A row for each cell of the grid, in its order: the axes' labels and the MEASURES.
 
@@ -52,7 +43,6 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
-    trials = trials.assign(**{name: blank for name, blank in LATER.items() if name not in trials})
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
     for row in trials.to_dict("records"):
         trials_of[tuple(row[name] for name in names)].append(row)
@@ -194,7 +184,7 @@ def plain(arrangement: Layout) -> str:
 
 
 def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
-    """What the numbers are."""
+    """The meaning of the numbers, in words."""
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
@@ -204,7 +194,7 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
 
 
 def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
-    """What the numbers of test episodes are, where any is shown."""
+    """The meaning of the numbers of test episodes, where any is shown."""
     count = max(map(len, trials["test_episodes"]), default=0)
     texts = {
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy succeeds",

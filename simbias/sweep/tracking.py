@@ -5,12 +5,19 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from pathlib import Path
 
+from simbias.engine.workplace import workplace
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.study import Observer
 
 
 class Export(Observer):
-    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing."""
+    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing.
+
+    Parameters
+    ----------
+    where
+        One line that tells a person how to look at it.
+    """
 
     def __init__(self, where: str = "") -> None:
         self._where = where
@@ -28,7 +35,7 @@ class Export(Observer):
 
 
 class Tracking(ABC):
-    """Keeps trials in folders."""
+    """Keeps trials in folders, and shows them elsewhere."""
 
     folder: Path | None  # of all trials: each has its own, named by its hash; None: nothing is kept
     pictures: bool = False  # whether pictures are drawn of each trial that has ended
@@ -37,9 +44,9 @@ class Tracking(ABC):
         """The folder of the trial of this hash; None where nothing is kept."""
         return None if self.folder is None else self.folder / identity
 
-    def sweep_folder(self, name: str, identity: str) -> SweepFolder | None:
-        """The folder of the sweep of this name and hash; None where nothing is kept."""
-        return None if self.folder is None else SweepFolder(self.folder / "sweeps" / f"{name}_{identity}")
+    def sweep_folder(self, name: str, identity: str) -> SweepFolder:
+        """The folder of the sweep of this name and hash; one of this process where nothing is kept."""
+        return SweepFolder((self.folder or workplace()) / "sweeps" / f"{name}_{identity}")
 
     @abstractmethod
     def export_trial(self, folder: Path) -> Export:
@@ -53,13 +60,7 @@ class Tracking(ABC):
 
     @abstractmethod
     def export_sweep(self, folder: SweepFolder) -> Export:
-        """Show a sweep elsewhere.
-
-        Raises
-        ------
-        ConfigError
-            If the store cannot be used.
-        """
+        """Show a sweep elsewhere; errors as of `export_trial`."""
 
 
 class Folders(Tracking):

@@ -19,6 +19,8 @@ from simbias.trial.folder import OUTCOME, TrialFolder
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
+GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
+
 
 class Plan(NamedTuple):
     """A trial that is to be run."""
@@ -45,6 +47,8 @@ def run_plan(plan: Plan) -> Result:
         folder = None if plan.folder is None else Path(plan.folder)
         apart = bool(plan.marker) and not Path(plan.marker).exists()
         try:
+            if folder is not None and not apart and not folder.parent.exists():
+                return lost(GONE.format(folder.parent))
             if folder is not None and apart and plan.kept:
                 unpack(plan.kept, folder)
             study = build(plan.composition)
@@ -71,7 +75,7 @@ def pack(folder: Path) -> bytes:
     """A trial's folder as a zip file, its outcome last."""
     stream, files = io.BytesIO(), TrialFolder(folder).files()
     with zipfile.ZipFile(stream, "w") as archive:
-        for file in sorted(files, key=lambda file: file.name == OUTCOME):
+        for file in sorted(files, key=lambda file: file.name.startswith(Path(OUTCOME).stem)):
             archive.write(file, file.relative_to(folder).as_posix())
     return stream.getvalue()
 

@@ -14,7 +14,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.excitation import Designer, Excitation, noise_of
 from simbias.recordings.files import trajectory
-from simbias.recordings.reading import read
+from simbias.recordings.reading import Recordings, read
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table
 from simbias.terminal.lines import say
@@ -34,7 +34,8 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         If no inputs keep the limits, or the file cannot be written.
     """
     console = Console(highlight=False)
-    study, recordings = _prepared(request)
+    study, given = _prepared(request)
+    recordings = list(given.rollouts.values())
     with slowness_in_one_line(), console.status("looking for what tells most"):
         model = study.identification.fit(study.nominal, recordings)
         designer = Designer(study, model, _noise(study, recordings))
@@ -49,7 +50,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     rows = [
         (parameter.name, parameter.unit, f"{before:.2f}", f"{after:.2f}")
         for parameter, before, after in zip(
-            study.nominal.parameters, designer.before, found.deviations, strict=True
+            designer.nominal.parameters, designer.before, found.deviations, strict=True
         )
     ]
     table(console, names, rows)
@@ -70,9 +71,10 @@ def recovery(request: Request) -> bool:
     """
     console = Console(highlight=False)
     study, recordings = _prepared(request)
+    rollouts = recordings.rollouts
     with slowness_in_one_line(), console.status("") as status:
-        noise = _noise(study, recordings)
-        takes = [Take(each.states[0], each.inputs) for each in recordings]
+        noise = _noise(study, list(rollouts.values()))
+        takes = [Take(each.states[0], each.inputs, recordings.times[name]) for name, each in rollouts.items()]
         if not takes:
             status.update("looking for what tells most")
             found = Designer(study, study.nominal, noise).design(
@@ -101,13 +103,16 @@ def recovery(request: Request) -> bool:
     return any(each.comes_back for each in recovered)
 
 
-def _prepared(request: Request) -> tuple[Study, list[Rollout]]:
+def _prepared(request: Request) -> tuple[Study, Recordings]:
     """The study, which identifies a posterior, and the recordings."""
     with preparing():
         study = build(request.composition)
-    if not isinstance(study.identification, Posterior) or not study.nominal.parameters:
+    if (
+        not isinstance(study.identification, Posterior)
+        or not study.identification.prior(study.nominal).parameters
+    ):
         raise ConfigError("nominal", "declares no uncertain parameters, or identification is not posterior")
-    return study, list(read(study, request.recordings, request.columns).values())
+    return study, read(study, request.recordings, request.columns)
 
 
 def _noise(study: Study, recordings: Sequence[Rollout]) -> Array:

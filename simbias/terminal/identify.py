@@ -67,11 +67,18 @@ def identify(request: Request) -> bool:
         with preparing():
             study = build(request.composition)
         recordings = read(study, request.recordings, request.columns)
-        if not recordings:
+        if not recordings.rollouts:
             raise ConfigError("identify", "needs recordings: files or folders")
         held_out = read(study, request.held_out, request.columns)
+        for note in (*recordings.notes, *held_out.notes):
+            say(console, note, "yellow")
         with console.status("") as status:
-            assessment = assess(study, recordings, held_out, lambda each: status.update(f"fitting {each}"))
+            assessment = assess(
+                study,
+                recordings.rollouts,
+                held_out.rollouts,
+                lambda each: status.update(f"fitting {each}"),
+            )
             status.update("looking for what to record next")
             excitation = next_excitation(study, assessment)
     try:

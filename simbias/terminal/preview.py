@@ -54,13 +54,13 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     task, expected = study.task, prediction.expected
     yield f"{'':>16}  {'start':>9}  {'predicted':>21}  {'band':>21}  {'limit':>9}"
     for quantities, values, band, limits in (
-        (task.states, expected.states, prediction.band(), bounds.states),
-        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.inputs),
+        (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states)),
+        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds),
     ):
         for index, quantity in enumerate(quantities):
             own = values[:, index]
             low, high = (edge[:, index] for edge in band)
-            limit = f"{limits[index]:.4g}" if np.isfinite(limits[index]) else ""
+            limit = _limit(*(each[index] for each in limits))
             yield (
                 f"{quantity.name:>16}  {_first(own):>9}  {_range(own, own):>21}  {_range(low, high):>21}"
                 f"  {limit:>9}  {quantity.unit}"
@@ -78,6 +78,13 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     counts = Counter(map(task.words, prediction.failures))
     failed = ", ".join(f"{words} ({count})" for words, count in counts.most_common())
     yield f"Of {DRAWS} draws of start and model, {len(prediction.failures)} fail{failed and f': {failed}'}."
+
+
+def _limit(lower: float, upper: float) -> str:
+    """The limit of a size or, where it is not symmetric, on either side; empty where there is none."""
+    if lower == -upper:
+        return f"{upper:.4g}" if np.isfinite(upper) else ""
+    return f"{lower:.4g} to {upper:.4g}"
 
 
 def _first(values: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal while a sweep runs."""
+"""Output at a terminal while a sweep runs."""
 
 from __future__ import annotations
 
@@ -197,11 +197,10 @@ def _rich(arrangement: Layout) -> Table:
 
 
 def dry_run(sweep: Sweep, study: Study, finished: DataFrame, engine: Engine) -> None:
-    """Tell which trials there are, which are finished, and how long the others may take."""
+    """Tell how many trials of each cell are finished, and how long the others may take."""
     done = frozenset(finished["hash"])
-    for trial in sweep.trials:
-        state = "finished" if trial.hash in done else "missing"
-        print(f"{state:8}  {trial.hash}  seed {trial.seed:<15}  {trial.name}")
+    ended = Counter(trial.cell.labels for trial in sweep.trials if trial.hash in done)
+    print(plain(arrange(sweep, ["done"], lambda labels: [f"{ended[labels]}/{sweep.repetitions}"])))
     n_jobs = getattr(engine, "n_jobs", 1)
     least, most, basis = estimate(sweep, finished, study, n_jobs)
     how_long = f"{duration(least) if least >= 0.5 else 'less than 1 s'} on {counted(n_jobs, 'job')}"

@@ -1,4 +1,4 @@
-"""What every component has to pass, whoever wrote it.
+"""The checks that every component has to pass, whoever wrote it.
 
 In a test of one's own:
 
@@ -20,8 +20,7 @@ from threadpoolctl import threadpool_limits
 from simbias.core.error_origin import told
 from simbias.core.messages import brief
 from simbias.testing import learners, robots, searches, studies  # noqa: F401  they register their checks
-from simbias.testing.check import CHECKS, Check
-from simbias.testing.expectations import ConformanceError
+from simbias.testing.expectations import CHECKS, Check, ConformanceError
 from simbias.trial.study import Study
 
 __all__ = ["CHECKS", "Check", "ConformanceError", "Verdict", "verdicts"]
@@ -52,7 +51,7 @@ def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
 
 
 def _problem(study: Study, group: str, error: BaseException) -> str:
-    """What is wrong, with the name of the component's class."""
+    """A problem in words, with the name of the component's class."""
     component = type(getattr(study, group)).__name__
     text = told(error)
     if isinstance(error, ConformanceError):

@@ -1,8 +1,9 @@
-"""What checks are made of: expectations, and points to hold components to them at."""
+"""Checks that components of a group have to pass: their registry, expectations, and points to try them at."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,31 @@ from simbias.trial.study import Study
 
 POINTS = 12  # states and inputs at which methods are tried
 DATA = 20  # transitions from which a bias is fitted
+
+
+@dataclass(frozen=True)
+class Check:
+    """Something that components of a group have to pass."""
+
+    group: str
+    words: str
+    run: Callable[[Study], None]
+
+    def __str__(self) -> str:
+        return f"{self.group}: {self.words}"
+
+
+CHECKS: list[Check] = []
+
+
+def check(group: str, words: str) -> Callable[[Callable[[Study], None]], Callable[[Study], None]]:
+    """Register a check."""
+
+    def register(run: Callable[[Study], None]) -> Callable[[Study], None]:
+        CHECKS.append(Check(group, words, run))
+        return run
+
+    return register
 
 
 class ConformanceError(AssertionError):

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from simbias.testing.check import check
 from simbias.testing.expectations import (
+    check,
     equal,
     expect,
     expect_any_leading_axes,

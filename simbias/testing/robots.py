@@ -6,9 +6,9 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.records import Array
-from simbias.testing.check import check
 from simbias.testing.expectations import (
     POINTS,
+    check,
     equal,
     expect,
     expect_any_leading_axes,
@@ -75,39 +75,49 @@ def _nominal_draws(study: Study) -> None:
     equal(study.nominal.step(x, u), before, "nominal.draw", "the model itself to stay as it is", 0.0)
 
 
-@check("nominal", "what it keeps in its memory, with any leading axes")
-def _nominal_memory(study: Study) -> None:
+@check("nominal", "its own state, with any leading axes")
+def _nominal_state(study: Study) -> None:
     nominal, x, u = study.nominal, states(study), inputs(study)
-    memory = np.zeros((POINTS, nominal.memory_size))
+    model_state = np.zeros((POINTS, nominal.state_size))
     for t in range(3):  # the rows, as frames; from zero on
-        x_next, after = nominal.advance(np.roll(x, t, axis=0), np.roll(u, t, axis=0), memory)
+        x_next, after = nominal.advance(np.roll(x, t, axis=0), np.roll(u, t, axis=0), model_state)
         equal(np.shape(x_next), x.shape, "nominal.advance", f"states of shape {x.shape}")
-        equal(np.shape(after), memory.shape, "nominal.advance", f"a memory of shape {memory.shape}")
-        memory = after
+        equal(
+            np.shape(after),
+            model_state.shape,
+            "nominal.advance",
+            f"a state of shape {model_state.shape}",
+        )
+        model_state = after
 
     def advance(x: Array, u: Array, before: Array) -> Array:
         return np.concatenate(nominal.advance(x, u, before), axis=-1)
 
-    expect_any_leading_axes(advance, "nominal.advance", x, u, memory)
-    expect_arguments_left(advance, "nominal.advance", x, u, memory)
-    one_by_one = Nominal.memories(nominal, x, u)
-    equal(nominal.memories(x, u), one_by_one, "nominal.memories", "the memory of one frame after the other")
+    expect_any_leading_axes(advance, "nominal.advance", x, u, model_state)
+    expect_arguments_left(advance, "nominal.advance", x, u, model_state)
+    one_by_one = Nominal.model_states(nominal, x, u)
+    equal(
+        nominal.model_states(x, u),
+        one_by_one,
+        "nominal.model_states",
+        "the model state of one frame after the other",
+    )
     equal(nominal.along(x, u), nominal.advance(x, u, one_by_one)[0], "nominal.along", "what advance gives")
 
 
 @check("nominal", "compiled functions give the same numbers")
 def _nominal_kernel(study: Study) -> None:
     nominal, x, u = study.nominal, states(study), inputs(study)
-    if not nominal.memory_size:
+    if not nominal.state_size:
         expect_kernel_agrees(nominal.kernel, nominal.step, "nominal.step", x, u)
     elif nominal.kernel is not None:
-        memory = nominal.memories(x, u)
+        model_state = nominal.model_states(x, u)
         function, parameters = nominal.kernel
         compiled = [
             np.concatenate(function(tuple(a), tuple(b), parameters, tuple(c)))
-            for a, b, c in zip(x, u, memory, strict=True)
+            for a, b, c in zip(x, u, model_state, strict=True)
         ]
-        both = np.concatenate(nominal.advance(x, u, memory), axis=-1)
+        both = np.concatenate(nominal.advance(x, u, model_state), axis=-1)
         equal(np.array(compiled), both, "the kernel of nominal.advance", "what the method gives")
 
 
@@ -123,22 +133,22 @@ def _policy_bounds(study: Study) -> None:
 @check("policy", "inputs within their limits, with any leading axes")
 def _policy_acts(study: Study) -> None:
     policy, x, thetas = study.policy, states(study), policies(study)
-    memory = np.zeros((POINTS, policy.memory_size))
+    policy_state = np.zeros((POINTS, policy.state_size))
 
     def act(theta: Array, state: Array, before: Array) -> Array:
         u, after = policy.act(theta, state, 0.0, before)
         return np.concatenate([u, after], axis=-1)
 
-    u, after = policy.act(thetas, x, 0.0, memory)
+    u, after = policy.act(thetas, x, 0.0, policy_state)
     m = len(study.task.inputs)
     equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
-    equal(np.shape(after), memory.shape, "policy.act", f"a memory of shape {memory.shape}")
+    equal(np.shape(after), policy_state.shape, "policy.act", f"a policy state of shape {policy_state.shape}")
     lower, upper = study.task.input_bounds
     rounding = 1e-12 * study.task.input_limit
     within = (lower - rounding <= u) & (u <= upper + rounding)
     expect(within.all(), "policy.act", f"inputs within {lower} and {upper}", u)
-    expect_any_leading_axes(act, "policy.act", thetas, x, memory)
-    expect_arguments_left(act, "policy.act", thetas, x, memory)
+    expect_any_leading_axes(act, "policy.act", thetas, x, policy_state)
+    expect_arguments_left(act, "policy.act", thetas, x, policy_state)
     expect_any_leading_axes(policy.outputs, "policy.outputs", x)
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.core.records import Rollout
-from simbias.testing.check import check
-from simbias.testing.expectations import equal, expect, inputs, rollout, states
+from simbias.testing.expectations import check, equal, expect, inputs, rollout, states
 from simbias.trial.study import Study
 
 SECONDS = 0.2  # of a rollout that is learned from

@@ -26,6 +26,7 @@ class Episode(NamedTuple):
     asked_seconds: float  # that it was to last
     seconds: float  # that it lasted
     failure: str | None
+    succeeds: bool | None = None  # as the task says; None: whoever lasts for the task's horizon succeeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +38,13 @@ class PolicyTestResult:
 
     @property
     def successes(self) -> str:
-        """1 for each episode in which the policy lasts for the task's horizon, 0 for each other."""
-        return "".join(str(int(e.seconds >= self.horizon or e.failure is None)) for e in self.episodes)
+        """1 for each episode that succeeds, 0 for each other."""
+        return "".join(str(int(self._succeeds(episode))) for episode in self.episodes)
+
+    def _succeeds(self, episode: Episode) -> bool:
+        """Whether an episode is a success."""
+        lasts = episode.seconds >= self.horizon or episode.failure is None
+        return lasts if episode.succeeds is None else episode.succeeds
 
     @property
     def lasting(self) -> str:
@@ -47,7 +53,7 @@ class PolicyTestResult:
 
     @property
     def success_rate(self) -> float:
-        """Share of episodes in which the policy lasts for the task's horizon."""
+        """Share of episodes that succeed."""
         return float(np.mean([each == "1" for each in self.successes]))
 
     @property
@@ -108,7 +114,9 @@ def run_policy_test(
         trying(number, test.episodes)
         rollout = own.checked_hardware.run(own.policy, np.asarray(theta, dtype=np.float64), start, rng)
         asked, lasted = own.task.horizon * task.time_step, rollout.frames * task.time_step
-        episodes.append(Episode(start, asked, lasted, rollout.failure))
+        succeeds = own.task.succeeds(rollout.states)
+        succeeds = None if succeeds is None else succeeds and rollout.failure is None
+        episodes.append(Episode(start, asked, lasted, rollout.failure, succeeds))
     return PolicyTestResult(task.horizon * task.time_step, tuple(episodes))
 
 

@@ -128,7 +128,7 @@ def experiment(
         observer.experimenting(theta, start)
         rollouts.append(study.experiment(theta, experiment_rng, start))
         observer.experimented(rollouts[-1])
-        if len(rollouts) >= before_stop and not all(map(study.cost.passes, rollouts)):
+        if len(rollouts) >= before_stop and not all(map(study.passes, rollouts)):
             break
     return tuple(rollouts)
 

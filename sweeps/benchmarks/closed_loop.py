@@ -33,7 +33,7 @@ from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.simulation.open_loop import corrections
 from simbias.trial.study import Study
 
-ROUNDS, WORLDS = 7, 8
+ROUNDS, SCENARIOS = 7, 8
 BALANCING = np.array([8.12, 4.73, -6.74, -1.02, -5.56])
 SCALE = np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 20.0])
 
@@ -47,24 +47,24 @@ def fitted(option: str, samples: int) -> FittedBias:
 
 
 def way(bias: FittedBias, noisy: bool, plain: bool, policies: int, horizon: int) -> Callable[[], int]:
-    """Simulates so many policies in WORLDS worlds each; how many steps that were."""
+    """Simulates so many policies in SCENARIOS scenarios each; how many steps that were."""
     study = simbias.load(["tracking=none", "evaluation=domain_randomization", f"task.horizon={horizon}"])
     rng, task = np.random.default_rng(0), study.task
     loops = []
-    for _ in range(WORLDS):
+    for _ in range(SCENARIOS):
         model = replace(study.model(bias), nominal=study.nominal.draw(rng))
         noise = Disturbance(0.1 * rng.normal(size=(horizon, 1)), 1e-4 * rng.normal(size=(horizon + 1, 6)))
         disturbance = noise if noisy else None
         in_numpy = PlainSimulator([model], [disturbance], corrections)
         loops.append(in_numpy if plain else simulator(model, disturbance))
-    worlds = np.tile(np.arange(WORLDS), policies)
-    starts = np.array([task.draw_start(rng) for _ in range(WORLDS)])[worlds]
-    thetas = np.tile(BALANCING, (len(worlds), 1))
+    scenarios = np.tile(np.arange(SCENARIOS), policies)
+    starts = np.array([task.draw_start(rng) for _ in range(SCENARIOS)])[scenarios]
+    thetas = np.tile(BALANCING, (len(scenarios), 1))
     together = join(loops)
-    steps = sum(rollout.frames for rollout in together.rollouts(thetas, starts, worlds))
+    steps = sum(rollout.frames for rollout in together.rollouts(thetas, starts, scenarios))
 
     def run() -> int:
-        together.costs(study.cost, thetas, starts, worlds)
+        together.costs(study.cost, thetas, starts, scenarios)
         return steps
 
     return run
@@ -74,7 +74,7 @@ PENDULUM = ["preset=double_pendulum", "identification=none", "hardware.folder=te
 TWINS: dict[str, tuple[list[str], Callable[[Study], Nominal]]] = {
     "cart-pole": (
         ["preset=cartpole"],
-        lambda study: CartPole(study.task, study.nominal.kernel.parameters[1:]),
+        lambda study: CartPole(study.task, study.nominal._constants[1:]),
     ),
     "double pendulum": (
         PENDULUM,

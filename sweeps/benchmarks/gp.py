@@ -67,7 +67,7 @@ def references(data: Transitions, queries: Array) -> dict[str, Callable[[], None
 
 
 def kernels(name: str, fitted: FittedBias, queries: Array) -> dict[str, Callable[[], None]]:
-    """A fitted bias that corrects the rollouts that run in step."""
+    """A fitted bias that corrects the rollouts that run in lockstep."""
     x, u = np.ascontiguousarray(queries[:, :6].T), np.ascontiguousarray(queries[:, 6:].T)
     assert fitted.kernel is not None
     correct = Compilation().compiled(fitted.kernel.function, inline=False)
@@ -100,7 +100,7 @@ def main(sizes: list[int]) -> None:
     exact, sparse = (simbias.load(["tracking=none", f"bias={option}"]).bias for option in ("gp", "sparse_gp"))
     everything = recorded(max(sizes))
     queries = everything.inputs[np.random.default_rng(1).integers(0, len(everything), LANES)]
-    print(f"us a step of {LANES} rollouts in step; m: inducing points of sparse_gp\n")
+    print(f"us a step of {LANES} rollouts in lockstep; m: inducing points of sparse_gp\n")
     print(HEADER)
     print("| --: " * 7 + "|")
     for n in sizes:

@@ -31,7 +31,7 @@ CELLS = 2
 SAMPLING_SECONDS = 5.0
 ROUNDS = 5
 ENDED = re.compile(r"^\[(\d+)/", re.MULTILINE)
-PRINTED = re.compile(r"^Look at it:  (.*)  # http://127\.0\.0\.1:5000(/.*)$", re.MULTILINE)
+PRINTED = re.compile(r"^Look at it:  (.*)$", re.MULTILINE)
 
 
 def run(command: list[str], store: Path) -> tuple[str, pd.DataFrame]:
@@ -94,7 +94,8 @@ def main() -> None:
     found = PRINTED.search(said)
     assert found is not None, said[-500:]
     with serve(found[1], store) as root, browse() as browser, visit(browser) as page:
-        sweep, trials = root + found[2], f"{root}/#/experiments/1/runs?workflowType=machine_learning"
+        sweep, _, _ = (store / "server.log").read_text().partition("  ")
+        trials = f"{root}/#/experiments/1/runs?workflowType=machine_learning"
         for what, address, name in (
             ("the sweep's page", sweep, "experiments/mean"),
             ("the list of searches", trials, "sweep smoke"),

@@ -68,7 +68,7 @@ def seconds(function: Callable[[], object]) -> float:
 
 
 def over_samples(theta: Array) -> Iterator[dict[str, object]]:
-    """Seconds to fit, and microseconds of a closed-loop step of rollouts that run in step."""
+    """Seconds to fit, and microseconds of a closed-loop step of rollouts that run in lockstep."""
     data = recorded(theta, max(SAMPLES))
     thetas, rounds = np.tile(theta, (LANES, 1)), range(ROUNDS)
     for n in SAMPLES:

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from simbias.core.messages import counted
 from simbias.core.records import Iteration
 from simbias.pictures.elements.layout import legend
-from simbias.pictures.elements.style import HARDWARE, SIMULATION, plain, shade_beyond, whole_numbers
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, literal, plain, shade_beyond, whole_numbers
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
@@ -66,7 +66,7 @@ def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
         trials = [trial for _, trial in own.groupby("repetition")]
         for aside, trial in zip(np.linspace(-SPREAD / 2, SPREAD / 2, len(trials)), trials, strict=True):
             _line(axes, trial, float(aside) if len(trials) > 1 else 0.0)
-        axes.set_title(fill(title, LINE), fontsize="medium")
+        axes.set_title(fill(literal(title), LINE), fontsize="medium")
         whole_numbers(axes.xaxis)
         plain(axes)
     grid[0, 0].set_yscale("log")

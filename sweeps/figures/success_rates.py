@@ -16,9 +16,10 @@ from simbias.core import Task
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.core.ranges import Coordinate, Count
 from simbias.core.records import Array
-from simbias.pictures.elements.style import HARDWARE, SIMULATION, SMALL, label, plain
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, SMALL, label, literal, plain
 from simbias.sweep.batches import Batch, Outcomes
-from simbias.sweep.figure import FigureError, LabelledCell, SweepFigure, SweptTrials
+from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.grid import Cell
 from simbias.sweep.picture import Picture
 
 COLOURS = "cividis"  # even to the colour-blind, and in grey
@@ -56,7 +57,7 @@ class SuccessRates(SweepFigure):
     def __init__(
         self,
         task: Task,
-        cells: Sequence[LabelledCell],
+        cells: Sequence[Cell],
         x: Range,
         y: Range,
         experiments: Count,
@@ -153,7 +154,7 @@ class SuccessRates(SweepFigure):
                 xlabel=label(quantities[self._x.state]),
                 ylabel=label(quantities[self._y.state]),
             )
-            axes.set_title(own["cell"].iloc[0], fontsize="medium")
+            axes.set_title(literal(own["cell"].iloc[0]), fontsize="medium")
         figure.colorbar(mesh, ax=maps, label="success rate", pad=0.02)
         _draw_policies(aside, cells)
         return figure

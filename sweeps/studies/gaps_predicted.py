@@ -22,7 +22,7 @@ from simbias.config.build import build
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Rollout
 from simbias.search.lqr import LqrCandidates
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.sweep.grid import expand
 from simbias.trial.study import Study
 
@@ -67,7 +67,7 @@ def predicted(label: str, seed: int, overrides: list[str]) -> list[dict[str, Any
     change = np.sqrt(np.mean((some.means[:, -1] - some.states[some.starts]) ** 2, axis=0))
     rows = []
     for way, (nominal, bias) in zip(WAYS, models(study, learned), strict=True):
-        errors = (predict([World(nominal)], some, bias)[0, :, -1] - some.means[:, -1]) / change
+        errors = (predict([PredictionModel(nominal)], some, bias)[0, :, -1] - some.means[:, -1]) / change
         row = {"gap": label, "seed": seed, "learned": len(learned), "windows": len(errors), "way": way}
         rows.append(row | {"rms": float(np.sqrt(np.mean(errors**2)))})
     return [row | {"error": row["rms"] / rows[0]["rms"]} for row in rows]

@@ -26,7 +26,7 @@ from scipy.stats import chi2
 import simbias
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array, Rollout
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 KINDS = ("acrobot", "pendubot", "excitation")
@@ -67,7 +67,7 @@ def windows(rollouts: Sequence[Rollout], time_step: float) -> Windows:
 
 def errors(nominal: Nominal, bias: FittedBias | None, some: Windows) -> Array:
     """Errors (w, 2) of the velocities after each window in which one changes."""
-    predicted, measured = predict([World(nominal)], some, bias)[0, :, -1], some.means[:, -1]
+    predicted, measured = predict([PredictionModel(nominal)], some, bias)[0, :, -1], some.means[:, -1]
     changes = np.abs(measured - some.states[some.starts])[:, 2:]
     return (predicted - measured)[(changes > CHANGE).any(axis=1), 2:]
 

@@ -104,3 +104,11 @@ def test_in_a_file(folder: Path, file: str, text: str, override: str, line: str)
         expand(overrides, folder) if "sweep" in override else simbias.load(overrides, folder)
     assert line in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_component_with_an_attribute_under_its_old_name_says_the_new_one(monkeypatch) -> None:
+    from simbias.policy.output_feedback import OutputFeedback
+
+    monkeypatch.setattr(OutputFeedback, "memory_size", 2, raising=False)
+    with pytest.raises(ConfigError, match=r"policy: OutputFeedback\.memory_size is now state_size"):
+        simbias.load(["tracking=none"])

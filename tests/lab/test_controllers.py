@@ -32,17 +32,17 @@ STRICT = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-O2"]
 
 
 class Integral(Policy):
-    """A law with memory that depends on time, as somebody writes it."""
+    """A law with a state that depends on time, as somebody writes it."""
 
     n_parameters = 1
-    memory_size = 1
+    state_size = 1
     bounds = (np.zeros(1), np.ones(1))
 
     def __init__(self, task: Task) -> None:
         self._task = task
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        total = memory + x[..., :1]
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        total = policy_state + x[..., :1]
         u = -theta * total * t + np.sign(x[..., 1:]) * np.sqrt(np.abs(x[..., 1:]))
         return np.clip(u, *self._task.input_bounds), total
 
@@ -51,8 +51,8 @@ class Integral(Policy):
 
 
 class Branching(Integral):
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
-        return (x[..., :1] if x[..., 0] > 0 else -x[..., :1]), memory
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return (x[..., :1] if x[..., 0] > 0 else -x[..., :1]), policy_state
 
 
 def controller(request: ExperimentRequest) -> Any:
@@ -81,7 +81,7 @@ def with_everything(study: Study, integral_rate: float = 2.0) -> ExperimentReque
 
 
 def test_the_code_is_the_policy_over_hundreds_of_frames(request_: ExperimentRequest, study: Study) -> None:
-    """In Python and C; at limits, with its memory, and after what is no number."""
+    """In Python and C; at limits, with its state, and after what is no number."""
     mass = PointMass()
     own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
     for request in (request_, with_everything(study), own):
@@ -102,7 +102,7 @@ def test_the_integral_grows_in_the_exported_controller(study: Study) -> None:
     x = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
     by_code, by_policy = ([float(each(x)[0]) for _ in range(300)] for each in (control, policy))
     np.testing.assert_allclose(by_code, by_policy, rtol=1e-9)
-    assert control.memory[5] < -1e-4  # of x_p, which is negative
+    assert control.policy_state[5] < -1e-4  # of x_p, which is negative
 
 
 def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
@@ -110,12 +110,12 @@ def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
     control = controller(with_everything(study))
     fine = study.task.start_mean
     control(fine)
-    before = control.memory.copy()
+    before = control.policy_state.copy()
     with pytest.raises(ValueError, match="abort: x = "):
         control(np.full(6, np.nan))
     with pytest.raises(ValueError, match="abort"):
         control(fine)
-    np.testing.assert_array_equal(control.memory, before)
+    np.testing.assert_array_equal(control.policy_state, before)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -171,7 +171,7 @@ def test_a_policy_that_decides_by_values_says_why() -> None:
     assert "it decides by a value" in request.why_no_code
     assert request.code("") == {}
     words = simbias.core.Policy.law(Integral(task), np.ones(1)).words
-    assert words == "u = Integral.act(theta, x, t, memory)"
+    assert words == "u = Integral.act(theta, x, t, policy_state)"
 
 
 def test_limits_are_in_the_request_and_held_by_its_controller(

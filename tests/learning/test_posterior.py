@@ -234,7 +234,7 @@ def test_lag_and_delay_of_the_bongoboard_are_identified() -> None:
     for noise in (np.zeros(6), np.array([1e-3] * 3 + [0.03] * 3)):
         rng, rollouts = np.random.default_rng(0), []
         for _ in range(4):
-            x, memory, states = study.task.draw_start(rng), np.zeros(robot.memory_size), []
+            x, memory, states = study.task.draw_start(rng), np.zeros(robot.state_size), []
             u = np.repeat(20.0 * rng.standard_normal((15, 1)), 40, axis=0)
             for each in u:
                 states.append(x)

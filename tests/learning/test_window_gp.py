@@ -9,7 +9,7 @@ from pendulum import NOISE, experiment, pendulum
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
 from simbias.learning.bias.window_gp import WindowPosterior
-from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.trial.study import Study
 
 
@@ -32,7 +32,7 @@ def study() -> Study:
 
 def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
     windows = Windows.of(rollouts, 50, 5)
-    e = predict([World(study.nominal)], windows, fitted)[0] - windows.means  # type: ignore[arg-type]
+    e = predict([PredictionModel(study.nominal)], windows, fitted)[0] - windows.means  # type: ignore[arg-type]
     return float(np.sqrt(np.mean(e[:, -1, 2:] ** 2)))
 
 
@@ -52,7 +52,7 @@ def test_it_finds_what_the_model_lacks(study: Study) -> None:
     np.testing.assert_allclose(draws.mean(axis=0), mean, atol=5 * np.sqrt(variance.max() / 200))
     assert (draws.std(axis=0) <= 1.3 * np.sqrt(variance) + 1e-9).all()
     windows = Windows.of(other, 50, 5)
-    both = (run([World(study.nominal)], windows, fitted) for run in (predict, plain))
+    both = (run([PredictionModel(study.nominal)], windows, fitted) for run in (predict, plain))
     np.testing.assert_allclose(*both, atol=1e-4)
 
 

@@ -15,7 +15,7 @@ from simbias.learning.bias.posterior import GPSample
 from simbias.learning.bias.sensitivity import BATCH, sensitivities
 from simbias.learning.bias.window_gp import WindowGP, WindowPosterior, _Fits, _outlier_limits, features, root
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 NO_DATA = Transitions(np.empty((0, 3)), np.empty((0, 2)))
 
@@ -23,7 +23,7 @@ NO_DATA = Transitions(np.empty((0, 3)), np.empty((0, 2)))
 class Oscillator(Nominal):
     """A hardening spring, driven through a lag that its memory keeps."""
 
-    memory_size = 1
+    state_size = 1
 
     def __init__(self, missing: float = 0.0) -> None:
         self._missing = missing  # a force that the model does not know
@@ -70,7 +70,8 @@ def test_sensitivities_are_those_of_differences() -> None:
     for weights in small * np.eye(6):  # of three functions in each of two states
         W = U.T @ weights.reshape(2, 3).T
         there, back = (
-            predict([World(nominal)], windows, GPSample(hyper(), Z, sign * W))[0] for sign in (1, -1)
+            predict([PredictionModel(nominal)], windows, GPSample(hyper(), Z, sign * W))[0]
+            for sign in (1, -1)
         )
         columns.append((there - back) / (2 * small))
     expected = np.stack(columns, axis=-1)  # (w, J, n, n R)
@@ -163,7 +164,7 @@ def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) 
     fitted, rollouts = learned(points=12)
     assert isinstance(fitted, WindowPosterior)
     windows = Windows.of(rollouts, 5, 1)
-    left = (windows.means - predict([World(Oscillator())], windows)[0])[:, -1]
+    left = (windows.means - predict([PredictionModel(Oscillator())], windows)[0])[:, -1]
     expected = np.sqrt(np.mean(np.clip(left, *_outlier_limits(left)) ** 2, axis=0)) / 5
     np.testing.assert_allclose(fitted._signal, expected, rtol=1e-9)
     inputs = np.concatenate([np.concatenate([r.states[:-1], r.inputs], axis=1) for r in rollouts])

@@ -22,7 +22,6 @@ from simbias.config import ConfigError
 from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
 from simbias.mlflow.pages import NOTE
-from simbias.mlflow.runs import SPARING
 from simbias.mlflow.tracking import Mlflow
 from simbias.trial.folder import TRIAL, TrialFolder, withdraw
 from simbias.trial.run import run_trial
@@ -219,7 +218,7 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
     shown.update(final=True)
     live = pages(uri(folder))
     assert live["0"]["status"] == "FINISHED"
-    assert " -m mlflow ui " in shown.where
+    assert f" -m simbias ui {study().hash} tracking.uri=" in shown.where
     export(f"sqlite:///{folder}/other.db", folder / "trials")
     assert pages(f"sqlite:///{folder}/other.db") == live
 
@@ -329,7 +328,7 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)
     files = f"--backend-store-uri {uri(folder)} --artifacts-destination {folder}/files"
-    command = f"{SPARING} mlflow server --workers 1 {files}"
+    command = f"mlflow server --workers 1 {files}"
     with ExitStack() as stack:
         stack.enter_context(serve(command, folder, port))
         shown = Mlflow(address, trials=str(trials)).export_trial(trials / study(1).hash)

@@ -15,6 +15,7 @@ import pytest
 from mlflow_ui import CHROMIUM, browse, serve, visit
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect
+from processes import wait_for
 from sweeping import run
 
 FOLDER = os.environ.get("SCREENSHOTS")
@@ -50,11 +51,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     folder = tmp_path_factory.mktemp("swept")
     status, out, err = run(*SWEEP, folder=folder, timeout=3600 if FOLDER else 300)
     assert status == 0, err
-    found = re.search(r"^Look at it:  (.*)  # http://127\.0\.0\.1:5000(/.*)$", out, re.MULTILINE)
+    found = re.search(r"^Look at it:  (.*)$", out, re.MULTILINE)
     assert found, out
-    command, address = found.groups()
-    with serve(command, folder) as root:
-        yield Site(root, root + address)
+    with serve(found[1], folder) as root:
+        log = folder / "server.log"
+        wait_for(lambda: "Ctrl-C" in log.read_text())
+        yield Site(root, log.read_text().split()[0])
 
 
 @pytest.fixture(scope="module")

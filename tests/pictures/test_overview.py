@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import OWN_CONF, POINT_MASS
 from figures import lines, texts
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,7 +16,6 @@ from PIL import Image
 
 from simbias.core.records import Iteration
 from simbias.pictures import NoPictureError, overview, save
-from simbias.pictures.__main__ import main
 from simbias.pictures.elements.style import HARDWARE, SIMULATION
 from simbias.trial.study import Study
 
@@ -142,17 +140,3 @@ def test_same_figure_gives_the_same_file(short: Study, trial: list[Iteration], t
     for colour in (HARDWARE, SIMULATION, "#FFFFFF"):
         wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
         assert np.abs(colours - wanted).max(axis=1).min() < 4
-
-
-@pytest.mark.slow
-def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = str(tmp_path / "out.png")
-    few = ["optimizer.max_evaluations=150", "--config-dir", str(OWN_CONF)]
-    assert main([out, *POINT_MASS, *few]) == 0
-    assert Image.open(out).format == "PNG"
-    assert "seed 0" in capsys.readouterr().out
-    for bad in ([out, "bias=unknown"], [str(tmp_path / "missing" / "out.png")]):
-        assert main(bad) == 2
-        assert capsys.readouterr().err.startswith("simbias: ")
-    with pytest.raises(SystemExit, match="2"):
-        main(["seed=3"])

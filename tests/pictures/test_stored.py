@@ -13,7 +13,6 @@ from sweeping import NO_FIGURES, QUICK
 
 from simbias.__main__ import main as simbias
 from simbias.core.records import Iteration
-from simbias.pictures.__main__ import main as draw
 from simbias.pictures.trial.gallery import FIGURES
 from simbias.trial.study import Study
 
@@ -40,13 +39,13 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     assert pictures_of(trial) == {f"{name}.png" for name in FIGURES}
     capsys.readouterr()
     own = ["--config-dir", str(OWN_CONF)]
-    assert draw([str(trial), str(folder), *own]) == 0
+    assert simbias(["pictures", str(trial), str(folder), *own]) == 0
     names = {f"{name}{suffix}" for name in FIGURES for suffix in (".png", ".svg")}
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.read_bytes().startswith(b"<?xml") for path in folder.glob("*.svg"))
     assert "overview.png, overview.svg, " in capsys.readouterr().out
     (tmp_path / "file").touch()
-    assert draw([str(trial), str(tmp_path / "file"), *own]) == 2
+    assert simbias(["pictures", str(trial), str(tmp_path / "file"), *own]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"simbias: {tmp_path / 'file'}: no folder")
     assert err.count("\n") == 1

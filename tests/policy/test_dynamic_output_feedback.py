@@ -55,7 +55,7 @@ def test_with_all_of_it_off_it_is_output_feedback() -> None:
     rng = np.random.default_rng(0)
     theta, x = rng.uniform(-5, 5, (7, 5)), 0.1 * rng.normal(size=(7, 6))
     np.testing.assert_array_equal(dynamic.bounds, plain.bounds)
-    u, memory = dynamic.act(theta, x, 0.0, np.zeros((7, dynamic.memory_size)))
+    u, memory = dynamic.act(theta, x, 0.0, np.zeros((7, dynamic.state_size)))
     np.testing.assert_allclose(u, plain.act(theta, x, 0.0, np.zeros((7, 0)))[0], rtol=1e-12)
     assert not memory[:, 5:].any()
 
@@ -124,7 +124,7 @@ ALL += ["constant=0.1"]
 def test_compiled_rollouts_are_the_plain_ones() -> None:
     settings = [f"policy.{each}" for each in ALL]
     study = simbias.load(["tracking=none", "task.horizon=300", "policy=dynamic_output_feedback", *settings])
-    assert study.policy.memory_size == 14
+    assert study.policy.state_size == 14
     rng = np.random.default_rng(2)
     noise = Disturbance(rng.normal(size=(300, 1)), 0.001 * rng.normal(size=(301, 6)))
     model = study.model(ZeroBias(6))

@@ -17,7 +17,7 @@ from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.recordings.excitation import Designer, noise_of
 from simbias.recordings.recovery import Recovery, Take, record, recover
-from simbias.simulation.open_loop import World
+from simbias.simulation.open_loop import PredictionModel
 from simbias.trial.study import Study
 
 QUICK = ["identification=posterior", "identification.starts=4", "identification.rounds=2"]
@@ -82,7 +82,7 @@ def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollo
         z = rng.standard_normal(len(study.nominal.parameters))
         robot = study.nominal.with_parameters(values_at(study.nominal.parameters, z))
         fits = [
-            study.identification.fit(study.nominal, [record(study, World(robot), take, NOISE, rng)])
+            study.identification.fit(study.nominal, [record(study, PredictionModel(robot), take, NOISE, rng)])
             for take in takes
         ]
         assert all(isinstance(fit, Identified) for fit in fits)
@@ -106,7 +106,7 @@ def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
     """Every fifth frame, with noise: between these times a recording is linear."""
     times = 0.01 * np.arange(101)
     take = Take(np.zeros(4), np.full((500, 2), 0.3), times)
-    made = record(limited(), World(study.nominal), take, NOISE, np.random.default_rng(0))
+    made = record(limited(), PredictionModel(study.nominal), take, NOISE, np.random.default_rng(0))
     assert made.frames == 500
     bends = np.abs(np.diff(made.states, 2, axis=0)).max(axis=1) > 1e-12
     assert set(np.flatnonzero(bends) % 5) == {4}
@@ -114,7 +114,7 @@ def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
 
 def test_a_robot_that_fails_is_recorded_until_then(study: Study) -> None:
     wild = Take(np.array([0.0, 0.0, 59.0, 0.0]), np.full((500, 2), 10.0))
-    made = record(limited(), World(study.nominal), wild, np.zeros(4), np.random.default_rng(0))
+    made = record(limited(), PredictionModel(study.nominal), wild, np.zeros(4), np.random.default_rng(0))
     assert 0 < made.frames < 500
     assert (study.task.violated(made.states) < 0).all()
     gone = Take(np.array([0.0, 0.0, 70.0, 0.0]), np.zeros((100, 2)))

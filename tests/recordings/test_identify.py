@@ -212,7 +212,9 @@ def test_the_command_tells_and_writes(
     assert main([*arguments, "--held-out", "two.csv", "--attach"]) == 1
     assert "Do not use it." in capsys.readouterr().out
     assert main(["identify", "three.csv", *arguments[2:]]) == 2
-    assert capsys.readouterr().err == "simbias: three.csv: no such recording (.csv, .csv.gz)\n"
+    assert capsys.readouterr().err == (
+        "simbias: three.csv: no such recording (.csv, .csv.gz, .mcap, .db3, .bag, or a ROS 2 bag)\n"
+    )
     assert main([*arguments, "--columns", "{angle: q}"]) == 2
     assert capsys.readouterr().err == "simbias: columns: names what the task has not: angle\n"
     assert main([*arguments, "--columns", "[angle]"]) == 2

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bongoboard_twin import runge_kutta
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
@@ -44,21 +45,9 @@ factors = st.fixed_dictionaries(dict.fromkeys(MASSES + LENGTHS, st.floats(0.5, 2
 tasks = factors.map(lambda factors: build_task(**factors))
 
 
-def runge_kutta(model, x, u, time_step, frames):
-    """States (frames + 1, 6) of the fourth-order method."""
-
-    def slope(x):
-        return np.concatenate((x[3:], model.accelerations(x, u)))
-
-    states = [x]
-    for _ in range(frames):
-        k1 = slope(x)
-        k2 = slope(x + time_step / 2 * k1)
-        k3 = slope(x + time_step / 2 * k2)
-        k4 = slope(x + time_step * k3)
-        x = x + time_step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        states.append(x)
-    return np.array(states)
+def fall(model, frames=300):
+    """States (frames + 1, 6) without torque, in ms, by the fourth-order method."""
+    return runge_kutta(lambda t, x: model.accelerations(x, NO_TORQUE), START, 1e-3 * frames, frames)
 
 
 # Reference values of an earlier, independent derivation with the parameters of conf/task/bongoboard.yaml. It
@@ -102,7 +91,7 @@ def test_linearisation_has_the_reference_eigenvalues():
 @pytest.mark.parametrize("foot_mass", [0.0, 1.0])
 def test_energy_is_conserved_without_torque(foot_mass):
     model = LagrangianBongoboard(TASK, foot_mass)
-    energies = [model.energy(x) for x in runge_kutta(model, START, NO_TORQUE, 0.001, 300)]
+    energies = [model.energy(x) for x in fall(model)]
     assert np.ptp(energies) < 1e-10 * abs(energies[0])
 
 
@@ -299,14 +288,14 @@ def test_without_disturbance_the_disturbed_model_is_the_papers():
 
 def test_energy_of_the_disturbed_model_is_conserved_without_losses():
     model = with_values(TASK, slope=0.1, payload_mass=5.0, payload_x=0.1, payload_y=0.2, ankle_damping=0.0)
-    energies = [model.energy(x) for x in runge_kutta(model, START, NO_TORQUE, 0.001, 300)]
+    energies = [model.energy(x) for x in fall(model)]
     assert np.ptp(energies) < 1e-10 * abs(energies[0])
 
 
 def test_losses_take_what_they_should_from_the_energy():
     """d theta^2, |d theta| and |d alpha_w| times their coefficients, over the time of a fall."""
     model = with_values(TASK, ankle_damping=2.0, ankle_friction=1.0, rolling_resistance=0.5)
-    states = runge_kutta(model, START, NO_TORQUE, 0.001, 300)
+    states = fall(model)
     d_alpha_w, d_theta = states[:, 3], states[:, 5]
     power = 2.0 * d_theta**2 + sum(
         size * rate**2 / np.hypot(rate, 0.05) for size, rate in ((1.0, d_theta), (0.5, d_alpha_w))
@@ -339,7 +328,7 @@ def test_parameters_are_those_that_are_uncertain_and_draws_differ():
     one, two = (model.draw(rng).kernel.parameters for _ in range(2))
     assert np.isfinite(one).all()
     assert (one != two).sum() > 20
-    assert model.memory_size == 1 + 10
+    assert model.state_size == 1 + 10
 
 
 def test_priors_are_as_declared():
@@ -376,14 +365,14 @@ def test_a_motor_acts_on_the_torque():
     ideal, offset = LagrangianBongoboard(TASK, 1.0), with_values(TASK, torque_offset=3.0)
     both = with_values(TASK, torque_offset=3.0, motor_gain=0.5)
     for model, torque in ((ideal, u), (offset, u + 3.0), (both, 0.5 * u + 3.0)):
-        memory = np.zeros((3, model.memory_size))
+        memory = np.zeros((3, model.state_size))
         np.testing.assert_allclose(model.step(x, u), ideal.step(x, torque), rtol=1e-12)
         advanced, after = model.advance(x, u, memory)
         np.testing.assert_allclose(advanced, ideal.step(x, torque), rtol=1e-12)
         assert after.shape == memory.shape
-        assert model.memories(x, u).shape == memory.shape
+        assert model.model_states(x, u).shape == memory.shape
         np.testing.assert_allclose(model.energy(x), model.energy(MOVING))
-    assert ideal.memories(x, u).shape == (3, 0)
+    assert ideal.model_states(x, u).shape == (3, 0)
 
 
 def test_what_is_not_sampled_is_not_there_until_it_is_identified():
@@ -393,10 +382,10 @@ def test_what_is_not_sampled_is_not_there_until_it_is_identified():
     for one, other in ((model, plain), (each.draw(np.random.default_rng(1)) for each in (model, plain))):
         assert one.kernel.function is other.kernel.function
         np.testing.assert_array_equal(one.kernel.parameters, other.kernel.parameters)
-        assert one.memory_size == 0
+        assert one.state_size == 0
     identified = model.with_parameters(np.array([parameter.value for parameter in model.parameters]))
-    assert identified.memory_size == 1 + 10
-    assert identified.draw(np.random.default_rng(1)).memory_size == 0
+    assert identified.state_size == 1 + 10
+    assert identified.draw(np.random.default_rng(1)).state_size == 0
     with pytest.raises(ValueError, match=r"^sampled: no uncertainty is called slop; there is masses, "):
         LagrangianBongoboard(TASK, sampled=["slop"])
 
@@ -421,7 +410,7 @@ def test_step_is_semi_implicit_euler(x, u):
 
 def test_step_converges_with_order_one():
     duration, u = 0.2, np.array([5.0])
-    exact = runge_kutta(MODEL, MOVING, u, 0.0005, 400)[-1]
+    exact = runge_kutta(lambda t, x: MODEL.accelerations(x, u), MOVING, 0.2, 400)[-1]
     errors = []
     for frames in (400, 800, 1600):
         model = LagrangianBongoboard(build_task(time_step=duration / frames))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bongoboard_twin import MOVING, START, Constant, build_task, build_twin, energy, experiment
+from bongoboard_twin import MOVING, START, Constant, build_task, build_twin, energy, experiment, runge_kutta
 
 from simbias.core.records import Array
 from simbias.robots.bongoboard.gaps import Gaps
@@ -35,19 +35,12 @@ def exact(values: dict[str, float], torque: float, steps: int = 600) -> Array:
     gain, offset = values.get("motor_gain", 1.0), values.get("torque_offset", 0.0)
     lag, delay = values.get("lag", 0.0), values.get("delay", 0.0)
 
-    def slope(t: float, x: Array) -> Array:
+    def accelerations(t: float, x: Array) -> Array:
         late = max(0.0, t - delay)
         acts = gain * torque * ((1.0 - np.exp(-late / lag)) if lag else t >= delay - 1e-9) + offset
-        return np.concatenate((x[3:], model.accelerations(x, np.array([acts]))))
+        return model.accelerations(x, np.array([acts]))
 
-    x, h = START, DURATION / steps
-    for t in h * np.arange(steps):
-        k1 = slope(t, x)
-        k2 = slope(t + h / 2, x + h / 2 * k1)
-        k3 = slope(t + h / 2, x + h / 2 * k2)
-        k4 = slope(t + h * (1 - 1e-4), x + h * k3)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return x
+    return runge_kutta(accelerations, START, DURATION, steps)[-1]
 
 
 def hardware(frames: int = 150, **gaps: float) -> PymunkBongoboard:

@@ -27,7 +27,7 @@ from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.testing.expectations import transitions
 from simbias.trial.study import Study
 
@@ -65,13 +65,13 @@ def search(nominal: str, *overrides: str) -> Study:
     return simbias.load([f"preset={nominal}", "tracking=none", "evaluation=domain_randomization", *overrides])
 
 
-def worlds_of(study: Study, bias: FittedBias | None = None) -> list[Model]:
+def models_of(study: Study, bias: FittedBias | None = None) -> list[Model]:
     model, rng = study.model(bias), np.random.default_rng(0)
     return [replace(model, nominal=study.nominal.draw(rng)) for _ in range(3)]
 
 
 def candidates(study: Study, k: int) -> tuple[Array, Array, Indices]:
-    """Policies (k, p), of which some are mild, starts (k, n) and worlds (k,)."""
+    """Policies (k, p), of which some are mild, starts (k, n) and scenarios (k,)."""
     rng = np.random.default_rng(1)
     lower, upper = study.policy.bounds
     thetas = rng.uniform(lower, upper, (k, len(lower))) * rng.uniform(0.01, 1.0, (k, 1))
@@ -94,10 +94,10 @@ def test_a_compiled_frame_is_the_engines_to_the_last_bit(preset: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("learns", [False, True])
 def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
-    """In several worlds, with and without a bias: they fail alike, at the same costs."""
+    """In several scenarios, with and without a bias: they fail alike, at the same costs."""
     study = search("double_cartpole", "identification=none", "bias=gp")
     bias = study.bias.fit(transitions(study)) if learns else None
-    models = worlds_of(study, bias)
+    models = models_of(study, bias)
     compiled = join([simulator(model, cost=study.cost) for model in models])
     assert isinstance(compiled, CompiledSimulator)
     asked = candidates(study, 60)
@@ -109,27 +109,27 @@ def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
 
 
 def test_predictions_of_a_record_are_the_plain_ones() -> None:
-    """As an identification asks for them: each world's model along the inputs of an experiment."""
+    """As an identification asks for them: each model along the inputs of an experiment."""
     study = search("double_cartpole")
     thetas, starts, _ = candidates(study, 3)
     windows = Windows.of(study.simulator().rollouts(0.01 * thetas, starts), 4, 2)
-    worlds = [World(model.nominal) for model in worlds_of(study)]
+    scenarios = [PredictionModel(model.nominal) for model in models_of(study)]
     assert len(windows) >= 3
-    np.testing.assert_allclose(predict(worlds, windows), plain(worlds, windows), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(predict(scenarios, windows), plain(scenarios, windows), rtol=1e-12, atol=1e-12)
 
 
 def test_a_rollout_depends_neither_on_threads_nor_on_those_beside_it() -> None:
     study = search("double_cartpole")
-    loop = join([simulator(model) for model in worlds_of(study)])
-    thetas, starts, worlds = candidates(study, 50)
-    costs, _ = loop.costs(study.cost, thetas, starts, worlds)
+    loop = join([simulator(model) for model in models_of(study)])
+    thetas, starts, scenarios = candidates(study, 50)
+    costs, _ = loop.costs(study.cost, thetas, starts, scenarios)
     for row in (0, 17, 49):
-        alone, _ = loop.costs(study.cost, *(a[row : row + 1] for a in (thetas, starts, worlds)))
+        alone, _ = loop.costs(study.cost, *(a[row : row + 1] for a in (thetas, starts, scenarios)))
         assert alone[0] == costs[row]
     before = get_num_threads()
     try:
         set_num_threads(1)
-        np.testing.assert_array_equal(loop.costs(study.cost, thetas, starts, worlds)[0], costs)
+        np.testing.assert_array_equal(loop.costs(study.cost, thetas, starts, scenarios)[0], costs)
     finally:
         set_num_threads(before)
 
@@ -152,8 +152,8 @@ def test_a_lane_without_a_rollout_does_not_ask_the_engine() -> None:
 
 
 def test_what_a_search_simulates_stays_while_it_does() -> None:
-    """Its worlds' models are the simulator's alone, whose kernels know but their addresses."""
-    models = worlds_of(search("double_cartpole"))
+    """Its scenarios' models are the simulator's alone, whose kernels know but their addresses."""
+    models = models_of(search("double_cartpole"))
     alive = [weakref.ref(model.nominal) for model in models]
     loop = join([simulator(model) for model in models])
     del models

@@ -68,7 +68,7 @@ def test_a_late_model_is_regulated_with_its_memory() -> None:
     """Twenty inputs that are under way count as states; without them the loop would be unstable."""
     study, model = bongoboard(*DELAY, delay=0.02)
     linear = linearised(model)
-    assert linear.A.shape == (6 + model.nominal.memory_size,) * 2
+    assert linear.A.shape == (6 + model.nominal.state_size,) * 2
     K = lqr_gains(linear, 100.0 * np.diag(study.task.input_limit**-2.0))
     assert K is not None
     blind = np.where(np.arange(len(linear.A)) < 6, K, 0.0)

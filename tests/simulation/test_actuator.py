@@ -79,7 +79,7 @@ def test_two_inputs_have_their_own_and_the_memory_of_a_record_is_that_of_the_loo
 ) -> None:
     inputs = np.random.default_rng(seed).normal(scale=3.0, size=(30, 2))
     together = Actuators(both, DT, 5)
-    memories, drive = together.memories(inputs), Drive(together)
+    memories, drive = together.model_states(inputs), Drive(together)
     acts, after = together.acting(inputs, memories)
     np.testing.assert_allclose(acts, [drive(u) for u in inputs.tolist()], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(after[:-1], memories[1:], rtol=1e-12, atol=1e-12)
@@ -105,15 +105,15 @@ def driven() -> Study:
 
 @pytest.mark.slow
 def test_models_with_memory_run_compiled_as_in_numpy(driven: Study) -> None:
-    """In several worlds, some rollouts taking the places of others that ended."""
+    """In several scenarios, some rollouts taking the places of others that ended."""
     rng, model = np.random.default_rng(0), driven.model()
     models = [replace(model, nominal=driven.nominal.draw(rng)) for _ in range(3)]
     fast = join([simulator(each, cost=driven.cost) for each in models])
     assert isinstance(fast, CompiledSimulator)
-    worlds, thetas = rng.integers(0, 3, 40), rng.uniform(-5, 5, (40, 5))
+    scenarios, thetas = rng.integers(0, 3, 40), rng.uniform(-5, 5, (40, 5))
     starts = np.array([driven.task.draw_start(rng) for _ in range(40)])
-    together = fast.rollouts(thetas, starts, worlds)
-    expected = PlainSimulator(models, [None] * 3).rollouts(thetas, starts, worlds)
+    together = fast.rollouts(thetas, starts, scenarios)
+    expected = PlainSimulator(models, [None] * 3).rollouts(thetas, starts, scenarios)
     assert len({rollout.frames for rollout in together}) > 10
     for one, other in zip(together, expected, strict=True):
         assert (one.frames, one.failure) == (other.frames, other.failure)
@@ -129,8 +129,8 @@ def test_a_recorded_rollout_is_predicted_with_what_it_hides(driven: Study) -> No
     before, after = rollout.states[:-1], rollout.states[1:]
     np.testing.assert_allclose(nominal.along(before, rollout.inputs), after, atol=1e-10)
     assert np.abs(nominal.step(before, rollout.inputs) - after).max() > 1e-3
-    memories = Nominal.memories(nominal, before, rollout.inputs)
-    np.testing.assert_allclose(nominal.memories(before, rollout.inputs), memories, atol=1e-9)
+    memories = Nominal.model_states(nominal, before, rollout.inputs)
+    np.testing.assert_allclose(nominal.model_states(before, rollout.inputs), memories, atol=1e-9)
     assert driven.samples.select([rollout], nominal).transitions.residuals == pytest.approx(0.0, abs=1e-9)
 
 

@@ -19,7 +19,7 @@ import simbias
 from simbias.core import FittedBias, Nominal, Policy, SlowWarning
 from simbias.core.records import Array, Disturbance, Transitions
 from simbias.learning.bias.none import ZeroBias
-from simbias.simulation.closed_loop import Apart, join, simulator
+from simbias.simulation.closed_loop import SimulatorSequence, join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.study import Study
@@ -148,18 +148,21 @@ class InNumPy(Nominal):
 
 @pytest.mark.slow
 def test_a_plain_model_has_a_compiled_bias_beside_it(study: Study, stable: Array) -> None:
-    """In one world or in several, alone or among others: single precision is all that differs."""
+    """In one scenario or in several, alone or among others: single precision is all that differs."""
     rng, bias = np.random.default_rng(0), learned(study)
     model = replace(study.model(bias), task=study.task.with_horizon(100), nominal=InNumPy(study))
     models = [replace(model, bias=drawn) for drawn in (bias, bias.draw(rng), bias.draw(rng))]
     thetas = stable + 0.1 * rng.normal(size=(40, 5))
-    starts, worlds = np.array([study.task.draw_start(rng) for _ in thetas]), rng.integers(0, 3, len(thetas))
+    starts, scenarios = (
+        np.array([study.task.draw_start(rng) for _ in thetas]),
+        rng.integers(0, 3, len(thetas)),
+    )
     with pytest.warns(SlowWarning):
         loops = join([simulator(each) for each in models]), PlainSimulator(models, [None] * 3)
-    quick, plain = (loop.rollouts(thetas, starts, worlds) for loop in loops)
+    quick, plain = (loop.rollouts(thetas, starts, scenarios) for loop in loops)
     for one, other in zip(quick, plain, strict=True):
         np.testing.assert_allclose(one.states, other.states, rtol=1e-4, atol=1e-6)
-    alone = simulator(models[worlds[7]]).rollout(thetas[7], starts[7])
+    alone = simulator(models[scenarios[7]]).rollout(thetas[7], starts[7])
     np.testing.assert_array_equal(alone.states, quick[7].states)
     unbiased = PlainSimulator([replace(model, bias=ZeroBias(6))], [None]).rollout(thetas[7], starts[7])
     assert np.abs(unbiased.states - alone.states).max() > 1e-4
@@ -173,7 +176,7 @@ def test_simulation_is_repeatable(study: Study, stable: Array) -> None:
 
 
 def test_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
-    """Nor on how many run in step: most fall, and others take their places."""
+    """Nor on how many run in lockstep: most fall, and others take their places."""
     rng = np.random.default_rng(0)
     thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
     loop = study.simulator(learned(study))
@@ -195,13 +198,13 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
         simulator(replace(model, bias=bias), cost=study.cost)
         for model, bias in zip(models, drawn, strict=True)
     ]
-    worlds = rng.integers(0, 3, 40)
+    scenarios = rng.integers(0, 3, 40)
     thetas, starts = rng.uniform(-10, 10, (40, 5)), np.array([study.task.draw_start(rng) for _ in range(40)])
-    for several, in_step in ((simulators, True), (own, False), ([*simulators[:2], own[0]], False)):
+    for several, in_lockstep in ((simulators, True), (own, False), ([*simulators[:2], own[0]], False)):
         made = join(several)
-        assert isinstance(made, CompiledSimulator if in_step else Apart)
-        for index, rollout in enumerate(made.rollouts(thetas, starts, worlds)):
-            alone = several[worlds[index]].rollout(thetas[index], starts[index])
+        assert isinstance(made, CompiledSimulator if in_lockstep else SimulatorSequence)
+        for index, rollout in enumerate(made.rollouts(thetas, starts, scenarios)):
+            alone = several[scenarios[index]].rollout(thetas[index], starts[index])
             np.testing.assert_array_equal(rollout.states, alone.states)
             np.testing.assert_array_equal(rollout.inputs, alone.inputs)
 
@@ -246,18 +249,18 @@ def test_threads_change_no_bit(study: Study) -> None:
 
 @pytest.mark.slow
 def test_plain_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
-    """To the last bit, in one world and in several, with a bias that needs linear algebra."""
+    """To the last bit, in one scenario and in several, with a bias that needs linear algebra."""
     rng = np.random.default_rng(0)
     bias = learned(study)
     models = [replace(study.model(bias), nominal=study.nominal.draw(rng)) for _ in range(2)]
     noise = Disturbance(0.3 * rng.normal(size=(5000, 1)), 0.01 * rng.normal(size=(5001, 6)))
     loops = [PlainSimulator([model], [noise]) for model in models]
-    worlds = rng.integers(0, 2, 9)
+    scenarios = rng.integers(0, 2, 9)
     thetas, starts = rng.uniform(-10, 10, (9, 5)), np.array([study.task.draw_start(rng) for _ in range(9)])
     with pytest.warns(SlowWarning):
-        together = join(loops).rollouts(thetas, starts, worlds)
+        together = join(loops).rollouts(thetas, starts, scenarios)
     for index, rollout in enumerate(together):
-        alone = loops[worlds[index]].rollout(thetas[index], starts[index])
+        alone = loops[scenarios[index]].rollout(thetas[index], starts[index])
         np.testing.assert_array_equal(rollout.states, alone.states)
         np.testing.assert_array_equal(rollout.inputs, alone.inputs)
 
@@ -265,7 +268,7 @@ def test_plain_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None
 class Filtered(Policy):
     """Integral action on a low-pass filter of the first output, from half a second on."""
 
-    memory_size = 2
+    state_size = 2
 
     def __init__(self, study: Study) -> None:
         self.n_parameters, self.bounds = 5, study.policy.bounds

@@ -10,7 +10,7 @@ import pytest
 import simbias
 from simbias.core import Kernel, Nominal
 from simbias.core.records import Array, Rollout
-from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.trial.study import Study
 
 
@@ -25,7 +25,7 @@ def experiments(study: Study, lengths: tuple[int, ...] = (37, 8, 64, 3)) -> list
 class Lagging(Nominal):
     """A force that acts through a first-order lag, kept in the memory, on a mass."""
 
-    memory_size = 1
+    state_size = 1
 
     def __init__(self, share: float) -> None:
         self.kernel = Kernel(_lagging, np.array([share]))
@@ -47,10 +47,10 @@ def _lagging(x, u, parameters, memory):
     return (x[0] + 0.01 * velocity, velocity), (force,)
 
 
-def worlds(study: Study) -> list[World]:
+def models(study: Study) -> list[PredictionModel]:
     rng = np.random.default_rng(1)
     return [
-        World(study.nominal.draw(rng), weight, 0.01 * rng.standard_normal(6))
+        PredictionModel(study.nominal.draw(rng), weight, 0.01 * rng.standard_normal(6))
         for weight in np.linspace(0, 1, 21)
     ]
 
@@ -64,11 +64,11 @@ def test_compiled_agrees_with_plain(bias: str) -> None:
         study.no_data, inputs=rng.standard_normal((30, 7)), residuals=1e-3 * rng.standard_normal((30, 6))
     )
     fitted = study.bias.fit(data)
-    made = predict(worlds(study), windows, fitted)
+    made = predict(models(study), windows, fitted)
     assert made.shape == (21, 3 + 0 + 5 + 0, 4, 6)
-    np.testing.assert_allclose(made, plain(worlds(study), windows, fitted), atol=1e-6)
+    np.testing.assert_allclose(made, plain(models(study), windows, fitted), atol=1e-6)
     np.testing.assert_allclose(
-        predict(worlds(study), windows), plain(worlds(study), windows), rtol=1e-9, atol=1e-12
+        predict(models(study), windows), plain(models(study), windows), rtol=1e-9, atol=1e-12
     )
 
 
@@ -76,7 +76,7 @@ def test_memory_runs_on_where_the_state_is_reset() -> None:
     rng = np.random.default_rng(0)
     rollouts = [Rollout(rng.standard_normal((k + 1, 2)), rng.standard_normal((k, 1))) for k in (50, 23, 41)]
     windows = Windows.of(rollouts, 10, 5)
-    models = [World(Lagging(share)) for share in (1.0, 0.3, 0.05)]
+    models = [PredictionModel(Lagging(share)) for share in (1.0, 0.3, 0.05)]
     made = predict(models, windows)
     np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
     alone = Windows.of([Rollout(rollouts[0].states[20:31], rollouts[0].inputs[20:30])], 10, 5)
@@ -93,11 +93,11 @@ def test_a_prediction_is_the_models_steps(study: Study) -> None:
     for t in range(3, 7):
         states.append(x := study.nominal.step(x, rollout.inputs[t]))
     expected = [(states[0] + states[1]) / 2, (states[2] + states[3]) / 2]
-    np.testing.assert_allclose(predict([World(study.nominal)], windows)[0, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(predict([PredictionModel(study.nominal)], windows)[0, 0], expected, rtol=1e-12)
     np.testing.assert_allclose(windows.means[0, 0], rollout.states[4:6].mean(axis=0), rtol=1e-12)
 
 
 def test_without_a_whole_window_nothing_is_predicted(study: Study) -> None:
     windows = Windows.of(experiments(study, (3, 0)), 12, 3)
     assert len(windows) == 0
-    assert predict([World(study.nominal)], windows).shape == (1, 0, 4, 6)
+    assert predict([PredictionModel(study.nominal)], windows).shape == (1, 0, 4, 6)

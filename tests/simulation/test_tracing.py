@@ -25,7 +25,7 @@ from simbias.simulation.compiler.symbolic_arrays import Symbols
 from simbias.simulation.compiler.symbols import MOST, TraceError
 from simbias.simulation.compiler.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.simulation.open_loop import Windows, World, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.trial.study import Study
 
 RNG = np.random.default_rng(0)
@@ -148,7 +148,7 @@ def test_programs_of_them_are_traced(program: Program) -> None:
 
 
 def test_numbers_change_no_operation(cartpole: Study) -> None:
-    """Neither 0 nor 1, nor what is equal; so worlds run in step, and each loop is compiled once."""
+    """Neither 0 nor 1, nor what is equal; so scenarios run in lockstep, and each loop is compiled once."""
     points = Points.of(cartpole.task)
     values = [VALUES, np.ones(6), np.array([1.0, 0.5, 0.5, 0.0, 0.0, 0.0]), RNG.uniform(0.1, 9, 6)]
     kernels = [of_nominal(CartPole(cartpole.task, each), points).kernel for each in values]
@@ -294,7 +294,7 @@ def test_modules_that_know_ctypes_are_left_alone(monkeypatch: pytest.MonkeyPatch
 class Remembers(Nominal):
     """What it keeps of the last input."""
 
-    memory_size = 3
+    state_size = 3
 
     def step(self, x: Array, u: Array) -> Array:
         return x + 0.1 * u
@@ -334,7 +334,7 @@ def test_a_bias_of_ones_own_is_traced() -> None:
 class Later(Feedback):
     """From half a second on, and smoothly."""
 
-    memory_size = 1
+    state_size = 1
 
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         u, _ = super().act(theta, x, t, memory)
@@ -354,17 +354,17 @@ def test_what_thetas_alone_decide_is_computed_once(cartpole: Study, policy: type
 
 
 def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
-    """All of it but the declared task, in two worlds in step."""
+    """All of it but the declared task, in two scenarios in lockstep."""
     task = cartpole.task
     nominal = CartPole(task, VALUES)
     first = Model(task, Later(task), nominal, ZeroBias(4))
     models = [first, replace(first, nominal=nominal.with_parameters(1.2 * VALUES))]
     thetas = np.array([1.0, 4.0, 1.0, 2.0]) + RNG.normal(size=(40, 4))
-    starts, worlds = np.array([task.draw_start(RNG) for _ in thetas]), RNG.integers(0, 2, 40)
+    starts, scenarios = np.array([task.draw_start(RNG) for _ in thetas]), RNG.integers(0, 2, 40)
     together = join([simulator(model) for model in models])
     assert isinstance(together, CompiledSimulator)
     reference = PlainSimulator(models, [None, None])
-    made, expected = (loop.rollouts(thetas, starts, worlds) for loop in (together, reference))
+    made, expected = (loop.rollouts(thetas, starts, scenarios) for loop in (together, reference))
     assert len({rollout.frames for rollout in made}) > 3
     for one, other in zip(made, expected, strict=True):
         assert one.frames == other.frames
@@ -376,5 +376,5 @@ def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
 def test_a_traced_model_predicts_recordings_as_the_plain_one(cartpole: Study) -> None:
     nominal = CartPole(cartpole.task, VALUES)
     windows = Windows.of([cartpole.simulate(np.ones(4))], 5, 5)
-    worlds = [World(nominal), World(nominal.with_parameters(1.2 * VALUES))]
-    np.testing.assert_allclose(predict(worlds, windows), plain(worlds, windows), rtol=1e-9, atol=1e-12)
+    scenarios = [PredictionModel(nominal), PredictionModel(nominal.with_parameters(1.2 * VALUES))]
+    np.testing.assert_allclose(predict(scenarios, windows), plain(scenarios, windows), rtol=1e-9, atol=1e-12)

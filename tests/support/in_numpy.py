@@ -85,11 +85,11 @@ class Feedback(Policy):
         self.n_parameters = len(task.inputs) * len(task.outputs)
         self.bounds = np.full(self.n_parameters, -10.0), np.full(self.n_parameters, 10.0)
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         gains = np.sign(theta) * np.expm1(np.abs(theta))
         H = gains.reshape(*theta.shape[:-1], len(self._task.inputs), len(self._task.outputs))
         u = np.einsum("...ij,...j->...i", H, self.outputs(x))
-        return np.clip(u, -self._task.input_limit, self._task.input_limit), memory
+        return np.clip(u, -self._task.input_limit, self._task.input_limit), policy_state
 
     def outputs(self, x: Array) -> Array:
         return self._task.output(x)

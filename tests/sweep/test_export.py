@@ -14,7 +14,8 @@ import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.sweep.folder import SweepFolder
-from simbias.sweep.running import SweepObserver, SweepState
+from simbias.sweep.running import SweepObserver
+from simbias.sweep.state import SweepState
 from simbias.sweep.tracking import Export, Folders
 
 pytestmark = pytest.mark.slow

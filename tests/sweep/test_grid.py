@@ -154,10 +154,6 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
             ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['a\tb']}"],
             "sweep.axes.x: has a name or label with letters that cannot be printed",
         ),
-        (
-            ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['$\\frac$']}"],
-            "sweep.axes.x: between dollars Matplotlib expects mathematics, got '$",
-        ),
         (["+sweep=smoke", "+sweep.axes.bias=[gp, gp]"], "sweep.axes.bias: has the same value or label twice"),
         (
             ["+sweep=smoke", "+sweep.axes.x={keys: tracking.uri, values: [a]}"],

@@ -21,6 +21,7 @@ from simbias.robots.bongoboard.pymunk import PymunkBongoboard
 from simbias.sweep.batches import Batch, Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.figures.success_rates import Range, SuccessRates
+from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import expand
 from simbias.sweep.interruption import Interruption
 from simbias.sweep.making import FigureObserver, make_figures
@@ -32,20 +33,19 @@ STARTS = np.zeros((2, 6))
 
 
 class Store:
-    """Keeps what is made in memory."""
+    """The state of a sweep, as far as figures need it."""
 
-    def __init__(self) -> None:
-        self.kept: dict[str, Outcomes] = {}
+    def __init__(self, path: Path) -> None:
+        path.mkdir(exist_ok=True)
+        self.folder = SweepFolder(path)
         self.captions: dict[str, str] = {}
+
+    @property
+    def kept(self) -> list[Outcomes]:
+        return [Outcomes.from_json(file.read_text()) for file in self.folder.path.glob("experiments/*")]
 
     def swept(self) -> Any:
         return None
-
-    def outcomes(self, hashes: Sequence[str]) -> dict[str, Outcomes]:
-        return {identity: self.kept[identity] for identity in hashes if identity in self.kept}
-
-    def keep_outcomes(self, identity: str, outcomes: Outcomes) -> None:
-        self.kept[identity] = outcomes
 
     def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
         assert all(file.exists() for file in files)
@@ -93,7 +93,7 @@ def make(figure: SweepFigure, store: Store, observer: FigureObserver, folder: Pa
 
 
 def test_batches_are_run_once_and_kept(brief: Study, tmp_path: Path) -> None:
-    store, notes = Store(), Notes()
+    store, notes = Store(tmp_path / "sweep"), Notes()
     make(Tries(brief, 1), store, FigureObserver(), tmp_path)
     assert len(store.kept) == 1
     make(Tries(brief, 3), store, notes, tmp_path)
@@ -101,7 +101,7 @@ def test_batches_are_run_once_and_kept(brief: Study, tmp_path: Path) -> None:
     progress = ("tries: batches of experiments", 3, 1)
     assert notes.lines == [progress, "step", "step", ("tries", "3 batches.", files)]
     assert len(store.kept) == 3
-    assert {outcome.successes for outcome in store.kept.values()} == {(True, True)}
+    assert {outcome.successes for outcome in store.kept} == {(True, True)}
     assert store.captions == {"tries": "3 batches."}
 
 
@@ -121,7 +121,7 @@ def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytes
         (Tries, "draw", NoPictureError("nothing to see"), "nothing to see"),
         (Tries, "draw", closed, "hardware: the lab is closed until Monday"),
     ):
-        store = Store()
+        store = Store(tmp_path / "sweep")
         figure = Tries(brief, int(owner is PymunkBongoboard))
         with monkeypatch.context() as patch:
             patch.setattr(owner, method, failing(error))

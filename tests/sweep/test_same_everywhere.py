@@ -36,6 +36,7 @@ ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Pa
 
 def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
     """Of every trial's folder, in the order of TRIALS."""
+    folder.mkdir(exist_ok=True)
     trials = [compose([*SHORT, *trial, f"seed={seed}"]).trial for seed, trial in enumerate(TRIALS)]
     plans = [Plan(each, str(folder / str(i))) for i, each in enumerate(trials)]
     for _, result in engine.run(run_plan, plans[::-1] if backwards else plans):
@@ -51,9 +52,9 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 def test_engines_and_jobs_change_no_bit(expected: list[str], tmp_path: Path) -> None:
-    assert digests(Loky(n_jobs=3), tmp_path / "loky") == expected
+    assert digests(Loky(n_jobs=2), tmp_path / "loky") == expected
     pytest.importorskip("distributed")
-    assert digests(Dask(n_jobs=2), tmp_path / "dask") == expected
+    assert digests(Dask(n_jobs=1), tmp_path / "dask") == expected
 
 
 def test_the_order_changes_no_bit(expected: list[str], tmp_path: Path) -> None:

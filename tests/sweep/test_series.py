@@ -19,6 +19,7 @@ from simbias.sweep.figure import SweptTrials
 from simbias.sweep.figures.costs import Costs
 from simbias.sweep.figures.experiments import Experiments
 from simbias.sweep.grid import expand
+from simbias.sweep.results import LATER
 
 LEARNERS = ["gp", "sparse_gp", "gp_learned", "none"]
 EVALUATIONS = ["nominal_start", "domain_randomization"]
@@ -41,6 +42,7 @@ def picture_of(name: str, config_dir: Path | None = None) -> Figure:
             "outcome": "succeeded",
             "experiments": rng.integers(2, 20),
             "iterations": 3,
+            **LATER,
         }
         for cell in sweep.cells
         for _ in range(3)

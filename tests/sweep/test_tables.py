@@ -19,7 +19,7 @@ def made_up(sweep: Sweep, outcome: str = "succeeded") -> pd.DataFrame:
             **dict(zip((axis.name for axis in sweep.axes), trial.cell.labels, strict=True)),
             "hash": trial.hash, "repetition": trial.repetition, "seed": trial.seed, "outcome": outcome,
             "experiments": 2.0 * (1 + index % 3), "iterations": 1.0 + index % 3, "seconds": 1.0,
-            "raised": "", "test_episodes": "",
+            "raised": "", **results.LATER,
         }
         for index, trial in enumerate(sweep.trials)
     ]  # fmt: skip

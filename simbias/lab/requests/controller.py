@@ -1,6 +1,6 @@
 """A policy's law as a C header and as a Python module, for control loops without simbias.
 
-Both are written of the trace of `Policy.act`, and keep the policy's memory and the time themselves.
+Both are written of the trace of `Policy.act`, and keep the policy state and the time themselves.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ typedef struct {{
     long frame;
     int aborted;
     double u[{m}]; /* in the frame before */
-{memory_field}}} simbias_controller;
+{state_field}}} simbias_controller;
 
 static inline void simbias_start(simbias_controller *controller)
 {{
@@ -57,24 +57,24 @@ static inline int simbias_control(simbias_controller *controller, const double x
         safe = safe && u[i] >= INPUT_LOWER[i] && u[i] <= INPUT_UPPER[i];
         safe = safe && (controller->frame == 0 || fabs(u[i] - controller->u[i]) <= INPUT_CHANGE[i]);
     }}
-{memory_check}    controller->aborted = !safe;
+{state_check}    controller->aborted = !safe;
     for (int i = 0; i < {m}; ++i)
         controller->u[i] = u[i] = safe ? u[i] : 0.0;
     if (!safe)
         return 1;
-{memory_update}    ++controller->frame;
+{state_update}    ++controller->frame;
     return 0;
 }}
 
 #endif
 """
-MEMORY_CHECK = """\
+STATE_CHECK = """\
     for (int i = 0; i < {s}; ++i)
         safe = safe && isfinite(next[i]);
 """
-MEMORY_UPDATE = """\
+STATE_UPDATE = """\
     for (int i = 0; i < {s}; ++i)
-        controller->memory[i] = next[i];
+        controller->policy_state[i] = next[i];
 """
 
 MODULE = '''\
@@ -91,9 +91,9 @@ import numpy as np
 TIME_STEP = {time_step!r}  # s
 {constants}
 
-def law(x, t, memory):
-    """Inputs u ({m},), and the memory ({s},) for the next frame."""
-{body}    return np.array([{u}]), np.array([{memory}])
+def law(x, t, policy_state):
+    """Inputs u ({m},), and the policy state ({s},) for the next frame."""
+{body}    return np.array([{u}]), np.array([{policy_state}])
 
 
 class Controller:
@@ -101,58 +101,58 @@ class Controller:
 
     def __init__(self):
         self.frame, self.aborted = 0, False
-        self.u, self.memory = np.zeros({m}), np.zeros({s})
+        self.u, self.policy_state = np.zeros({m}), np.zeros({s})
 
     def __call__(self, x):
         x = np.asarray(x, dtype=float)
         with np.errstate(all="ignore"):
-            u, memory = law(x, self.frame * TIME_STEP, self.memory)
+            u, policy_state = law(x, self.frame * TIME_STEP, self.policy_state)
             safe = not self.aborted and (np.abs(x) <= STATE_LIMIT).all()
             safe = safe and (u >= INPUT_LOWER).all() and (u <= INPUT_UPPER).all()
             safe = safe and (self.frame == 0 or (np.abs(u - self.u) <= INPUT_CHANGE).all())
-        if not (safe and np.isfinite(memory).all()):
+        if not (safe and np.isfinite(policy_state).all()):
             self.aborted = True
             raise ValueError(f"abort: x = {{x}}, u = {{u}}")
-        self.frame, self.u, self.memory = self.frame + 1, u, memory
+        self.frame, self.u, self.policy_state = self.frame + 1, u, policy_state
         return u
 '''
 
 
 def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     """The law in C99."""
-    lines, u, memory = law.written(C)
+    lines, u, policy_state = law.written(C)
     lines += [f"u[{i}] = {value};" for i, value in enumerate(u)]
-    lines += [f"next[{i}] = {value};" for i, value in enumerate(memory)]
-    s = len(memory)
+    lines += [f"next[{i}] = {value};" for i, value in enumerate(policy_state)]
+    s = len(policy_state)
     before = ["const double t = controller->frame * SIMBIAS_TIME_STEP;"] * law.time_dependent
-    before += ["const double *memory = controller->memory;", f"double next[{s}];"] * (s > 0)
+    before += ["const double *policy_state = controller->policy_state;", f"double next[{s}];"] * (s > 0)
     constants = [
         f"static const double {name}[{len(values)}] = {{{', '.join(map(C.number, values.tolist()))}}};"
         for name, values in _limits(task, bounds).items()
     ]
     return HEADER.format(
         **_words(task, title),
-        memory_field=f"    double memory[{s}];\n" if s else "",
+        state_field=f"    double policy_state[{s}];\n" if s else "",
         constants=_indented(constants),
         locals=_indented(before),
         body=_indented(lines),
-        memory_check=MEMORY_CHECK.format(s=s) if s else "",
-        memory_update=MEMORY_UPDATE.format(s=s) if s else "",
+        state_check=STATE_CHECK.format(s=s) if s else "",
+        state_update=STATE_UPDATE.format(s=s) if s else "",
     )
 
 
 def python_module(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     """The law in Python, with NumPy."""
-    lines, u, memory = law.written(NUMPY)
+    lines, u, policy_state = law.written(NUMPY)
     return MODULE.format(
         **_words(task, title),
         constants="".join(
             f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items()
         ),
-        s=len(memory),
+        s=len(policy_state),
         body=_indented(lines),
         u=", ".join(u),
-        memory=", ".join(memory),
+        policy_state=", ".join(policy_state),
     )
 
 

@@ -67,7 +67,7 @@ def read(path: Path, request: ExperimentRequest) -> Rollout:
 def _columns(table: Table, task: Task) -> list[int]:
     """Where time, states and inputs stand; other columns may stand between them."""
     bare, found = [name.partition("(")[0].strip() for name in table.names], []
-    for name, unit, _ in (TIME, *task.states, *task.inputs):
+    for name, unit, *_ in (TIME, *task.states, *task.inputs):
         if bare.count(name) != 1:
             raise HardwareError(
                 f"{table.source}: row 1: expected a column {name} ({unit}), got "

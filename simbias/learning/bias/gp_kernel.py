@@ -1,7 +1,7 @@
-"""The compiled correction of a Gaussian-process bias (Eq. 4, 5 and 7), for all rollouts that run in step.
+"""The compiled correction of a Gaussian-process bias (Eq. 4, 5 and 7), for all rollouts that run in lockstep.
 
 Most of a policy search is spent here: on N^2 / 2 products for the variance of each step. One step alone would
-be bound by reading the factor from the cache; the rollouts that run in step, one in each lane, share one
+be bound by reading the factor from the cache; the rollouts that run in lockstep, one in each lane, share one
 reading. Single precision halves it, the triangle L^-1 halves it again against K^-1. The sum of squares
 |L^-1 k|^2 has no cancellation, so the error stays near 1e-6 of the signal variance.
 
@@ -95,7 +95,7 @@ def means(weights, k, n):
 
 
 def factor(norm, constants):
-    """What W^T k has to be multiplied by (Eq. 7), from |U k|^2."""
+    """Factor of W^T k in Eq. 7, from |U k|^2."""
     alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
     variance = prior - alpha_squared**2 * norm  # Eq. 5
     return alpha_squared * np.exp(-d_n * variance)

@@ -19,7 +19,7 @@ Tolerance = Annotated[float, Field(gt=0, lt=1)]
 
 @dataclass(frozen=True)
 class Inducing:
-    """How inducing points are chosen.
+    """Limits in the choice of inducing points.
 
     The variance needs fewer points than the mean, whose weights are large, and costs their number squared: it
     uses the first of them only.

@@ -8,7 +8,7 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Indices
-from simbias.simulation.open_loop import Windows, memories
+from simbias.simulation.open_loop import Windows, model_states
 
 STEP = 1e-5  # of a state, for derivatives by differences
 BATCH = 64  # windows differentiated at once, to bound memory
@@ -19,15 +19,21 @@ def sensitivities(nominal: Nominal, windows: Windows, features: Callable[[Array]
 
     They are taken along the nominal model's predictions; features (k, R) are of inputs (k, n+m).
     """
-    starts, memory = windows.starts, memories(nominal, windows)
+    starts, model_state = windows.starts, model_states(nominal, windows)
     batches = [slice(first, first + BATCH) for first in range(0, len(starts), BATCH)]
-    return np.concatenate([_of(nominal, windows, features, starts[some], memory[some]) for some in batches])
+    return np.concatenate(
+        [_of(nominal, windows, features, starts[some], model_state[some]) for some in batches]
+    )
 
 
 def _of(
-    nominal: Nominal, windows: Windows, features: Callable[[Array], Array], starts: Indices, memory: Array
+    nominal: Nominal,
+    windows: Windows,
+    features: Callable[[Array], Array],
+    starts: Indices,
+    model_state: Array,
 ) -> Array:
-    """Derivatives (w, J, n, n R) for the windows that begin in rows `starts` (w,) with `memory` (w, s)."""
+    """Derivatives (w, J, n, n R) for the windows that begin in rows `starts` (w,)."""
     x = windows.states[starts]
     w, n = x.shape
     diagonal = np.arange(n)
@@ -38,9 +44,9 @@ def _of(
         phi = features(np.concatenate([x, u], axis=1))
         shifted = x[:, None] + STEP * np.eye(n)
         advanced, _ = nominal.advance(
-            shifted, np.repeat(u[:, None], n, axis=1), np.repeat(memory[:, None], n, axis=1)
+            shifted, np.repeat(u[:, None], n, axis=1), np.repeat(model_state[:, None], n, axis=1)
         )
-        x_next, memory = nominal.advance(x, u, memory)
+        x_next, model_state = nominal.advance(x, u, model_state)
         A = (advanced - x_next[:, None]).transpose(0, 2, 1) / STEP
         if not t:
             S = total = np.zeros((w, n, n, phi.shape[1]))

@@ -18,7 +18,7 @@ from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import GPSample
 from simbias.learning.bias.sensitivity import sensitivities
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 LEAST_SIGNAL = 1e-12  # in a state's unit; a state that the model predicts exactly would have zero
 JITTER = 1e-6  # of the inducing points' covariance, relative to the signal's variance
@@ -79,7 +79,7 @@ class WindowGP(Bias):
         fold = self._fold(windows) if windows else np.zeros(0, np.int64)
         if not windows or len(np.unique(fold)) < 2:
             return self.fit(transitions)
-        residuals = windows.means - predict([World(nominal)], windows)[0]
+        residuals = windows.means - predict([PredictionModel(nominal)], windows)[0]
         errors = ErrorDistribution.of(residuals, windows)
         last = residuals[:, -1]
         unit = np.sqrt(np.mean(np.clip(last, *_outlier_limits(last)) ** 2, axis=0)) / self._window

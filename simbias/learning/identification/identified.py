@@ -10,6 +10,7 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.parameters import Estimate, Parameter, values_at
+from simbias.core.ranges import Coordinate
 from simbias.core.records import Array
 from simbias.learning.prediction_errors import ErrorDistribution
 
@@ -21,8 +22,8 @@ class Known:
     """A posterior as numbers: normal in the coordinates of p parameters' declared priors."""
 
     parameters: list[str]  # their names, in the model's order
-    mode: list[float]  # (p,)
-    spread: list[list[float]]  # (p, p) a square root of the covariance
+    mode: list[Coordinate]  # (p,)
+    spread: list[list[Coordinate]]  # (p, p) a square root of the covariance
 
 
 @final
@@ -42,7 +43,7 @@ class Identified(Nominal):
         self.model = prior.with_parameters(values_at(prior.parameters, mode))
         self.kernel = self.model.kernel
         self.parameters = prior.parameters
-        self.memory_size = self.model.memory_size
+        self.state_size = self.model.state_size
         self.diagnostics = diagnostics
         self.errors = errors  # of predictions over windows, at the mode
         self.spread = spread  # (p, p) square root of the covariance
@@ -57,13 +58,13 @@ class Identified(Nominal):
         """x_next (..., n) of the most probable model."""
         return self.model.step(x, u)
 
-    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
-        """x_next (..., n), and the memory (..., s), of the most probable model."""
-        return self.model.advance(x, u, memory)
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """x_next (..., n), and the model state (..., s), of the most probable model."""
+        return self.model.advance(x, u, model_state)
 
-    def memories(self, states: Array, inputs: Array) -> Array:
+    def model_states(self, states: Array, inputs: Array) -> Array:
         """Memory (k, s) in each frame of a record, from its start on."""
-        return self.model.memories(states, inputs)
+        return self.model.model_states(states, inputs)
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its parameters."""
@@ -101,7 +102,7 @@ class KnownPrior(Nominal):
             )
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
-        self.kernel, self.memory_size = nominal.kernel, nominal.memory_size
+        self.kernel, self.state_size = nominal.kernel, nominal.state_size
         self.parameters = tuple(Parameter(name, "", 0.0, 1.0) for name in names)
 
     def step(self, x: Array, u: Array) -> Array:

@@ -15,9 +15,10 @@ from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
+from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
-from simbias.simulation.open_loop import Windows, World, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 STEP = 1e-4  # of finite differences: of a coordinate, or of the standard deviation of a state
 LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
@@ -56,11 +57,13 @@ class Posterior(Identification):
         Largest number of steps of the search for the mode in a round.
     known
         An earlier posterior, as of recordings, in place of the declared prior.
+    motors, sensors
+        How uncertain those of inputs and states are, by name (`simbias.learning.identification.rig`).
 
     Raises
     ------
     ValueError
-        If `known` is not of the nominal model's parameters (`fit`).
+        If `known` is not of the model's parameters, or the task has no such motor or sensor (`fit`).
     """
 
     def __init__(
@@ -72,7 +75,10 @@ class Posterior(Identification):
         rounds: Count = 4,
         evaluations: Count = 12,
         known: Known | None = None,
+        motors: dict[str, Motor] | None = None,
+        sensors: dict[str, Sensor] | None = None,
     ) -> None:
+        self._task, self._motors, self._sensors = task, motors or {}, sensors or {}
         self._time_step = task.time_step
         self._chunks = chunks
         self._set_window(window)
@@ -108,10 +114,16 @@ class Posterior(Identification):
         Without a whole window it is the model itself, or the one that is known.
         """
         if self._known is None:
-            return self._fit(nominal, rollouts)
-        prior = KnownPrior(nominal, self._known)
+            return self._fit(self.prior(nominal), rollouts) if rollouts else nominal
+        prior = KnownPrior(self.prior(nominal), self._known)
         fitted = self._fit(prior, rollouts)
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)
+
+    def prior(self, nominal: Nominal) -> Nominal:
+        """The nominal model, with the parameters of motors and sensors if any are uncertain."""
+        if not self._motors and not self._sensors:
+            return nominal
+        return Rig(self._task, nominal, self._motors, self._sensors)
 
     def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The posterior, with the declared prior."""
@@ -139,16 +151,16 @@ class Posterior(Identification):
         """The likeliest coordinates (p,) among the prior's median and draws from it."""
         z = np.random.default_rng(0).standard_normal((self._starts, len(nominal.parameters)))
         z[0] = 0.0
-        errors = predict([_world(nominal, each) for each in z], windows) - windows.means
+        errors = predict([_model(nominal, each) for each in z], windows) - windows.means
         fits = [
             ErrorDistribution.of(each, windows, ROBUST_FREEDOM).log_likelihoods(each).sum() for each in errors
         ]
         return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
 
 
-def _world(nominal: Nominal, z: Array, offset: Array | None = None) -> World:
+def _model(nominal: Nominal, z: Array, offset: Array | None = None) -> PredictionModel:
     """The model with its parameters at coordinates z (p,)."""
-    return World(nominal.with_parameters(values_at(nominal.parameters, z)), offset=offset)
+    return PredictionModel(nominal.with_parameters(values_at(nominal.parameters, z)), offset=offset)
 
 
 class Problem:
@@ -198,9 +210,9 @@ class Problem:
         """
         p, windows = len(z), self._windows
         steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
-        worlds = [_world(self._nominal, each) for each in z + STEP * np.eye(p + 1, p, -1)]
-        worlds += [_world(self._nominal, z, offset) for offset in np.diag(steps)]
-        each = predict(worlds, windows)
+        models = [_model(self._nominal, each) for each in z + STEP * np.eye(p + 1, p, -1)]
+        models += [_model(self._nominal, z, offset) for offset in np.diag(steps)]
+        each = predict(models, windows)
         by_start = np.moveaxis((each[p + 1 :] - each[0]) / steps[:, None, None, None], 0, -1)
         errors = each[0] - self._observed
         white = self.errors.whiten(errors)
@@ -227,7 +239,7 @@ class Problem:
 
     def _errors(self, z: Array) -> Array:
         """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
-        return predict([_world(self._nominal, each) for each in z], self._windows) - self._observed
+        return predict([_model(self._nominal, each) for each in z], self._windows) - self._observed
 
     def _at(self, z: Array) -> tuple[Array, Array]:
         """Residuals (w d + p,), the prior's last, and their derivatives by z (p,)."""

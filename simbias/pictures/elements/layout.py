@@ -20,10 +20,15 @@ MOST_COLUMNS = 5  # of a legend
 INCHES_OF_CHARACTER, INCHES_OF_HANDLE = 0.095, 0.6  # at most, with the space around it
 
 
-def panels(rows: int, columns: int, height: float) -> tuple[Figure, np.ndarray]:
-    """An empty figure and its axes (rows, columns), each about as high as `height` in inches."""
-    figure = Figure(figsize=(WIDTH, rows * (height + LABELS)), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
+def panels(count: int, height: float, most: int = 3, blocks: int = 1) -> tuple[Figure, np.ndarray]:
+    """An empty figure and its axes (blocks, count), about `height` inches high, at most `most` in a row."""
+    columns = min(most, count)
+    rows = -(-count // columns)  # of each block
+    figure = Figure(figsize=(WIDTH, blocks * rows * (height + LABELS)), layout="constrained")
+    grid = figure.subplots(blocks * rows, columns, squeeze=False).reshape(blocks, rows * columns)
+    for axes in grid[:, count:].flat:
+        axes.axis("off")
+    return figure, grid[:, :count]
 
 
 def headline(axes: Axes, words: str, size: Literal["medium", "large"] = "medium") -> None:

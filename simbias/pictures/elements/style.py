@@ -61,6 +61,11 @@ def symbol(name: str) -> str:
     return f"${letter}_{{{index}}}$" if index else f"${letter}$"
 
 
+def literal(text: str) -> str:
+    """Text of the user's, in which dollars are no mathematics."""
+    return text.replace("$", r"\$")
+
+
 def seconds(task: Task, frame: int) -> float:
     """When a frame is, in s."""
     return frame * task.time_step

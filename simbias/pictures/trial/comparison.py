@@ -133,7 +133,9 @@ def outcome_words(study: Study, rollout: Rollout) -> str:
     """How a hardware experiment ended."""
     if rollout.failed_at is not None:
         return f"fails on hardware after {seconds(study.task, rollout.failed_at):.2f} s"
-    if study.cost.passes(rollout):
+    if (succeeds := study.task.succeeds(rollout.states)) is not None:
+        return f"{'reaches' if succeeds else 'misses'} its goal on hardware"
+    if study.passes(rollout):
         return f"lasts all {seconds(study.task, rollout.frames):g} s on hardware"
     return f"too costly on hardware (Z = {rollout.cost:.3g})"
 

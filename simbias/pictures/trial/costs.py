@@ -52,7 +52,7 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """
     if all(iteration.model is None for iteration in iterations):
         raise NoPictureError("no policy was searched in simulation")
-    figure, grid = panels(1, 2, HEIGHT)
+    figure, grid = panels(2, HEIGHT)
     (by_iteration, pairs), limit = grid[0], study.cost.max_cost
     values = [limit]
     for iteration in iterations:

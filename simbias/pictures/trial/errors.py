@@ -61,7 +61,7 @@ def prediction_errors(
     if not horizons:
         raise NoPictureError("no experiment lasted as long as the shortest horizon")
     groups = _groups(study.task)
-    figure, grid = panels(len(groups), len(horizons), HEIGHT)
+    figure, grid = panels(len(horizons), HEIGHT, len(horizons), blocks=len(groups))
     shown: dict[str, Line2D] = {}
     for iteration in iterations:
         for name, (bias, nominal) in _models(study, iterations, iteration).items():
@@ -95,7 +95,7 @@ class Windows(NamedTuple):
 
     states: Array  # (w, k+1, n) recorded
     inputs: Array  # (w, k, m) commanded
-    memories: Array  # (w, s) of the nominal model where they begin
+    model_states: Array  # (w, s) of the nominal model where they begin
 
 
 def _models(
@@ -118,15 +118,15 @@ def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | 
         for rollout in iteration.experiments
         for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(iteration.experiments)))
     ]
-    n, m, s = len(study.task.states), len(study.task.inputs), (nominal or study.nominal).memory_size
-    memories = {
-        id(r): (nominal or study.nominal).memories(r.states[:-1], r.inputs) for r in iteration.experiments
+    n, m, s = len(study.task.states), len(study.task.inputs), (nominal or study.nominal).state_size
+    model_states = {
+        id(r): (nominal or study.nominal).model_states(r.states[:-1], r.inputs) for r in iteration.experiments
     }
     w = len(starts)
     return Windows(
         np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(w, frames + 1, n),
         np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(w, frames, m),
-        np.array([memories[id(rollout)][t] for rollout, t in starts]).reshape(w, s),
+        np.array([model_states[id(rollout)][t] for rollout, t in starts]).reshape(w, s),
     )
 
 
@@ -144,10 +144,10 @@ def prediction_error(
     nominal: Nominal | None = None,
 ) -> Array:
     """Errors (horizons, w, n) of predictions (Eq. 7) from the first state of each piece, under its inputs."""
-    x, memory, errors = pieces.states[:, 0], pieces.memories, []
+    x, model_state, errors = pieces.states[:, 0], pieces.model_states, []
     for k in range(1, max(horizons) + 1):
         u = pieces.inputs[:, k - 1]
-        predicted, memory = (nominal or study.nominal).advance(x, u, memory)
+        predicted, model_state = (nominal or study.nominal).advance(x, u, model_state)
         x = predicted + fitted_bias.correction(x, u)
         if k in horizons:
             errors.append(x - pieces.states[:, k])

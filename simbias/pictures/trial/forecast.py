@@ -27,7 +27,7 @@ from simbias.pictures.trial.comparison import (
 )
 from simbias.trial.study import Study
 
-HEIGHT, COLUMNS = 1.5, 3  # in, of a panel; panels in a row
+HEIGHT = 1.5  # in, of a panel
 DRAWS, SEED = 20, 0
 BAND = (0.05, 0.95)  # quantiles
 POINTS = 250  # of the band along the time
@@ -59,10 +59,9 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         curves.append(learned)
         draws = _draws(study, model, experiment)
     curves.append(on_nominal(study, experiment))
-    columns = min(COLUMNS, len(task.states))
-    figure, grid = panels(-(-len(task.states) // columns), columns, HEIGHT)
+    figure, (grid,) = panels(len(task.states), HEIGHT)
     beyond = False
-    for i, (axes, quantity) in enumerate(zip(grid.flat, task.states, strict=False)):
+    for i, (axes, quantity) in enumerate(zip(grid, task.states, strict=True)):
         for _, rollout, color, line in curves:
             times = task.time_step * np.arange(len(rollout.states))
             axes.plot(times, rollout.states[:, i], line, color=color, linewidth=1.0)
@@ -72,9 +71,7 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
             beyond |= _draw_band(axes, task.time_step, draws[:, :, i])
         axes.set(xlabel="time (s)", ylabel=label(quantity))
         plain(axes)
-    for axes in grid.flat[len(task.states) :]:
-        axes.axis("off")
-    headline(grid[0, 0], compared_words(study, iteration))
+    headline(grid[0], compared_words(study, iteration))
     legend(figure, _entries(curves, draws, beyond))
     return figure
 

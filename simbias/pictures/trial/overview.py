@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -111,7 +110,7 @@ def _measure(study: Study, experiment: Rollout, shown: Sequence[Rollout]) -> Mea
     """The criterion that an experiment failed, or else the first that failed; the cost if that tells more."""
     names = [criterion.name for criterion in study.task.criteria]
     failures = [rollout.failure for rollout in (experiment, *shown) if rollout.failure in names]
-    too_costly = experiment.failed_at is None and not study.cost.passes(experiment)
+    too_costly = experiment.failed_at is None and not study.passes(experiment)
     if too_costly or not failures:
         return _cost_so_far(study)
     return _criterion(study.task, names.index(str(failures[0])))
@@ -133,11 +132,7 @@ def _cost_so_far(study: Study) -> Measure:
 
     def so_far(rollout: Rollout) -> tuple[Indices, Array]:
         frames = np.unique(np.linspace(1, rollout.frames, POINTS).round().astype(int))
-        cut = [
-            replace(rollout, states=rollout.states[: k + 1], inputs=rollout.inputs[:k], failed_at=None)
-            for k in frames[:-1]
-        ]
-        return frames, np.array([study.cost.of(each) for each in (*cut, rollout)])
+        return frames, np.array([study.cost.of(rollout.part(0, k)) for k in frames])
 
     return Measure("cost Z so far", study.cost.max_cost, Z_MAX, so_far)
 

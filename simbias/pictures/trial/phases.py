@@ -25,7 +25,7 @@ from simbias.pictures.trial.comparison import (
 )
 from simbias.trial.study import Study
 
-HEIGHT, COLUMNS = 2.3, 3  # in, of a panel; panels in a row
+HEIGHT = 2.3  # in, of a panel
 NEAR = 0.5  # of a limit: what comes so close to it is shown together with it
 
 
@@ -46,19 +46,14 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     if not pairs:
         raise NoPictureError(f"no state of {type(task).__name__} has another's unit per second")
     both = first_and_last(on_hardware(iterations))
-    columns = min(COLUMNS, len(pairs))
-    rows = -(-len(pairs) // columns)  # of each policy
-    figure, grid = panels(len(both) * rows, columns, HEIGHT)
-    blocks = grid.reshape(len(both), rows * columns)
+    figure, blocks = panels(len(pairs), HEIGHT, blocks=len(both))
     for block, iteration in zip(blocks, both, strict=True):
         headline(block[0], compared_words(study, iteration))
         experiments = policy_experiments(iteration)
         models = simulated(study, iteration, experiments)
-        for axes, pair in zip(block, pairs, strict=False):
+        for axes, pair in zip(block, pairs, strict=True):
             _draw(axes, task, pair, models, SIMULATION, "--")
             _draw(axes, task, pair, experiments, HARDWARE, "-")
-        for axes in block[len(pairs) :]:
-            axes.axis("off")
     bounds = state_bounds(task)
     for index, pair in enumerate(pairs):
         _share_view(list(blocks[:, index]), bounds[list(pair)])

@@ -48,7 +48,7 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
         counts = [selection.rejected.get(name, 0) for selection in selections]
         bars[f"rejected: {study.task.words(name)}"] = counts, color
     longest = max(1, *np.sum([counts for counts, _ in bars.values()], axis=0))
-    figure, grid = panels(1, 1, MARGIN + BAR * len(lessons))
+    figure, grid = panels(1, MARGIN + BAR * len(lessons))
     axes, ends = grid[0, 0], np.zeros(len(rows))
     for words, (counts, color) in bars.items():
         if any(counts):

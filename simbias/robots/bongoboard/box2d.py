@@ -30,7 +30,7 @@ OVERLAP = 0.005 * UNIT  # m
 
 
 def box2d() -> Any:
-    """The library."""
+    """Box2D, imported when it is needed; ValueError if it is not installed."""
     return library("Box2D", "Box2D", "box2d")
 
 
@@ -134,7 +134,7 @@ class World:
         self._world.Step(self._time_step, self._iterations, self._iterations)
 
     def state(self) -> list[float]:
-        """The task's state (6,)."""
+        """State (6,) of the task, of the bodies' angles and rates."""
         bodies = (self.bodies[name] for name in ("wheel", "board", "left leg", "right leg"))
         return state_of(*((body.angle, body.angularVelocity) for body in bodies))
 

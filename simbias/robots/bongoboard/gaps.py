@@ -1,4 +1,4 @@
-"""What a real bongoboard has and its model has not: each gap by its name, zero or neutral by default."""
+"""Gaps between a bongoboard and its model, each by its name, zero or neutral by default."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Gaps:
     sensor_delay: Delay = 0  # frames until a state is seen
 
     def motor(self, time_step: float) -> Actuator:
-        """What the torque goes through."""
+        """The actuator that the torque passes."""
         limit = inf if self.torque_limit is None else self.torque_limit
         return Actuator(self.motor_gain, self.torque_offset, limit, self.lag, self.delay * time_step)
 

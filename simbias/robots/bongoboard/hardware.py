@@ -114,11 +114,11 @@ class _Running(Robot):
         return self._states[-1]
 
     def reading(self) -> Array:
-        """What the sensors say of it."""
+        """Readings (6,) of the sensors, without noise."""
         return self._sensor.read(self._states, len(self._states) - 1)
 
     def step(self, u: Array) -> None:
-        """One frame."""
+        """Step the world by one frame, under what the motor makes of u (1,)."""
         if self._world is None:
             self._world = self._build(self._states[0])
         (torque,) = self._drive(u.tolist())

@@ -84,13 +84,13 @@ class LagrangianBongoboard(Nominal):
         mechanics = Kernel(_semi_implicit(self._equations.accelerations), parameters)
         self._mechanics = self.kernel = mechanics
         self._actuators: Actuators | None = None
-        self.memory_size = 0
+        self.state_size = 0
         if not MOTOR.keys().isdisjoint(present):
             self._actuators = Actuators(
                 [Actuator(*(known[name] for name in MOTOR))], self._time_step, self._taps
             )
             self.kernel = self._actuators.before(mechanics)
-            self.memory_size = self._actuators.memory_size
+            self.state_size = self._actuators.state_size
 
     def with_parameters(self, values: Array) -> LagrangianBongoboard:
         """The model with other values (k,) of its `parameters`."""
@@ -126,16 +126,16 @@ class LagrangianBongoboard(Nominal):
         """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""
         return self._stepped(x, u if self._actuators is None else self._actuators.settled(u))
 
-    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
-        """x_next (..., 6) under what the motor makes of u (..., 1), and its memory (..., s)."""
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """x_next (..., 6) under what the motor makes of u (..., 1), and the model state (..., s)."""
         if self._actuators is None:
-            return self._stepped(x, u), memory
-        acting, memory = self._actuators.acting(u, memory)
-        return self._stepped(x, acting), memory
+            return self._stepped(x, u), model_state
+        acting, model_state = self._actuators.acting(u, model_state)
+        return self._stepped(x, acting), model_state
 
-    def memories(self, states: Array, inputs: Array) -> Array:
+    def model_states(self, states: Array, inputs: Array) -> Array:
         """Memory (k, s) in each frame of a record, from its start on: what the motor makes of the inputs."""
-        return np.empty((len(inputs), 0)) if self._actuators is None else self._actuators.memories(inputs)
+        return np.empty((len(inputs), 0)) if self._actuators is None else self._actuators.model_states(inputs)
 
     def _stepped(self, x: Array, torque: Array) -> Array:
         """x_next (..., 6) under a torque (..., 1) that acts."""

@@ -83,10 +83,10 @@ class World:
         mujoco().mj_step(self._model, self.data, nstep=self._steps)
 
     def state(self) -> list[float]:
-        """The task's state (6,)."""
+        """State (6,) of the task, of the engine's positions and velocities."""
         turns = np.stack([self.data.qpos, self.data.qvel], axis=1)
         leg = (turns[8] + turns[LEGS].mean(axis=0)).tolist()
-        return state_of(*turns[[2, 5]].tolist(), leg, leg)
+        return state_of(turns[2].tolist(), turns[5].tolist(), leg, leg)
 
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""
@@ -152,7 +152,7 @@ def _inertial(mass: float, inertia: float, height: float = 0.0) -> str:
 
 
 def _hinge(name: str) -> str:
-    """A joint in the plane."""
+    """MJCF of a joint that turns in the plane."""
     return f'<joint name="{name}" type="hinge" axis="0 -1 0"/>'
 
 
@@ -168,7 +168,7 @@ def _box(name: str, length: float, height: float) -> str:
 
 
 def _pairs(friction: float, soft: str) -> str:
-    """What touches what."""
+    """Pairs of shapes that may touch, with their friction."""
     return "".join(
         f'<pair geom1="{a}" geom2="{b}" condim="3" friction="{friction} {friction} 0 0 0" {soft}/>'
         for a, b in (("floor", "wheel"), ("floor", "board"), ("wheel", "board"), ("board", "foot"))

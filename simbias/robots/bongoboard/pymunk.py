@@ -137,7 +137,7 @@ class World:
         self._space.step(self._time_step)
 
     def state(self) -> list[float]:
-        """The task's state (6,)."""
+        """State (6,) of the task, of the bodies' angles and rates."""
         return state_of(
             *((body.angle, body.angular_velocity) for body in (self._wheel, self._board, *self._legs))
         )

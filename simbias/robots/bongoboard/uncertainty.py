@@ -1,4 +1,4 @@
-"""What a modeller of the bongoboard may not know exactly: names, units and priors."""
+"""Uncertain parameters of the bongoboard's model: names, units and priors."""
 
 from __future__ import annotations
 

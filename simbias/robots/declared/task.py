@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from simbias.core import Criterion, Quantity, Task
-from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, TimeStep
+from simbias.core import Criterion, Push, Quantity, Task
+from simbias.core.files import ConfigFile
+from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, Seconds, TimeStep
 from simbias.core.records import Array
+from simbias.robots.declared.goal import Reference, Success, check_within, success_names
+from simbias.robots.declared.starts import Starts
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors
 from simbias.simulation.compiler import Expression, Expressions
 
+Range = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+
 
 @dataclass(frozen=True)
 class State:
-    """A state, and where it starts: mean + N(0, deviation^2)."""
+    """A state, and where it starts: mean + N(0, deviation^2), the mean a number, uniform or one of values."""
 
     unit: str
     kind: str = ""  # shared with others, so that noise can be declared of all at once
     mean: Coordinate = 0.0
     deviation: NonNegative = 0.0  # of hardware starts
+    uniform: Range | None = None  # least and largest mean
+    values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; of several states, a grid
+    wraps: bool = False  # an angle in rad that is the same after a turn
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """What a policy may feed back."""
+    """A quantity that a policy may feed back."""
 
     value: Expression
     unit: str = ""
@@ -58,6 +66,15 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class Pulses:
+    """Pushes on an input during an episode (`simbias.core.Push`)."""
+
+    count: Annotated[int, Field(gt=0, le=1000)]
+    amplitude: Range  # least and largest, in the input's unit; of either sign
+    seconds: Annotated[list[Seconds], Field(min_length=2, max_length=2)]  # a pulse's standard deviation
+
+
+@dataclass(frozen=True)
 class Part:
     """A part of a drawing. One point is the centre of a disc, two are the ends of a bar, more are corners."""
 
@@ -72,7 +89,7 @@ _Value = TypeVar("_Value")
 
 
 def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
-    """What a mapping holds, so that its order counts in a trial's identity."""
+    """Items of a mapping, so that their order counts in a trial's identity."""
     return tuple(values.items())
 
 
@@ -88,7 +105,7 @@ Named = Annotated[dict[str, _Value], AfterValidator(_names), AfterValidator(_in_
 
 
 class Declared(Task):
-    """Hold, for `horizon` frames of `time_step` seconds, states within what the failure criteria allow.
+    """Reach a goal, or hold for `horizon` frames of `time_step` seconds what the failure criteria allow.
 
     Expressions are those of `simbias.simulation.compiler.expressions`, of the states and of what `constants`
     and `where` give a name.
@@ -100,7 +117,20 @@ class Declared(Task):
     outputs
         What a policy feeds back, in the order of z; by default all states.
     failure
-        Criteria by name; where several are violated, the first one counts.
+        Criteria by name; where several are violated, the first one counts. Without any, nothing fails.
+    goal
+        Where states and outputs are to be, by name: expressions of the time t in s. By default all states are
+        to be zero.
+    reference
+        In place of a goal: a CSV file of columns t and names, linear between its rows.
+    success
+        Conditions by name, all of which hold for the last `hold` seconds of an episode that succeeds; beside
+        states, they know t and the error of each quantity of the goal, as `angle_error`. Without any, the
+        cost decides.
+    starts
+        States, of which an episode starts at one, in place of the states' means.
+    pushes
+        By the inputs' names.
     constants
         Numbers by name.
     where
@@ -118,23 +148,31 @@ class Declared(Task):
         self,
         states: Named[State],
         inputs: Named[Input],
-        failure: Named[Failure],
         time_step: TimeStep,
         horizon: Frames,
+        failure: Named[Failure] | None = None,
         outputs: Named[Output] | None = None,
         constants: Named[Coordinate] | None = None,
         where: Named[Expression] | None = None,
         drawing: Named[Part] | None = None,
         figure: FigureFile | None = None,
+        goal: Named[Expression] | None = None,
+        reference: ConfigFile | None = None,
+        success: Named[Failure] | None = None,
+        hold: Seconds | None = None,
+        starts: Annotated[list[list[Coordinate]], Field(min_length=1)] | None = None,
+        pushes: Named[Pulses] | None = None,
         sensors: SensorFile | None = None,
     ) -> None:
-        states, inputs, failure = dict(states), dict(inputs), dict(failure)
-        for name, some in (("states", states), ("inputs", inputs), ("failure", failure)):
+        states, inputs, failure = dict(states), dict(inputs), dict(failure or {})
+        for name, some in (("states", states), ("inputs", inputs)):
             if not some:
                 raise ValueError(f"{name} is empty: there has to be one at least")
         self.time_step = time_step
         self.horizon = horizon
-        self.states = tuple(Quantity(name, state.unit, state.kind) for name, state in states.items())
+        self.states = tuple(
+            Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
+        )
         self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
         upper = np.array([each.limit for each in inputs.values()])
         lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
@@ -142,8 +180,8 @@ class Declared(Task):
             if not least < most:
                 raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
         self._input_bounds, self.input_limit = (lower, upper), np.maximum(-lower, upper)
-        self.start_mean = np.array([state.mean for state in states.values()])
-        self.start_deviation = np.array([state.deviation for state in states.values()])
+        self._starts = Starts(states, starts)
+        self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
         self._sensors = None if sensors is None else Sensors(self, sensors)
         self._known: dict[str, Any] = {
             "variables": (*states, *(self._sensors.names if self._sensors else ())),
@@ -153,8 +191,13 @@ class Declared(Task):
         given = dict(outputs or {}) or {name: Output(name, state.unit) for name, state in states.items()}
         self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
         self.criteria = tuple(_criterion(name, each, tuple(states)) for name, each in failure.items())
-        self._measure = self.expressions({name: _measure(name, each) for name, each in failure.items()})
+        self._measure = self.expressions(
+            {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
+        )
         self._output = self.expressions({name: output.value for name, output in given.items()})
+        self._set_goal(dict(goal or {}), reference)
+        self._set_success(dict(success or {}), hold)
+        self.pushes = tuple(_push(name, each, tuple(inputs)) for name, each in dict(pushes or {}).items())
         self._figure = None if figure is None else Figure(self, figure)
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
@@ -169,6 +212,40 @@ class Declared(Task):
             }
         )
 
+    def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
+        """Where which quantities are to be."""
+        if goal and file:
+            raise ValueError("one of goal and reference is to be given")
+        self._reference, self._goals = None, self.states
+        if not goal and file is None:
+            return
+        self._reference = Reference(goal, file, self._known["constants"], self.horizon * self.time_step)
+        known = {quantity.name: (i, quantity) for i, quantity in enumerate((*self.states, *self.outputs))}
+        known |= {state.name: (i, state) for i, state in enumerate(self.states)}
+        for name in self._reference.names:
+            if name not in known:
+                raise ValueError(f"goal: no state or output is called {name}; there is {', '.join(known)}")
+        aimed = [known[name] for name in self._reference.names]
+        self._aimed, self._goals = [index for index, _ in aimed], tuple(quantity for _, quantity in aimed)
+        check_within(self._reference, self.criteria, self.horizon * self.time_step)
+
+    def _set_success(self, success: Mapping[str, Failure], hold: float | None) -> None:
+        """When an episode succeeds."""
+        self._success = None
+        if bool(success) != (hold is not None):
+            raise ValueError("success and hold are to be given together")
+        if not success or hold is None:
+            return
+        if hold > self.horizon * self.time_step:
+            raise ValueError(
+                f"hold is {hold:g} s, and an episode {self.horizon * self.time_step:g} s: none can succeed"
+            )
+        names = success_names(self._known["variables"], self._goals)
+        texts = {f"success.{name}": _measure(f"success.{name}", each) for name, each in success.items()}
+        measures = Expressions(texts, **{**self._known, "variables": names})
+        criteria = [_criterion(name, each, ()) for name, each in success.items()]
+        self._success = Success(criteria, measures, self.frames(hold) + 1)
+
     @property
     def input_bounds(self) -> tuple[Array, Array]:
         """Lower and upper limits (m,) of the inputs."""
@@ -176,7 +253,7 @@ class Declared(Task):
 
     def measure(self, x: Array) -> Array:
         """Measures (..., c) of the failure criteria at states x (..., n)."""
-        return self._measure(self._seen(x))
+        return self._measure(self._seen(x)) if self.criteria else x[..., :0]
 
     def output(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""
@@ -185,6 +262,32 @@ class Declared(Task):
     def _seen(self, x: Array) -> Array:
         """States (..., n), followed by what sensors say of them."""
         return np.concatenate([x, self._sensors(x)], axis=-1) if self._sensors else x
+
+    def draw_start(self, rng: np.random.Generator) -> Array:
+        """A random start (n,)."""
+        return self._starts.draw(rng)
+
+    @property
+    def goals(self) -> tuple[Quantity, ...]:
+        """The quantities that the goal is about."""
+        return self._goals
+
+    def aim(self, x: Array) -> Array:
+        """The goal's quantities (..., g) at states x (..., n)."""
+        if self._goals is self.states:
+            return x
+        return np.concatenate([x, self.output(x)], axis=-1)[..., self._aimed]
+
+    def reference(self, t: Any) -> Array:
+        """Where they are to be, (..., g) or (g,), at times t (...) in s."""
+        return super().reference(t) if self._reference is None else self._reference(t)
+
+    def succeeds(self, states: Array) -> bool | None:
+        """Whether an episode of states (T+1, n) that has not failed succeeds; None without conditions."""
+        if self._success is None:
+            return None
+        times = self.time_step * np.arange(len(states))
+        return self._success.holds(self._seen(states), times, self.error(states, times))
 
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
@@ -195,7 +298,7 @@ class Declared(Task):
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
-        """How MuJoCo renders the state x (n,); None if the drawing is of parts."""
+        """Image of the state x (n,) as MuJoCo renders it; None if the drawing is of parts."""
         return self._figure.image(x) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
@@ -217,8 +320,18 @@ def _parts(figure: Figure) -> dict[str, Part]:
 def _measure(name: str, failure: Failure) -> str:
     """The expression whose value is above the criterion's limit where x fails."""
     if (failure.above is None) == (failure.below is None):
-        raise ValueError(f"failure.{name}: one of above and below is to be given")
+        raise ValueError(f"{name}: one of above and below is to be given")
     return failure.value if failure.below is None else f"-({failure.value})"
+
+
+def _push(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
+    """Pushes on an input of these."""
+    if name not in inputs:
+        raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
+    for key, (least, most) in (("amplitude", pulses.amplitude), ("seconds", pulses.seconds)):
+        if not 0 <= least <= most:
+            raise ValueError(f"pushes.{name}.{key} is [{least:g}, {most:g}], not from less to more")
+    return Push(inputs.index(name), pulses.count, tuple(pulses.amplitude), tuple(pulses.seconds))
 
 
 def _criterion(name: str, failure: Failure, states: Collection[str]) -> Criterion:

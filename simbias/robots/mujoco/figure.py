@@ -19,7 +19,7 @@ from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
 
 @dataclass(frozen=True)
 class FigureFile:
-    """Where a drawing comes from: a file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it."""
+    """Source of a drawing: a file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it."""
 
     file: ConfigFile
     joints: list[str] | None = None
@@ -58,7 +58,7 @@ class Figure:
         self._rendering = Rendering(self._robot, view) if rendered else None
 
     def image(self, x: Array) -> Image | None:
-        """How it looks at the state x (n,); None where a stick figure is drawn."""
+        """Rendered image at the state x (n,); None where a stick figure is drawn."""
         if self._rendering is not None:
             try:
                 return self._rendering.image(x)

@@ -96,7 +96,7 @@ def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
 
 
 def _spec(path: Path, actuators: Sequence[str]) -> Any:
-    """What a file specifies, its elements named, and motors put at joints that are named as actuators."""
+    """Specification of a file, elements without a name named, with motors at joints named as actuators."""
     engine = mujoco()
     _check_size(path)
     spec = engine.MjSpec.from_file(str(path))
@@ -110,7 +110,7 @@ def _spec(path: Path, actuators: Sequence[str]) -> Any:
 
 
 def _path(file: str) -> Path:
-    """Where a file is; `package:path` lies in a package."""
+    """Path of a file, which may be `package:path`."""
     package, colon, inside = file.partition(":")
     if not colon or not package.isidentifier():
         return Path(file).expanduser()

@@ -66,7 +66,7 @@ class Mujoco(Hardware):
 
 
 class _Running(Robot):
-    """The engine under way."""
+    """An experiment under way in the engine."""
 
     def __init__(self, task: Task, robot: Mechanism, start: Array, delay: int) -> None:
         self._task = task

@@ -53,7 +53,7 @@ class EngineModel:
 
 
 class Places:
-    """Where the engine works on models of one file; a step depends on nothing that was left there."""
+    """Data of the engine for models of one file, one a thread; no step depends on what is left there."""
 
     def __init__(self, model: EngineModel) -> None:
         self.table = np.full((_SETTINGS.NUMBA_NUM_THREADS, WORDS), FREE, np.int64)

@@ -87,7 +87,7 @@ class Mujoco(Nominal):
         return x_next.reshape(*leading, -1)
 
     def _step_possible(self, x: Array, u: Array) -> Array:
-        """x_next (k, n)."""
+        """x_next (k, n) of finite x (k, n) and u (k, m), on all threads if there are many."""
         from mujoco.rollout import Rollout
 
         robot = self._robot

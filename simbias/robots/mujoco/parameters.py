@@ -138,7 +138,7 @@ def put_values(model: Any, values: Mapping[str, float]) -> None:
 
 
 def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
-    """What is set, and what is multiplied, as values by name.
+    """Values by name of the parameters that are set, and of those that are multiplied.
 
     Raises
     ------

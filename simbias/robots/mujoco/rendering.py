@@ -95,7 +95,7 @@ class Rendering:
 
 
 def _cropped(pixels: Array, middle: Array, half: float) -> Image:
-    """What shows something of a square image about a middle (2,), which is twice `half` wide, in m."""
+    """Crop a square image about a middle (2,), twice `half` m wide, to the pixels that show something."""
     rows, columns = (np.flatnonzero(pixels[..., 3].any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         rows = columns = np.arange(len(pixels))

@@ -1,1 +1,1 @@
-"""How the cost of a policy is predicted in simulation."""
+"""Predictions of a policy's cost in simulation."""

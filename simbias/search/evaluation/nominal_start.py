@@ -8,14 +8,14 @@ import numpy as np
 
 from simbias.core import Cost, Evaluation, Model, Objective, Task
 from simbias.core.records import Array
-from simbias.simulation.closed_loop import Worlds, join, simulator
+from simbias.simulation.closed_loop import Scenarios, join, simulator
 
 
 @dataclass(eq=False)
 class CostOfOneRollout:
     """Z (Eq. 8) of a policy's rollout from one start."""
 
-    simulator: Worlds
+    simulator: Scenarios
     cost: Cost
     start: Array  # (n,)
     steps: int = 0  # simulated so far
@@ -27,8 +27,8 @@ class CostOfOneRollout:
     def together(self, thetas: Array) -> Array:
         """Z (k,) of thetas (k, p)."""
         k = len(thetas)
-        starts, worlds = np.tile(self.start, (k, 1)), np.zeros(k, np.int64)
-        costs, frames = self.simulator.costs(self.cost, thetas, starts, worlds)
+        starts, scenarios = np.tile(self.start, (k, 1)), np.zeros(k, np.int64)
+        costs, frames = self.simulator.costs(self.cost, thetas, starts, scenarios)
         self.steps += int(frames.sum())
         return costs
 

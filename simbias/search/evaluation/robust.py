@@ -61,13 +61,13 @@ class CostOfScenarios:
         self._share_promising = 1 - np.mean(hopeless)
         return np.where(hopeless, self._aggregated(costs[:, first]), self._aggregated(costs))
 
-    def _costs(self, thetas: Array, worlds: Indices) -> Array:
-        """The cost of each theta of (k, p) in each of the worlds."""
-        each = np.tile(worlds, len(thetas))
-        repeated = np.repeat(thetas, len(worlds), axis=0)
+    def _costs(self, thetas: Array, scenarios: Indices) -> Array:
+        """The cost of each theta of (k, p) in each of the scenarios."""
+        each = np.tile(scenarios, len(thetas))
+        repeated = np.repeat(thetas, len(scenarios), axis=0)
         costs, frames = self._simulators.costs(self._cost, repeated, self._starts[each], each)
         self.steps += int(frames.sum())
-        return costs.reshape(len(thetas), len(worlds))
+        return costs.reshape(len(thetas), len(scenarios))
 
     def _aggregated(self, costs: Array) -> Array:
         """The means (k,) of the worst of the costs (k, .)."""

@@ -23,7 +23,7 @@ CAPRICIOUS = "the search asks for other points when it is given the same costs"
 
 
 class AskedEnough(Exception):  # noqa: N818 (no error, as StopIteration is none)
-    """Ends a run on guesses."""
+    """Raised to end a run on guesses once it has asked for enough points."""
 
 
 def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: Evaluations) -> str:
@@ -57,7 +57,7 @@ def look_ahead(search: Callable[[Callable[[Array], float]], str], evaluations: E
 
 @dataclass
 class Past:
-    """What earlier runs of a search have found out."""
+    """Costs and points that earlier runs of a search have found out."""
 
     judged: list[float] = field(default_factory=list)  # costs of the first points that the search asks for
     next: bytes | None = None  # the point after these

@@ -34,7 +34,7 @@ class Nlopt(Optimizer):
     algorithm: Algorithm
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
-        """Search as NLopt does."""
+        """Search by NLopt's algorithm; why it ended, in words."""
         return search_nlopt(self.algorithm, evaluations, rng)
 
 

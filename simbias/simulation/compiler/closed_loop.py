@@ -8,7 +8,7 @@ from typing import Any
 
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.loop import Function, Loop
-from simbias.simulation.compiler.text import assign, tuple_of
+from simbias.simulation.compiler.text import assign, sum_of, tuple_of
 
 # Noise is (w (T+1), m+n), scenarios (k,), starts (k, n). Filled are: states (k, T+1, n) and inputs (k, T, m),
 # or neither; the cost's final_totals (k, s); frames (k,), and the criterion (k,) that each rollout violated,
@@ -116,6 +116,8 @@ def compile_closed_loop(c: Composition) -> Any:
 def _advanced(c: Composition) -> list[str]:
     """From the state to the input that acts; a rollout that ends is not stepped any further."""
     judge = [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
+    if not c.criteria:  # else what is no number violates one
+        judge = [f"failed = -1 if abs({sum_of([f'x_[{i}]' for i in range(c.n)])}) < inf else 0"]
     seen, force = "x_", "u"
     if c.noisy:
         seen = tuple_of("x_[{0}] + disturbance[{1}, lane]", c.n, c.m)

@@ -10,7 +10,7 @@ once on symbols, and a kernel is written of what it computes (`simbias.simulatio
 That takes arithmetic, elementary functions, indices, sums, products of matrices, `np.where` and comparisons
 in it, `np.clip`, `np.stack`, arrays of `np.zeros_like` and `x.copy()` that are filled, `np.linalg.solve` of
 small matrices. It does not take `if` and `while` that ask for values, masks as indices, arrays of `np.zeros`
-that are filled, random numbers, what is remembered elsewhere than in `memory`, other libraries, or more than
+that are filled, random numbers, what is remembered elsewhere than in its state, other libraries, or more than
 MOST operations (`simbias.simulation.compiler.symbols`). Where code does such things, or what is written gives
 other numbers, the loop runs in NumPy, up to 500 times slower, and a warning names the line.
 
@@ -35,15 +35,15 @@ other, several times slower. A division by zero gives inf or nan, and a rollout 
 has failed. Such a function also takes arrays in place of numbers, as long as it has neither `min`, `max` nor
 branches: so the plain method can be `elementwise(_step, x, u, parameters=...)`.
 
-    Task.measure_kernel      (x, parameters) -> measures
-    Nominal.kernel           (x, u, parameters) -> x_next               parameters may differ between worlds
-                             (x, u, parameters, memory) -> x_next, memory
+    Nominal.kernel           (x, u, parameters) -> x_next               parameters: by scenario
+                             (x, u, parameters, model_state) -> x_next, model_state
     FittedBias.kernel        (x, u, parameters) -> correction
                              (x (n, LANES), u (m, LANES), data, correction (n, LANES)) -> None
 
-Policies and costs are always traced, and what is computed of thetas alone is computed once for each:
+Tasks, policies and costs are always traced. What a policy computes of thetas alone is computed once for each:
 
-    Policy.act               (parameters, x, t, memory, constants) -> u, memory    memory is zero at the start
+    Task.measure             (x, constants) -> measures
+    Policy.act               (parameters, x, t, policy_state, constants) -> u, policy_state
     Cost.terms               (x_next, u, t, constants) -> terms
 
 What the bias does for all lanes at once may need linear algebra; its data is a tuple of arrays.
@@ -57,7 +57,7 @@ import numpy as np
 
 from simbias.core.records import Array
 
-LANES = 16  # rollouts that run in step: as many single-precision numbers fill the widest vector registers
+LANES = 16  # rollouts that run in lockstep: as many single-precision numbers fill the widest vector registers
 
 
 def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array:

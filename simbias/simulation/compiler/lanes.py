@@ -1,4 +1,4 @@
-"""Numbers of sixteen rollouts that run in step, one in each lane of a vector register.
+"""Numbers of sixteen rollouts that run in lockstep, one in each lane of a vector register.
 
 A type for compiled functions: `load` and `store` move a row of an array, `everywhere` fills all lanes with
 a number, `broadcast` with an element of an array, and `+`, `-`, `*` act lane by lane. What a lane gives does

@@ -133,7 +133,9 @@ class Loop:
             )
             for name, each in self.functions.items()
         }
-        module: Any = compilation.module(self.source, **names, zeros=np.zeros, int64=np.int64, nan=np.nan)
+        module: Any = compilation.module(
+            self.source, **names, zeros=np.zeros, int64=np.int64, nan=np.nan, inf=np.inf
+        )
         if not hasattr(module, "compiled"):
             module.compiled = njit(**OPTIONS, cache=True)(module.loop)
         return module.compiled

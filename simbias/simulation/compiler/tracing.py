@@ -31,20 +31,22 @@ from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError
 from simbias.simulation.compiler.written import Formulas, Written, columns, needed, written
 
 AGREEMENT = 1e-9  # relative, between a traced kernel and the method
-FRAMES = 100  # over which a policy with memory is held against its kernel
+FRAMES = 100  # over which a policy with a state is held against its kernel
 
 
-class Part(NamedTuple):
-    """A part of a closed loop: its kernel, or why it has none."""
+class KernelOrReason(NamedTuple):
+    """The kernel of a part of a closed loop, or why it has none."""
 
     kernel: Any  # of a policy, a `PolicyKernel`; None
     why_not: str = ""
 
 
-Given = tuple[dict[str, Array], list[int]]  # vectors (ROWS, .) that a method takes; sizes of what it gives
+TraceInputs = tuple[
+    dict[str, Array], list[int]
+]  # vectors (ROWS, .) that a method takes; sizes of what it gives
 
 
-def parts_of(model: Model) -> tuple[Part, Part, Part, Part]:
+def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
     """The parts of a closed loop: measures, policy, nominal model, bias."""
     task, points = model.task, Points.of(model.task)
     return (
@@ -55,54 +57,56 @@ def parts_of(model: Model) -> tuple[Part, Part, Part, Part]:
     )
 
 
-def of_measure(task: Task, points: Points) -> Part:
+def of_measure(task: Task, points: Points) -> KernelOrReason:
     """The task's measures."""
     return _once(task, "measure", lambda: _traced(task, "measure", {"x": points.x}, [len(task.criteria)]))
 
 
-def of_cost(cost: Cost, task: Task) -> Part:
+def of_cost(cost: Cost, task: Task) -> KernelOrReason:
     """A cost's terms, if it has any."""
     if not cost.reductions:
-        return Part(None, f"{type(cost).__name__} says no `reductions`")
+        return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`")
 
-    def find() -> Part:
+    def find() -> KernelOrReason:
         points, t = Points.of(task), task.time_step * np.arange(1.0, ROWS + 1)
         return _traced(cost, "terms", {"x": points.x, "u": points.u, "t": t}, [len(cost.reductions)])
 
     return _once(cost, "terms", find)
 
 
-def of_nominal(nominal: Nominal, points: Points) -> Part:
+def of_nominal(nominal: Nominal, points: Points) -> KernelOrReason:
     """A step of the nominal model."""
-    s = nominal.memory_size
+    s = nominal.state_size
 
-    def given() -> Given:
+    def inputs() -> TraceInputs:
         vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
         if not s:
             return vectors, sizes
-        memory = np.random.default_rng(1).standard_normal((ROWS, s))
-        return {**vectors, "memory": memory}, [*sizes, s]
+        state = np.random.default_rng(1).standard_normal((ROWS, s))
+        return {**vectors, "model_state": state}, [*sizes, s]
 
-    return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", given)
+    return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", inputs)
 
 
-def of_bias(bias: FittedBias, points: Points) -> Part:
+def of_bias(bias: FittedBias, points: Points) -> KernelOrReason:
     """A bias' correction."""
 
-    def given() -> Given:
+    def inputs() -> TraceInputs:
         return {"x": points.x, "u": points.u}, [points.x.shape[1]]
 
-    return _own_or_traced(bias.kernel, bias, "correction", given)
+    return _own_or_traced(bias.kernel, bias, "correction", inputs)
 
 
-def _own_or_traced(kernel: Kernel | None, component: Any, method: str, given: Callable[[], Given]) -> Part:
+def _own_or_traced(
+    kernel: Kernel | None, component: Any, method: str, inputs: Callable[[], TraceInputs]
+) -> KernelOrReason:
     """The component's own kernel or, traced once, that of a method."""
     if kernel is not None:
-        return Part(kernel)
-    return _once(component, method, lambda: _traced(component, method, *given()))
+        return KernelOrReason(kernel)
+    return _once(component, method, lambda: _traced(component, method, *inputs()))
 
 
-def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> Part:
+def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> KernelOrReason:
     """The kernel of a method that takes these vectors (k, .) and gives some of these sizes."""
 
     def trace(subject: Callable) -> Kernel:
@@ -113,14 +117,14 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
         ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
-        names = [name for name in vectors if name != "memory"]
-        arguments = ", ".join([*names, "p", *(["memory"] if "memory" in vectors else [])])
+        names = [name for name in vectors if name != "model_state"]
+        arguments = ", ".join([*names, "p", *(["model_state"] if "model_state" in vectors else [])])
         function, numbers = written(trace, results, arguments)
         return Kernel(function, numbers)
 
     def check(subject: Callable, kernel: Kernel) -> None:
-        before = [rows for name, rows in vectors.items() if name != "memory"]
-        after = [rows for name, rows in vectors.items() if name == "memory"]
+        before = [rows for name, rows in vectors.items() if name != "model_state"]
+        after = [rows for name, rows in vectors.items() if name == "model_state"]
         made = columns(kernel.function, *before, tuple(kernel.parameters), *after)
         _compare(subject, list(vectors.values()), made if len(sizes) > 1 else (made,))
 
@@ -133,11 +137,11 @@ class PolicyKernel(NamedTuple):
     prepare: Written
     control: Written
     size: int  # r, of the parameters
-    memory_size: int  # s
+    state_size: int  # s
 
     @property
     def function(self) -> Callable:
-        """(parameters, x, t, memory, constants) -> u, memory."""
+        """(parameters, x, t, policy_state, constants) -> u, policy_state."""
         return self.control.function
 
     @property
@@ -150,9 +154,9 @@ class PolicyKernel(NamedTuple):
         return _rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
 
 
-def of_policy(policy: Policy, task: Task, points: Points) -> Part:
+def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
     """The kernel of a policy's `act`."""
-    p, s = policy.n_parameters, policy.memory_size
+    p, s = policy.n_parameters, policy.state_size
 
     def trace(subject: Callable) -> PolicyKernel:
         trace = Trace()
@@ -160,7 +164,7 @@ def of_policy(policy: Policy, task: Task, points: Points) -> Part:
         fixed = _of_thetas_alone(trace, [u, kept])
         return PolicyKernel(
             written(trace, [fixed], "theta, p"),
-            written(trace, [u, kept], "p, x, t, memory, c", fixed, "c"),
+            written(trace, [u, kept], "p, x, t, policy_state, c", fixed, "c"),
             len(fixed),
             s,
         )
@@ -168,12 +172,12 @@ def of_policy(policy: Policy, task: Task, points: Points) -> Part:
     def check(subject: Callable, traced: PolicyKernel) -> None:
         rng = np.random.default_rng(2)
         lower, upper = (np.clip(bound, -1e3, 1e3) for bound in policy.bounds)
-        thetas, memory = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
+        thetas, state = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
         parameters = traced.parameters(thetas)
         for t in (0.0, 0.1 * task.horizon * task.time_step, 0.7 * task.horizon * task.time_step):
-            made = columns(traced.function, parameters, points.x, t, memory, tuple(traced.constants))
+            made = columns(traced.function, parameters, points.x, t, state, tuple(traced.constants))
             _compare(
-                lambda theta, x, memory, t=t: subject(theta, x, t, memory), [thetas, points.x, memory], made
+                lambda theta, x, state, t=t: subject(theta, x, t, state), [thetas, points.x, state], made
             )
 
         if s:  # what a frame gets right to rounding may still not add up
@@ -183,16 +187,16 @@ def of_policy(policy: Policy, task: Task, points: Points) -> Part:
 
 
 def _compare_frames(act: Callable, traced: PolicyKernel, thetas: Array, points: Points) -> None:
-    """Raise unless policies (ROWS, p) and their kernel agree over many frames, each with its own memory."""
+    """Raise unless policies (ROWS, p) and their kernel agree over many frames, each with its own state."""
     rng, parameters, constants = np.random.default_rng(3), traced.parameters(thetas), tuple(traced.constants)
-    kept = memory = np.zeros((ROWS, traced.memory_size))
+    kept = state = np.zeros((ROWS, traced.state_size))
     for frame in range(FRAMES):
         x, t = points.x[rng.permutation(ROWS)], 0.01 * frame
-        u, memory = act(thetas, x, t, memory)
+        u, state = act(thetas, x, t, state)
         columns_u, columns_kept = columns(traced.function, parameters, x, t, kept, constants)
         kept = _rows(columns_kept)
         _expect_equal(_rows(columns_u), np.asarray(u, np.float64))
-        _expect_equal(kept, np.asarray(memory, np.float64))
+        _expect_equal(kept, np.asarray(state, np.float64))
 
 
 def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
@@ -207,9 +211,9 @@ def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
 
 def _formulas(trace: Trace, act: Callable, policy: Policy, task: Task, theta: Array) -> Formulas:
     """What a policy's `act` computes of theta (1, p)."""
-    x, memory = row(trace, "x", len(task.states)), row(trace, "memory", policy.memory_size)
-    made = act(theta, x, trace.given("t"), memory)
-    return Formulas(trace, *_vectors(made, (len(task.inputs), policy.memory_size), trace))
+    x, state = row(trace, "x", len(task.states)), row(trace, "policy_state", policy.state_size)
+    made = act(theta, x, trace.given("t"), state)
+    return Formulas(trace, *_vectors(made, (len(task.inputs), policy.state_size), trace))
 
 
 def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[Symbol]:
@@ -270,7 +274,7 @@ def _rows(values: Sequence[Any], count: int = ROWS) -> Array:
     return rows
 
 
-def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part:
+def _part(component: Any, method: str, trace: Callable, check: Callable) -> KernelOrReason:
     """The kernel of a method, or why there is none."""
     function = getattr(type(component), method)
     code = getattr(function, "__code__", None)
@@ -288,8 +292,8 @@ def _part(component: Any, method: str, trace: Callable, check: Callable) -> Part
         place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else place
         refused = next((each for each in (error, error.__cause__) if isinstance(each, TraceError)), None)
         why = str(refused) if refused else with_type(error, 100)
-        return Part(None, f"{type(component).__name__}.{method} ({place}: {why})")
-    return Part(kernel)
+        return KernelOrReason(None, f"{type(component).__name__}.{method} ({place}: {why})")
+    return KernelOrReason(kernel)
 
 
 def _within(component: Any) -> Iterator[Any]:
@@ -315,10 +319,10 @@ def _is_foreign(value: Any) -> bool:
     )
 
 
-_FOUND: dict[int, dict[str, Part]] = {}  # by the component's identity, for as long as it lives
+_FOUND: dict[int, dict[str, KernelOrReason]] = {}  # by the component's identity, for as long as it lives
 
 
-def _once(component: Any, method: str, find: Callable[[], Part]) -> Part:
+def _once(component: Any, method: str, find: Callable[[], KernelOrReason]) -> KernelOrReason:
     """What was found of the component's method before, or is found now."""
     key = id(component)
     if key not in _FOUND:

@@ -155,23 +155,25 @@ def statements(
 
 
 class Formulas(NamedTuple):
-    """What is computed of x (n,), the time t and the memory (s,) in a frame."""
+    """What is computed of x (n,), the time t and the policy state (s,) in a frame."""
 
     trace: Trace
     u: list[Symbol]
-    memory: list[Symbol]
+    policy_state: list[Symbol]
 
     def written(self, language: Language) -> tuple[list[str], list[str], list[str]]:
-        """Lines, and what u and the memory for the next frame are after them."""
+        """Lines, and what u and the policy state for the next frame are after them."""
         names: dict[int, str] = {}
-        lines = statements(self.trace, [self.u, self.memory], language, names)
-        u, memory = ([names[symbol.index] for symbol in vector] for vector in (self.u, self.memory))
-        return lines, u, memory
+        lines = statements(self.trace, [self.u, self.policy_state], language, names)
+        u, policy_state = (
+            [names[symbol.index] for symbol in vector] for vector in (self.u, self.policy_state)
+        )
+        return lines, u, policy_state
 
     @property
     def time_dependent(self) -> bool:
         """Whether they take the time."""
-        return any(symbol.value == "t" for symbol in needed(self.trace, [self.u, self.memory]))
+        return any(symbol.value == "t" for symbol in needed(self.trace, [self.u, self.policy_state]))
 
 
 class Written(NamedTuple):

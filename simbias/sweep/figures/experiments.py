@@ -12,7 +12,7 @@ import pandas as pd
 
 from simbias.core.proportions import CONFIDENCE
 from simbias.pictures.elements.layout import legend
-from simbias.pictures.elements.style import plain, series_style
+from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
@@ -90,7 +90,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
 
 def _series(axis: Axis, label: str) -> str:
     """A label that says what it is: a bare number gets the name of its key."""
-    return f"{_words(axis.keys[0])} {label}" if re.fullmatch(NUMBER, label) else label
+    return f"{_words(axis.keys[0])} {label}" if re.fullmatch(NUMBER, label) else literal(label)
 
 
 def _words(key: str) -> str:
@@ -124,7 +124,7 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) 
 
 def _label(axes: Axes, along: Axis) -> None:
     """Ticks: the points of the axis, a line for each of its keys."""
-    axes.set_xticks(range(len(along.labels)), [label.replace("/", "\n") for label in along.labels])
+    axes.set_xticks(range(len(along.labels)), [literal(label).replace("/", "\n") for label in along.labels])
     keys = [_words(key) for key in along.keys]
     axes.set_xlabel(keys[0] if len(keys) == 1 else "from above: " + ", ".join(keys))
     axes.grid(axis="y", color="0.9")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from simbias.core.records import Array
-from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, plain
+from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
@@ -83,7 +83,7 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str]) -> Figure:
     right.set_xlim(-0.03, 1.03)
     right.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
-    left.set_yticks(range(len(cells)), cells)
+    left.set_yticks(range(len(cells)), map(literal, cells))
     left.set_ylim(len(cells) - 0.4, -0.6)
     return figure
 

@@ -108,7 +108,7 @@ class Robot(Hardware):
         """Bring the robot to rest: an experiment took too long, or a limit was exceeded."""
 
     def _move(self, x: Array, u: Array) -> Array:
-        """What the motor does."""
+        """State (2,) a frame after x (2,) under u (1,), with the cable and the friction."""
         torque = u[0] + self._cable - self._friction * x[1]
         acceleration = GRAVITY / self._length * np.sin(x[0]) + torque / self._length**2
         rate = x[1] + self._task.time_step * acceleration

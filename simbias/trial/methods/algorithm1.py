@@ -48,7 +48,7 @@ class Algorithm1(Method):
             with clock("experiments"):
                 rollouts = experiment(study, theta, hardware_rng, observer, self._experiments)  # 9
             experiments += rollouts
-            succeeded = all(map(study.cost.passes, rollouts))  # 10
+            succeeded = all(map(study.passes, rollouts))  # 10
             with clock("learning"):
                 if not succeeded:
                     learned_from.append(rollouts)

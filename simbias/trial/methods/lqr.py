@@ -73,7 +73,7 @@ class Lqr(Method):
             with clock("experiments"):
                 rollouts = experiment(study, theta, rng, observer, self._experiments)
             experiments += rollouts
-            succeeded = all(map(study.cost.passes, rollouts))
+            succeeded = all(map(study.passes, rollouts))
             yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock, model)
             if succeeded:
                 return

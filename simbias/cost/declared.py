@@ -1,0 +1,70 @@
+"""A cost that is declared in YAML."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any, final
+
+import numpy as np
+
+from simbias.core import Cost, Task
+from simbias.core.ranges import Coordinate, Positive
+from simbias.core.records import Array, Indices
+from simbias.simulation.compiler import Expression, Expressions
+
+LARGEST = 1e100  # of a sum: in a frame, a simulated state may grow beyond all numbers
+
+
+@final
+class Declared(Cost):
+    """Z = c (T - t_fail) / T + the mean of `running` + the largest `peak`, if positive, + the last `final`.
+
+    Expressions are those of `simbias.simulation.compiler.expressions`: of states, inputs, the time t in s,
+    the error of each quantity of the task's goal as `angle_error`, and constants.
+
+    Parameters
+    ----------
+    failure_weight
+        c, the cost of a rollout that fails at once.
+    """
+
+    reductions = ("sum", "max", "sum")
+
+    def __init__(
+        self,
+        task: Task,
+        max_cost: Positive,
+        failure_weight: Positive,
+        running: Expression = "0",
+        peak: Expression = "0",
+        final: Expression = "0",
+        constants: dict[str, Coordinate] | None = None,
+    ) -> None:
+        self.max_cost = max_cost
+        self.horizon, self.time_step = task.horizon, task.time_step
+        self._task, self._failure_weight = task, failure_weight
+        quantities = [each.name for each in (*task.states, *task.inputs)]
+        names = [*quantities, "t", *(f"{goal.name}_error" for goal in task.goals)]
+        texts = {"running": running, "peak": peak, "final": final}
+        self._expressions = Expressions(texts, names, constants)
+
+    def with_horizon(self, horizon: int) -> Declared:
+        """The cost of rollouts that may take so many frames."""
+        other = copy(self)
+        other.horizon = horizon
+        return other
+
+    def terms(self, x_next: Array, u: Array, t: Any) -> Array:
+        """The values (..., 3) of the expressions in frames."""
+        e = self._task.error(x_next, t)
+        running, peak, final = np.moveaxis(
+            self._expressions(np.concatenate([x_next, u, np.stack([t], axis=-1), e], axis=-1)), -1, 0
+        )
+        ends = 1.0 * (t > (self.horizon - 0.5) * self.time_step)
+        each = 0.0 * t  # a number in every frame, also of an expression that is constant
+        return np.stack([running + each, peak + each, ends * final], axis=-1)
+
+    def of_totals(self, totals: Array, lost: Indices) -> Array:
+        """Z (...) of sums and peaks (..., 3) and the frames (...) lost by failure."""
+        mean, peak, final = np.moveaxis(np.clip(totals, -LARGEST, LARGEST), -1, 0)
+        return (self._failure_weight * lost + mean) / self.horizon + peak + final

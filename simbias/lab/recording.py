@@ -1,0 +1,193 @@
+"""A recording in a task's frames: units converted, gaps found, what lacks estimated, and all of it told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simbias.core import HardwareError, Task
+from simbias.core.messages import words
+from simbias.core.records import Array, Rollout
+from simbias.lab.signals import Signal, Signals, signals, split_name
+from simbias.lab.units import factor
+
+GAP = 5.0  # usual intervals between samples: what is longer is a gap
+FEWEST_FRAMES = 2  # of a gap
+SMOOTH = 0.02  # s, over which a velocity is estimated from positions
+SLOWEST = 0.05  # s over which positions and velocities are compared
+TWICE = 2.0  # how much positions may differ from the integrals of velocities
+CORRELATED = 0.8  # below, velocities say too little to be compared
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Pieces of a recording, between gaps and resets."""
+
+    pieces: tuple[Rollout, ...]
+    times: tuple[Array, ...]  # of each piece (k,): when the first state was measured, in s from its start
+    notes: tuple[str, ...]  # what was done to the data, and what they cannot tell
+
+
+class Reader:
+    """Reads recordings of a task.
+
+    Parameters
+    ----------
+    columns
+        Of `time`, each state and input: the name of its column, with its unit behind it if that is not the
+        task's (`q1 [deg]`).
+    """
+
+    def __init__(self, task: Task, columns: Mapping[str, str]) -> None:
+        self._task = task
+        self._columns = columns
+        n = len(task.states)
+        units = [state.unit for state in task.states]
+        self._rates = {  # of each state that is another's rate: that one
+            i: i - n // 2 for i in range(n // 2, n) if units[i] == f"{units[i - n // 2]}/s"
+        }
+
+    def read(self, path: Path) -> Recording:
+        """The recording of a file.
+
+        Raises
+        ------
+        HardwareError
+            If it cannot be read or cannot be meant so, in one line that names the file.
+        """
+        file, notes = signals(path), list[str]()
+        found = self._signals(file, notes)
+        bounds = self._pieces(path, found, notes)
+        pieces, times = [], []
+        for begin, end in bounds:
+            piece, measured = self._piece(found, begin, end)
+            pieces.append(piece)
+            times.append(measured)
+        self._check_rates(path, found, pieces)
+        notes += self._still(pieces)
+        return Recording(tuple(pieces), tuple(times), tuple(notes))
+
+    def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
+        """Signals by the place of states, then inputs, in the task's units and s; angles unwound.
+
+        A rate that no column holds is missing.
+        """
+        quantities = (*self._task.states, *self._task.inputs)
+        time, time_unit = split_name(self._columns["time"])
+        lacking = [
+            name
+            for i, quantity in enumerate(quantities)
+            if not file.has(name := split_name(self._columns[quantity.name])[0]) and i not in self._rates
+        ]
+        if lacking:
+            file.signal(lacking[0], time)  # says what lacks
+        found = {}
+        for i, quantity in enumerate(quantities):
+            name, unit = split_name(self._columns[quantity.name])
+            if i in self._rates and not file.has(name):
+                notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}")
+                continue
+            signal = file.signal(name, time)
+            try:
+                scale = factor(unit or file.unit(name) or quantity.unit, quantity.unit)
+                second = factor(time_unit or file.unit(time) or "s", "s")
+            except ValueError as error:
+                raise HardwareError(f"{file.path}: {quantity.name}: {words(error)}") from error
+            times, first = np.unique(signal.times * second, return_index=True)
+            values = signal.values[first] * scale
+            if quantity.unit == "rad" and i < len(self._task.states):
+                unwound = np.unwrap(values)
+                if not np.array_equal(unwound, values):
+                    notes.append(f"{quantity.name} was wrapped")
+                values = unwound
+            found[i] = Signal(times, values)
+        return found
+
+    def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
+        """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
+        pieces: list[tuple[float, float]] = []
+        for signal in found.values():
+            own = self._runs(signal)
+            pieces = (
+                [(max(a, c), min(b, d)) for a, b in pieces for c, d in own if min(b, d) > max(a, c)]
+                if pieces
+                else own
+            )
+        pieces = [(a, b) for a, b in pieces if b - a >= self._task.time_step * (1 - 1e-9)]
+        if not pieces:
+            raise HardwareError(f"{path}: its times do not increase")
+        if len(pieces) > 1:
+            seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces)
+            notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")
+        return pieces
+
+    def _runs(self, signal: Signal) -> list[tuple[float, float]]:
+        """When a signal's uninterrupted runs begin and end."""
+        steps = np.diff(signal.times)
+        if not (steps > 0).any():
+            return []
+        usual = float(np.median(steps[steps > 0]))
+        longest = max(GAP * usual, FEWEST_FRAMES * self._task.time_step)
+        ends = np.flatnonzero(steps > longest)
+        firsts, lasts = [0, *(ends + 1)], [*ends, len(steps)]
+        return [(float(signal.times[i]), float(signal.times[j])) for i, j in zip(firsts, lasts, strict=True)]
+
+    def _piece(self, found: Mapping[int, Signal], begin: float, end: float) -> tuple[Rollout, Array]:
+        """A piece in the task's frames, and when its first state was measured; linear between samples."""
+        task, n = self._task, len(self._task.states)
+        frames = int((end - begin) / task.time_step + 1e-9)
+        at = begin + task.time_step * np.arange(frames + 1)
+        columns = {i: np.interp(at, signal.times, signal.values) for i, signal in found.items()}
+        for i, position in self._rates.items():
+            if i not in columns:
+                columns[i] = self._rate(columns[position])
+        states = np.array([columns[i] for i in range(n)]).T
+        inputs = np.array([columns[n + i] for i in range(len(task.inputs))]).T
+        times = found[0].times
+        inside = times[(times >= begin) & (times <= end)] - begin
+        return Rollout(states, inputs[:-1], measured=states, sensed=True), inside
+
+    def _rate(self, values: Array) -> Array:
+        """The derivative (k,) of values (k,): of parabolas fitted to what is around each frame."""
+        from scipy.signal import savgol_filter  # lazily: few recordings need it
+
+        width = min(2 * max(2, round(SMOOTH / self._task.time_step / 2)) + 1, len(values) // 2 * 2 - 1)
+        if width < 3:
+            return np.gradient(values, self._task.time_step)
+        rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
+        return rate
+
+    def _check_rates(self, path: Path, found: Mapping[int, Signal], pieces: list[Rollout]) -> None:
+        """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column."""
+        k = max(1, round(SLOWEST / self._task.time_step))
+        for i, position in self._rates.items():
+            if i not in found:
+                continue
+            moved = np.concatenate([r.states[k:, position] - r.states[:-k, position] for r in pieces])
+            sums = [np.cumsum(r.states[:, i]) * self._task.time_step for r in pieces]
+            told = np.concatenate([total[k:] - total[:-k] for total in sums])
+            size = float(told @ told), float(moved @ moved)
+            if min(size) <= 0 or abs(told @ moved) < CORRELATED * np.sqrt(size[0] * size[1]):
+                continue
+            ratio = float(told @ moved) / size[0]
+            if not 1 / TWICE < ratio < TWICE:
+                names = [self._task.states[j].name for j in (position, i)]
+                raise HardwareError(
+                    f"{path}: {names[0]} changes {ratio:.3g} times as fast as {names[1]} says: "
+                    f"is a unit wrong, or a column?"
+                )
+
+    def _still(self, pieces: list[Rollout]) -> list[str]:
+        """What never changes, and what cannot be learned for that."""
+        notes = []
+        for quantities, values in (
+            (self._task.states, np.concatenate([piece.states for piece in pieces])),
+            (self._task.inputs, np.concatenate([piece.inputs for piece in pieces])),
+        ):
+            for i, quantity in enumerate(quantities):
+                if len(values) and np.ptp(values[:, i]) == 0:
+                    notes.append(f"{quantity.name} never changes, so nothing is learned of what it moves")
+        return notes

@@ -1,0 +1,212 @@
+"""Signals in a lab's files: columns of a CSV, fields of a ROS bag's or an MCAP file's messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from simbias.core import HardwareError
+from simbias.core.extras import library
+from simbias.core.messages import words
+from simbias.core.records import Array
+from simbias.lab.table import Table, read_table
+
+NAME = re.compile(r"(?P<base>.*?)\s*[\[(](?P<unit>[^\])]+)[\])]$")  # q1 [deg], q1 (deg)
+FIELD = re.compile(
+    r"(?P<topic>/[\w/]*)\.(?P<fields>[\w.]+?)(?:\[(?P<item>\w+)\])?$"
+)  # /joints.position[elbow]
+BAGS = (".mcap", ".db3", ".bag")
+NANOSECOND = 1e-9
+RESET = 1e4  # usual intervals between samples that a reset of the clock counts as
+
+
+class Signal(NamedTuple):
+    """What a file says of one quantity."""
+
+    times: Array  # (k,) s, or in the unit of the file's own time
+    values: Array  # (k,)
+
+
+class Signals:
+    """The signals of a file, by name."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def signal(self, name: str, time: str) -> Signal:
+        """A signal, its times from the column `time` where the file has columns.
+
+        Raises
+        ------
+        HardwareError
+            If there is none of that name; the message names the nearest.
+        """
+        raise NotImplementedError
+
+    def has(self, name: str) -> bool:
+        """Whether there is a signal of that name."""
+        raise NotImplementedError
+
+    def unit(self, name: str) -> str:
+        """The unit that the file states of a signal; "" if it does not."""
+        return ""
+
+    def missing(self, names: list[str], known: list[str], where: str = "") -> HardwareError:
+        """What to say of names that a file has not."""
+        near = [match for name in names for match in get_close_matches(name, known, 1)]
+        hint = f"; did you mean {', '.join(near)}?" if near else ""
+        return HardwareError(f"{self.path}: {where}expected a column {', '.join(names)}, got none{hint}")
+
+
+class Columns(Signals):
+    """Those of a CSV file; a blank cell is no sample, as where columns have rates of their own."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._table = read_table(path)
+        self._clocks: dict[int, Array] = {}  # by column
+        self._known: dict[str, tuple[int, str]] = {}
+        for index, name in enumerate(self._table.names):
+            match = NAME.match(name)
+            if match:
+                self._known.setdefault(match["base"], (index, match["unit"]))
+            self._known[name] = (index, match["unit"] if match else "")
+
+    def has(self, name: str) -> bool:
+        """Whether there is a column of that name, or with a unit behind it."""
+        return name in self._known
+
+    def unit(self, name: str) -> str:
+        """What stands in brackets behind a column's name."""
+        return self._known[name][1] if name in self._known else ""
+
+    def signal(self, name: str, time: str) -> Signal:
+        """The cells of a column that are not blank."""
+        lacking = [each for each in (time, name) if each not in self._known]
+        if lacking:
+            raise self.missing(lacking, list(self._known), "row 1: ")
+        (clock, _), (column, _) = self._known[time], self._known[name]
+        table, instants = self._table, self._instants(clock)
+        kept = [i for i, cells in enumerate(table.cells) if cells[column].strip()]
+        if len(kept) < len(table.cells):
+            rows = tuple(table.rows[i] for i in kept)
+            cells = [table.cells[i] for i in kept]
+            table = Table(table.source, table.names, rows, cells, table.semicolons)
+        return Signal(instants[kept], table.numbers([column])[:, 0])
+
+    def _instants(self, clock: int) -> Array:
+        """Times (r,) that do not decrease: where they do, the file's clock was reset, which leaves a gap."""
+        if clock in self._clocks:
+            return self._clocks[clock]
+        times = self._table.numbers([clock])[:, 0]
+        steps = np.diff(times)
+        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        resets = np.where(steps < 0, RESET * usual - steps, 0.0)
+        self._clocks[clock] = times + np.concatenate([[0.0], np.cumsum(resets)])
+        return self._clocks[clock]
+
+
+class Messages(Signals):
+    """Those of a ROS bag or an MCAP file: `/topic.field`, of a list `/topic.field[0]`, or [name] by `name`.
+
+    Times are those of the messages' headers, or of their arrival where they have none; in s.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._topics: dict[str, tuple[Array, list[Any]]] = {}
+        highlevel = library("rosbags.highlevel", "rosbags", "bags")
+        typesys = library("rosbags.typesys", "rosbags", "bags")
+        store = typesys.get_typestore(typesys.Stores.LATEST)
+        try:
+            with highlevel.AnyReader([path], default_typestore=store) as reader:
+                read: dict[str, list[tuple[float, Any]]] = {}
+                for connection, arrival, raw in reader.messages():
+                    message = reader.deserialize(raw, connection.msgtype)
+                    read.setdefault(connection.topic, []).append((_time(message, arrival), message))
+        except Exception as error:  # of the reader, of many types
+            raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
+        for topic, pairs in read.items():
+            pairs.sort(key=lambda pair: pair[0])
+            self._topics[topic] = np.array([time for time, _ in pairs]), [message for _, message in pairs]
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a topic."""
+        match = FIELD.match(name)
+        return match is not None and match["topic"] in self._topics
+
+    def signal(self, name: str, time: str) -> Signal:
+        """A field of each message of a topic."""
+        match = FIELD.match(name)
+        if match is None:
+            raise HardwareError(f"{self.path}: {name}: must be /topic.field, as /joint_states.position[0]")
+        if match["topic"] not in self._topics:
+            raise self.missing([match["topic"]], list(self._topics))
+        times, messages = self._topics[match["topic"]]
+        try:
+            values = np.array([_field(message, match) for message in messages], dtype=np.float64)
+        except (AttributeError, ValueError, IndexError, TypeError) as error:
+            raise HardwareError(
+                f"{self.path}: {name}: no such number in a message ({words(error)})"
+            ) from error
+        return Signal(times, values)
+
+
+def signals(path: Path) -> Signals:
+    """The signals of a file, or of a folder that is a ROS 2 bag.
+
+    Raises
+    ------
+    HardwareError
+        If it cannot be read.
+    """
+    if path.is_dir() or path.suffix in BAGS:
+        try:
+            return Messages(path)
+        except ValueError as error:  # the reader is not installed
+            raise HardwareError(f"{path}: {words(error)}") from error
+    return Columns(path)
+
+
+def _time(message: Any, arrival: int) -> float:
+    """When a message was measured, in s."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None or not (stamp.sec or stamp.nanosec):
+        return arrival * NANOSECOND
+    return float(stamp.sec) + stamp.nanosec * NANOSECOND
+
+
+def _field(message: Any, match: re.Match[str]) -> float:
+    """The number in a message; an item of a list by its place, or by its name in the message's `name`."""
+    value = message
+    for field in match["fields"].split("."):
+        value = getattr(value, field)
+    item = match["item"]
+    if item is None:
+        return float(value)
+    return float(value[int(item) if item.isdecimal() else list(message.name).index(item)])
+
+
+def split_name(text: str) -> tuple[str, str]:
+    """A name and the unit that stands behind it after a space, `q1 [deg]`; "" if none does."""
+    match = re.match(r"(.*\S)\s+\[([^\]]+)\]$", text)
+    return (match[1], match[2]) if match else (text, "")
+
+
+def checked_columns(columns: Mapping[str, str] | None, names: list[str]) -> dict[str, str]:
+    """The column of each name, its own by default.
+
+    Raises
+    ------
+    ValueError
+        If columns name something else.
+    """
+    unknown = sorted(set(columns or {}) - set(names))
+    if unknown:
+        raise ValueError(f"columns names what the task has not: {', '.join(unknown)}")
+    return {name: (columns or {}).get(name, name) for name in names}

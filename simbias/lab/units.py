@@ -1,0 +1,44 @@
+"""Units of recordings, and factors between them."""
+
+from __future__ import annotations
+
+from math import pi
+
+# Of each unit: what it measures, and how many of the first unit of that it is.
+_ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180, "°": pi / 180, "rev": 2 * pi}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_TORQUE = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "N mm": 1e-3, "kN m": 1e3}
+_FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+_OTHERS = {"A": 1.0, "mA": 1e-3}
+_VOLTAGE = {"V": 1.0, "mV": 1e-3}
+_RATES = {f"{unit}/s": factor for unit, factor in _ANGLE.items()} | {"rpm": pi / 30, "1/min": pi / 30}
+_SPEEDS = {f"{unit}/s": factor for unit, factor in _LENGTH.items()}
+KINDS = (_ANGLE, _LENGTH, _TIME, _TORQUE, _FORCE, _OTHERS, _VOLTAGE, _RATES, _SPEEDS)
+
+
+def factor(unit: str, wanted: str) -> float:
+    """How many of the wanted unit one of a unit is.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown, or measures something else.
+    """
+    given, asked = _plain(unit), _plain(wanted)
+    if given == asked:
+        return 1.0
+    for kind in KINDS:
+        if given in kind and asked in kind:
+            return kind[given] / kind[asked]
+    known = [name for kind in KINDS if asked in kind for name in kind]
+    raise ValueError(f"cannot be in {unit}; {wanted} is wanted, from {', '.join(known) or 'the same'}")
+
+
+def _plain(unit: str) -> str:
+    """A unit as it is listed: Nm and N*m are N m, degrees are deg."""
+    text = unit.strip().replace("·", " ").replace("*", " ").replace("degrees", "deg").replace("degree", "deg")
+    for short in ("mNm", "kNm", "Nmm", "Ncm", "Nm"):
+        if text == short:
+            return short[: short.index("N") + 1] + " " + short[short.index("N") + 1 :]
+    return text

@@ -1,0 +1,121 @@
+"""The goal of a declared task, and when it is reached."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Criterion, Quantity
+from simbias.core.messages import quote
+from simbias.core.records import Array
+from simbias.simulation.compiler import Expressions
+
+TIME = "t"  # the name of the time in expressions, and of its column
+MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
+JUMP, BRIEF = 0.5, 0.02  # share of its range, in this share of its time: no robot follows that
+
+
+class Reference:
+    """Where a goal's quantities are to be: expressions of the time t, or rows of a file, linear between them.
+
+    Raises
+    ------
+    ValueError
+        If a file or an expression gives no number at a time from 0 to `seconds`, or a file jumps.
+    """
+
+    def __init__(
+        self, expressions: Mapping[str, str], file: str | None, constants: Mapping[str, float], seconds: float
+    ) -> None:
+        if file is None:
+            self.names = tuple(expressions)
+            named = {f"goal.{name}": text for name, text in expressions.items()}
+            self._expressions: Expressions | None = Expressions(named, (TIME,), constants)
+        else:
+            self._expressions = None
+            self.names, self._times, values = _rows(file, seconds)
+            slopes = np.diff(values, axis=0) / np.diff(self._times)[:, None]
+            self._first, self._changes = values[0], np.diff(slopes, axis=0, prepend=0.0, append=0.0)
+        self._check(np.linspace(0.0, seconds, 1000))
+
+    def __call__(self, t: Any) -> Array:
+        """Its values (..., g) at times t (...) in s."""
+        times = np.stack([t], axis=-1)  # (..., 1); a number may be a symbol
+        if self._expressions is not None:
+            values = self._expressions(times[None])
+            return values[0] if values.ndim > times.ndim else values  # of constants alone, there is one row
+        return self._first + np.maximum(times - self._times, 0.0) @ self._changes
+
+    def _check(self, times: Array) -> None:
+        """Refuse a reference that is no number somewhere."""
+        values = self(times)
+        values = np.broadcast_to(values, (len(times), len(self.names)))
+        if not np.isfinite(values).all():
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            raise ValueError(f"goal.{self.names[column]} is no number at t = {times[row]:.3g} s")
+
+
+def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
+    """The names (g), times (k,) and values (k, g) of a reference's file."""
+    try:
+        with Path(file).open(newline="", encoding="utf-8") as stream:
+            header, *rows = csv.reader(stream)
+        table = np.array([[float(cell) for cell in row] for row in rows])
+    except (OSError, ValueError) as error:
+        raise ValueError(f"reference {quote(file)}: {error}") from error
+    if header[0] != TIME or table.ndim != 2 or table.shape[1] != len(header) or len(header) < 2:
+        raise ValueError(f"reference {quote(file)}: expected rows of t and of the goal's quantities")
+    times, values = table[:, 0], table[:, 1:]
+    if len(times) > MOST_ROWS:
+        raise ValueError(
+            f"reference {quote(file)}: {len(times)} rows, {MOST_ROWS} at most: it is linear between them"
+        )
+    if times[0] > 0 or (np.diff(times) <= 0).any() or not np.isfinite(table).all():
+        raise ValueError(f"reference {quote(file)}: t has to grow from 0, and all have to be finite numbers")
+    if times[-1] < seconds - 1e-9:
+        raise ValueError(f"reference {quote(file)} ends at {times[-1]:g} s; an episode takes {seconds:g} s")
+    jumps = np.abs(np.diff(values, axis=0)) > JUMP * np.ptp(values, axis=0)
+    jumps &= np.diff(times)[:, None] < BRIEF * np.ptp(times)
+    if jumps.any():
+        row, column = np.argwhere(jumps)[0]
+        raise ValueError(f"reference {quote(file)}: {header[column + 1]} jumps after t = {times[row]:g} s")
+    return tuple(header[1:]), times, values
+
+
+def check_within(reference: Reference, criteria: Sequence[Criterion], seconds: float) -> None:
+    """Refuse a reference to a state that a failure criterion does not allow."""
+    times = np.linspace(0.0, seconds, 1000)
+    values = np.broadcast_to(reference(times), (len(times), len(reference.names)))
+    for column, name in zip(values.T, reference.names, strict=True):
+        for criterion in criteria:
+            if name in criterion.bounds and (beyond := np.abs(column) > criterion.bounds[name]).any():
+                raise ValueError(
+                    f"goal.{name} is {column[beyond][0]:.3g} at t = {times[beyond][0]:.3g} s, "
+                    f"where the task fails: {criterion.name}"
+                )
+
+
+class Success:
+    """Conditions that hold for the last seconds of an episode.
+
+    Beside states, their expressions know the time t and `<name>_error` of each of the goal's quantities.
+    """
+
+    def __init__(self, criteria: Sequence[Criterion], measures: Expressions, frames: int) -> None:
+        self._limits = np.array([criterion.limit for criterion in criteria])  # which measures are above
+        self._measures = measures
+        self._frames = frames
+
+    def holds(self, states: Array, times: Array, errors: Array) -> bool:
+        """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
+        rows = np.concatenate([states, times[:, None], errors], axis=1)[-self._frames :]
+        return bool((self._measures(rows) > self._limits).all())
+
+
+def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:
+    """The variables of success' expressions, in the order of `Success.holds`."""
+    return [*states, TIME, *(f"{goal.name}_error" for goal in goals)]

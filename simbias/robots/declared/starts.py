@@ -1,0 +1,73 @@
+"""Where the episodes of a declared task start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from simbias.core.records import Array
+
+
+class Start(Protocol):
+    """Where a state starts."""
+
+    mean: float
+    deviation: float
+    uniform: Sequence[float] | None
+    values: Sequence[float] | None
+
+
+class Starts:
+    """A distribution of starts: means that are drawn, and normal deviations from them.
+
+    Raises
+    ------
+    ValueError
+        If a state declares more than one mean, or a start has not a number for each state.
+    """
+
+    def __init__(self, states: Mapping[str, Start], starts: Sequence[Sequence[float]] | None) -> None:
+        for name, state in states.items():
+            if state.uniform is not None and not state.uniform[0] < state.uniform[1]:
+                raise ValueError(f"states.{name}: uniform is {list(state.uniform)}, not from less to more")
+            if (state.uniform is not None) + (state.values is not None) + (state.mean != 0) > 1:
+                raise ValueError(f"states.{name}: one of mean, uniform and values is to be given")
+        if any(len(start) != len(states) for start in starts or ()):
+            raise ValueError(f"starts: each has to have {len(states)} numbers, one for each state")
+        self._states = tuple(states.values())
+        self._starts = None if starts is None else np.array(starts, dtype=np.float64)
+        self._noise = np.array([state.deviation for state in self._states])
+        means = [np.mean(_means(state)) for state in self._states]
+        spreads = [_spread(state) for state in self._states]
+        self.mean = np.array(means) if self._starts is None else self._starts[0]  # (n,)
+        listed = 0.0 if self._starts is None else np.std(self._starts, axis=0)
+        self.deviation = np.sqrt(self._noise**2 + np.square(spreads) + np.square(listed))  # (n,)
+        if not (np.any(spreads) or np.any(listed)):
+            self.deviation = self._noise
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """A start (n,)."""
+        deviation = self._noise * rng.standard_normal(len(self._states))
+        if self._starts is not None:
+            return self._starts[rng.integers(len(self._starts))] + deviation
+        mean = self.mean.copy()
+        for index, state in enumerate(self._states):
+            if state.uniform is not None:
+                mean[index] = rng.uniform(*state.uniform)
+            elif state.values is not None:
+                mean[index] = rng.choice(state.values)
+        return mean + deviation
+
+
+def _means(state: Start) -> Sequence[float]:
+    """Numbers whose mean is the state's."""
+    return state.uniform or state.values or [state.mean]
+
+
+def _spread(state: Start) -> float:
+    """The standard deviation of a state's mean."""
+    if state.uniform is not None:
+        return float(np.ptp(state.uniform) / np.sqrt(12))
+    return float(np.std(_means(state)))

@@ -1,0 +1,221 @@
+"""A sweep that runs: its trials so far, in its folder and exported from there."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from pandas import DataFrame
+
+from simbias.config.build import build
+from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
+from simbias.sweep import results, tables
+from simbias.sweep.figure import SweptTrials
+from simbias.sweep.grid import Sweep, Trial
+from simbias.sweep.tracking import Export, Tracking
+from simbias.sweep.worker import GONE, Plan, Result, pack, unpack
+from simbias.trial.folder import PICTURES, TrialFolder
+from simbias.trial.origin import provenance, tell_what_is_in_clear
+from simbias.trial.run import TrialRecord, read_trial
+from simbias.trial.summary import Outcome, TrialSummary
+
+DAMAGED = "simbias: %s; the trial is run again"
+MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
+RUNNING, DONE = "**Running**", "**Done**"  # first words on a sweep
+MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
+STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
+STATE_SHARE = 0.02  # unless it would take more than this of the time
+IN_SWEEPS = ("overview",)  # pictures of a cell's first trial; the others take long
+
+
+def finished(sweep: Sweep, store: Tracking) -> DataFrame:
+    """The trials of a sweep that have ended, and have their pictures."""
+    return _whole(results.of_folders(sweep, store.folder), store)
+
+
+def _whole(trials: DataFrame, store: Tracking) -> DataFrame:
+    """Trials that have ended and have their pictures; a kill may have come between."""
+    ended = trials[trials["outcome"] != Outcome.ERROR]
+    drawn = [
+        not _pictures(repetition, store) or Path(store.folder or "", identity, PICTURES).is_dir()
+        for identity, repetition in zip(ended["hash"], ended["repetition"], strict=True)
+    ]
+    return ended.loc[drawn]
+
+
+def _pictures(repetition: int, store: Tracking) -> tuple[str, ...]:
+    """Pictures of a trial: a cell's first trial has some, which stand for all."""
+    return IN_SWEEPS if store.pictures and not repetition else ()
+
+
+class SweepState:
+    """A sweep's trials so far; `again` is the command that resumes it."""
+
+    def __init__(self, sweep: Sweep, store: Tracking, again: str) -> None:
+        self._sweep, self._store = sweep, store
+        self.folder = store.sweep_folder(sweep.name, sweep.hash)
+        done = results.of_folders(sweep, store.folder, _warn)
+        self.finished = _whole(done, store)
+        self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
+        ran_on = (
+            tuple(TrialFolder(Path(store.folder or "", name)).platforms()) for name in self.finished["hash"]
+        )
+        self._platforms = Counter(filter(None, ran_on))  # trials of each
+        self._captions: dict[str, str] = {}  # of figures
+        self._due = 0.0
+        tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
+        self.folder.begin(_description(sweep, again))
+        for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
+            left.unlink()
+        self._marker = (self.folder.path / f"{MARKER}{uuid4().hex}").absolute()
+        self._marker.touch()
+
+    @cached_property
+    def export(self) -> Export:
+        """Shows the sweep elsewhere."""
+        return self._store.export_sweep(self.folder)
+
+    def begin(self) -> None:
+        """Note that trials or figures are about to be made; a finished sweep stays so."""
+        if self.missing or self.folder.state().get("verdict") != DONE:
+            self._write(RUNNING)
+
+    @property
+    def missing(self) -> list[Trial]:
+        """The trials that have not ended."""
+        ended = set(self.finished["hash"])
+        return [trial for trial in self._sweep.trials if trial.hash not in ended]
+
+    def plan(self, trial: Trial, shares_disk: bool) -> Plan:
+        """A trial as a worker needs it."""
+        folder = self._store.trial_folder(trial.hash)
+        composition = replace(trial.composition, from_environment=())  # which has been told
+        if folder is None:
+            return Plan(composition)
+        marker = "" if shares_disk else str(self._marker)
+        kept = pack(folder) if marker and TrialFolder(folder).steps() else b""
+        pictures = _pictures(trial.repetition, self._store)
+        return Plan(composition, str(folder.absolute()), marker, kept, pictures)
+
+    def keep(self, trial: Trial, result: Result) -> None:
+        """Note a trial that ended or stopped, and export it."""
+        folder, summary = self._store.trial_folder(trial.hash), result.summary
+        if folder is not None and result.packed:
+            if not self._marker.exists():
+                raise ConfigError("tracking", GONE.format(folder.parent))
+            unpack(result.packed, folder)
+        self._rows.pop(trial.hash, None)  # of an attempt that raised
+        if summary.outcome in results.SHOWN:
+            self._rows[trial.hash] = results.row(trial, self._sweep, summary)
+        self._note_platforms(summary)
+        if folder is not None:
+            self.export.trial_ended(folder)
+        if time.monotonic() > self._due:
+            self._write(RUNNING)
+
+    def _note_platforms(self, summary: TrialSummary) -> None:
+        """Count the platforms; say so when another comes in."""
+        if not summary.platforms:
+            return
+        mixed = bool(self._platforms) and summary.platforms not in self._platforms
+        self._platforms[summary.platforms] += 1
+        if mixed:
+            logging.getLogger(__name__).warning(MIXED, len(self._platforms), self._mixed())
+
+    def _mixed(self) -> str:
+        """The platforms and how many trials ran on each."""
+        return "; ".join(f"{count} on {' then '.join(each)}" for each, count in self._platforms.items())
+
+    def results(self) -> DataFrame:
+        """The trials that ended or raised."""
+        return results.in_order(self._rows, self._sweep)
+
+    def swept(self) -> SweptTrials:
+        """The trials for figures; each can be read back in full."""
+        trials = {trial.hash: trial for trial in self._sweep.trials}
+
+        def load(identity: str) -> TrialRecord:
+            return read_trial(build(trials[identity].composition), Path(self._store.folder or "", identity))
+
+        return SweptTrials(self._sweep, self.results(), load)
+
+    def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
+        """Keep a figure and its caption."""
+        self._captions[name] = caption
+        self.folder.publish(files)
+
+    def close(self, error: BaseException | None = None) -> None:
+        """Write how the sweep ended; the error says why it ended early."""
+        try:
+            self._write(_verdict(error, "error" in set(self.results()["outcome"])), final=True)
+        except Exception:
+            if error is None:
+                raise  # else what ended the sweep, as a full disk, may well end this too
+        finally:
+            self._marker.unlink(missing_ok=True)
+
+    def _write(self, verdict: str, final: bool = False) -> None:
+        """Write how far the sweep is, and export it."""
+        began = time.monotonic()
+        trials, sweep = self.results(), self._sweep
+        table = tables.cells(trials, sweep)
+        arrangement = tables.markdown(tables.layout(table, sweep))
+        state = {
+            "verdict": verdict,
+            "done": len(trials),
+            "trials": len(sweep.trials),
+            "outcomes": dict(Counter(trials["outcome"])),
+            "mean_experiments": None if trials["experiments"].isna().all() else trials["experiments"].mean(),
+            "platforms": self._mixed() if len(self._platforms) > 1 else "",
+            "table": arrangement,
+            "legend": tables.legend(sweep, trials),
+            "captions": self._captions,
+        }
+        files = {"trials.csv": results.csv(trials), "table.md": arrangement}
+        files["table.csv"] = table.to_csv(index=False)
+        self.folder.write_state(state, files if final else {})
+        self.export.update(final)
+        ended = time.monotonic()
+        self._due = ended + max(STATE_SECONDS, (ended - began) / STATE_SHARE)
+
+
+def _warn(damaged: ConfigError) -> None:
+    """Say which folder cannot be read."""
+    logging.getLogger(__name__).warning(DAMAGED, damaged)
+
+
+def _description(sweep: Sweep, again: str) -> dict[str, Any]:
+    """A sweep in JSON's types."""
+    axes = [axis.name for axis in sweep.axes]
+    return {
+        "name": sweep.name,
+        "hash": sweep.hash,
+        "command": redact(again, str(sweep.base.config.get("tracking", {}).get("uri", ""))),
+        "config": {key: value for key, value in sweep.base.config.items() if key != "tracking"},
+        "axes": [{"name": axis.name, "keys": list(axis.keys)} for axis in sweep.axes],
+        "trials": {
+            trial.hash: {
+                "name": trial.name,
+                "repetition": trial.repetition,
+                "labels": dict(zip(axes, trial.cell.labels, strict=True)),
+            }
+            for trial in sweep.trials
+        },
+        **provenance(),
+    }
+
+
+def _verdict(error: BaseException | None, raised: bool) -> str:
+    """First words on a sweep that ended."""
+    if error is None:
+        return "**Ended**, some trials with an error" if raised else DONE
+    interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
+    return "**Interrupted**" if interrupted else "**Ended early** by an error"

@@ -1,0 +1,86 @@
+"""Costs of a goal that moves: their formulas, and compiled sums that are those of the records."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from omegaconf import OmegaConf
+
+import simbias
+from simbias.config.components import construct
+from simbias.core import Cost, Model, Task
+from simbias.core.records import Array, Rollout
+from simbias.cost.declared import Declared
+from simbias.cost.saturating import Saturating
+from simbias.cost.tracking import Tracking
+from simbias.simulation.compiled import CompiledSimulator
+
+CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
+GOAL = {"position": "0.3 * sin(2 * t)", "angle": 0.05}
+
+
+def task_of(**changes: Any) -> Task:
+    return construct({**CARTPOLE, "goal": GOAL, **changes}, Task, "task")
+
+
+def costs(task: Task) -> list[Cost]:
+    return [
+        Saturating(task, {"position": 0.2}, 0.5, {"force": 1e-4}),
+        Tracking(task, {"position": 2.0, "angle": 1.0}, 9.0, 10.0, {"force": 1e-4}, {"angle": 3.0}),
+        Declared(task, 9.0, 10.0, "2 * position_error**2 + c * force**2", "abs(angle)", "t * angle_error**2",
+                 {"c": 1e-4}),
+    ]  # fmt: skip
+
+
+def expected(x: Array, u: Array, task: Task) -> list[float]:
+    """The costs of a whole rollout of states (T+1, n) and inputs (T, m), written out."""
+    t = task.time_step * np.arange(1, len(x))
+    e, a, effort = x[1:, 0] - 0.3 * np.sin(2 * t), x[1:, 1] - 0.05, 1e-4 * u[:, 0] ** 2
+    return [
+        float(np.mean(1 - np.exp(-0.5 * (e / 0.2) ** 2) + effort)),
+        float(np.mean(2 * e**2 + a**2 + effort) + 3 * a[-1] ** 2),
+        float(np.mean(2 * e**2 + effort) + np.max(np.abs(x[1:, 1])) + t[-1] * a[-1] ** 2),
+    ]
+
+
+def test_they_are_their_formulas_and_compiled() -> None:
+    task, study = task_of(failure=None), simbias.load(["preset=cartpole"])
+    model = Model(task, study.policy, study.nominal, study.bias.fit(study.no_data))
+    starts = np.array([[0.0, 0.1, 0.0, 0.0], [0.1, 0.0, 0.1, 0.0]])
+    simulator = CompiledSimulator.of(model, None)
+    assert simulator is not None
+    thetas = np.full((2, 4), 0.5)
+    rollouts = simulator.rollouts(thetas, starts)
+    for index, cost in enumerate(costs(task)):
+        assert simulator.sums_up(cost)
+        found, _ = simulator.costs(cost, thetas, starts)
+        of_records = [cost.of(rollout) for rollout in rollouts]
+        written = [expected(rollout.states, rollout.inputs, task)[index] for rollout in rollouts]
+        np.testing.assert_allclose(of_records, written, rtol=1e-12)
+        np.testing.assert_allclose(found, of_records, rtol=1e-6)
+
+
+def test_a_failure_costs_what_it_takes_away() -> None:
+    task = task_of()
+    x, u = np.zeros((26, 4)), np.zeros((25, 1))
+    for cost, weight in zip(costs(task), (1.0, 10.0, 10.0), strict=True):
+        failed = Rollout(x, u, 25, "falls")
+        t = task.time_step * np.arange(1, 26)
+        summed, peak, last = cost.terms(x[1:], u, t).sum(axis=0).tolist(), 0.0, 0.0
+        assert cost.of(failed) == pytest.approx((weight * 100 + summed[0]) / 125 + peak + last)
+        assert cost.of(Rollout(x[:2], u[:1], 1, "falls")) > 0.9 * weight
+        longer = cost.with_horizon(250)
+        assert longer.of(failed) == pytest.approx((weight * 225 + summed[0]) / 250)
+
+
+def test_what_it_does_not_know_is_refused() -> None:
+    task = task_of()
+    with pytest.raises(ValueError, match="widths: nothing is called torque"):
+        Saturating(task, {"torque": 1.0}, 0.5)
+    with pytest.raises(ValueError, match="widths: one has to be more than 0"):
+        Saturating(task, {}, 0.5)
+    with pytest.raises(ValueError, match="running: 'power': nothing is called power"):
+        Declared(task, 1.0, 1.0, running="power")

@@ -1,0 +1,192 @@
+"""Recordings as labs have them: units, rates, gaps, what lacks; ROS bags and MCAP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pendulum import experiment, pendulum
+
+from simbias.core import HardwareError
+from simbias.core.records import Rollout
+from simbias.lab.recording import Reader, Recording
+from simbias.lab.units import factor
+from simbias.trial.study import Study
+
+NAMES = ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return pendulum()
+
+
+@pytest.fixture(scope="module")
+def rollout(study: Study) -> Rollout:
+    """Two seconds without noise."""
+    return experiment(study.nominal, np.random.default_rng(0), 1000, np.zeros(4))
+
+
+def frame(rollout: Rollout) -> pd.DataFrame:
+    """It as a table with the task's own names."""
+    time = 0.002 * np.arange(rollout.frames)
+    return pd.DataFrame(np.column_stack([time, rollout.states[:-1], rollout.inputs]), columns=NAMES)
+
+
+def read(study: Study, table: pd.DataFrame, folder: Path, **columns: str) -> Recording:
+    """The recording of a table, as a CSV file."""
+    table.to_csv(folder / "one.csv", index=False)
+    return Reader(study.task, {name: columns.get(name, name) for name in NAMES}).read(folder / "one.csv")
+
+
+def test_factors_between_units() -> None:
+    assert factor("deg", "rad") == pytest.approx(np.pi / 180)
+    assert factor("rpm", "rad/s") == pytest.approx(2 * np.pi / 60)
+    assert factor("Nm", "N m") == factor("N*m", "N m") == 1.0
+    assert factor("mNm", "N m") == factor("ms", "s") == 1e-3
+    assert factor("anything", "anything") == 1.0
+    with pytest.raises(ValueError, match=r"cannot be in deg; rad/s is wanted, from rad/s, mrad/s, deg/s"):
+        factor("deg", "rad/s")
+
+
+def test_units_are_converted(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """From the header, or from the columns' names in the config."""
+    table = frame(rollout)
+    table["time"] *= 1000
+    table["pos1"] = np.degrees(table["pos1"])
+    table["vel2"] *= 60 / (2 * np.pi)
+    table = table.rename(columns={"time": "time [ms]", "pos1": "pos1 (deg)"})
+    found = read(study, table, tmp_path, vel2="vel2 [rpm]")
+    (piece,) = found.pieces
+    assert found.notes == ()
+    np.testing.assert_allclose(piece.states, rollout.states[:-1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(piece.inputs, rollout.inputs[:-1], rtol=1e-9)
+
+
+def test_rates_of_their_own_and_jitter(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """Torques in every fourth line, positions at times that jitter: linear between what is there."""
+    table, rng = frame(rollout), np.random.default_rng(0)
+    jittered = table["time"] + rng.uniform(-4e-4, 4e-4, len(table))
+    jittered.iloc[0] = 0.0
+    for name in NAMES[1:]:
+        table[name] = np.interp(jittered, table["time"], table[name])
+    table["time"] = jittered
+    table.loc[np.arange(len(table)) % 4 > 0, "tau1"] = np.nan
+    (piece,) = read(study, table, tmp_path).pieces
+    k = piece.frames
+    assert 990 < k <= 999
+    np.testing.assert_allclose(piece.states, rollout.states[: k + 1], atol=2e-2)
+    np.testing.assert_allclose(piece.inputs, rollout.inputs[:k], atol=2e-3)
+
+
+def test_gaps_and_resets_cut_it(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    table = frame(rollout)
+    gap = table.drop(index=range(300, 350))
+    found = read(study, gap, tmp_path)
+    assert [piece.frames for piece in found.pieces] == [299, 649]
+    assert found.notes == ("gaps or resets leave 2 pieces: 0.60 s, 1.30 s",)
+    np.testing.assert_allclose(found.pieces[1].states[0], rollout.states[350], rtol=1e-9)
+    table.loc[400:, "time"] -= table.loc[400, "time"]
+    found = read(study, table, tmp_path)
+    assert [piece.frames for piece in found.pieces] == [399, 599]
+    np.testing.assert_allclose(found.pieces[1].states, rollout.states[400:-1], atol=1e-9)
+    study = pendulum(f"hardware.folder={tmp_path}", "hardware.columns=null")
+    with pytest.raises(HardwareError, match=r"one\.csv: its times have a gap or a reset"):
+        study.hardware.rollout("one.csv")  # type: ignore[attr-defined]
+
+
+def test_wrapped_angles_are_unwound(study: Study, tmp_path: Path) -> None:
+    """A joint that turns all the time."""
+    t = 0.002 * np.arange(1000)
+    states = np.stack([20 * t, 0 * t, np.full(1000, 20.0), 0 * t], axis=1)
+    table = pd.DataFrame(np.column_stack([t, states, np.zeros((1000, 2))]), columns=NAMES)
+    table["pos1"] = np.angle(np.exp(1j * table["pos1"]))
+    found = read(study, table, tmp_path)
+    np.testing.assert_allclose(found.pieces[0].states[:, 0], states[:, 0], atol=1e-9)
+    assert "pos1 was wrapped" in found.notes
+    assert "pos2 never changes, so nothing is learned of what it moves" in found.notes
+    assert "tau1 never changes, so nothing is learned of what it moves" in found.notes
+
+
+def test_a_velocity_that_lacks_is_estimated_and_said_so(
+    study: Study, rollout: Rollout, tmp_path: Path
+) -> None:
+    found = read(study, frame(rollout).drop(columns="vel2"), tmp_path)
+    assert found.notes == ("vel2 is estimated from pos2",)
+    inner = slice(10, -10)
+    error = found.pieces[0].states[inner, 3] - rollout.states[:-1][inner, 3]
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.std(rollout.states[:, 3])
+
+
+@pytest.mark.parametrize(
+    ("change", "columns", "words"),
+    [
+        ({"pos1": 180 / np.pi}, {}, r"pos1 changes 57\.3 times as fast as vel1 says: is a unit wrong"),
+        ({"time": 1e3}, {}, r"pos1 changes 0\.001 times as fast as vel1 says"),
+        ({}, {"pos1": "pos_1"}, r"row 1: expected a column pos_1, got none; did you mean pos1\?"),
+        ({}, {"pos1": "pos1 [kg]"}, r"pos1: cannot be in kg; rad is wanted, from rad, mrad, deg"),
+    ],
+)
+def test_what_cannot_be_meant_so_is_one_line(
+    study: Study,
+    rollout: Rollout,
+    tmp_path: Path,
+    change: dict[str, float],
+    columns: dict[str, str],
+    words: str,
+) -> None:
+    table = frame(rollout)
+    for name, scale in change.items():
+        table[name] *= scale
+    with pytest.raises(HardwareError, match=words) as error:
+        read(study, table, tmp_path, **columns)
+    assert "\n" not in str(error.value)
+    assert "one.csv" in str(error.value)
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap", "file.mcap"])
+def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path, storage: str) -> None:
+    """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
+    stamp, none = store.types["builtin_interfaces/msg/Time"], np.empty(0)
+    plugin = rosbag2.StoragePlugin.SQLITE3 if storage == "sqlite3" else rosbag2.StoragePlugin.MCAP
+    bag = tmp_path / "bag"
+    with rosbag2.Writer(bag, version=9, storage_plugin=plugin) as writer:
+        topics = {
+            name: writer.add_connection(f"/{name}", state.__msgtype__, typestore=store)
+            for name in ("joint_states", "efforts")
+        }
+        for t in range(rollout.frames):
+            at = 1_000_000_000 + 2_000_000 * t
+            head = header(stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id="")
+            names = ["elbow", "shoulder"]
+            x, u = rollout.states[t], rollout.inputs[t]
+            joints = state(head, names, x[[1, 0]].copy(), x[[3, 2]].copy(), none)
+            for topic, message in (("joint_states", joints), ("efforts", state(head, names, none, none, u))):
+                if topic == "joint_states" or t % 2 == 0:
+                    raw = store.serialize_cdr(message, state.__msgtype__)
+                    writer.write(topics[topic], at + 500_000, raw)
+    path = next(bag.glob("*.mcap")) if storage == "file.mcap" else bag
+    columns = {"time": "time", "tau1": "/efforts.effort[0]", "tau2": "/efforts.effort[1]"}
+    for i, joint in ((1, "shoulder"), (2, "elbow")):
+        columns |= {f"pos{i}": f"/joint_states.position[{joint}]"}
+        columns |= {f"vel{i}": f"/joint_states.velocity[{joint}]"}
+    found = Reader(study.task, columns).read(path)
+    (piece,) = found.pieces
+    assert piece.frames in (997, 998)
+    np.testing.assert_allclose(piece.states, rollout.states[: piece.frames + 1], atol=1e-5)
+    with pytest.raises(HardwareError, match="expected a column /joint_state, got none; did you"):
+        Reader(study.task, columns | {"pos1": "/joint_state.position[0]"}).read(path)
+    with pytest.raises(HardwareError, match=r"no such number in a message"):
+        Reader(study.task, columns | {"pos1": "/joint_states.position[knee]"}).read(path)
+
+
+def test_a_bag_that_is_none_is_one_line(study: Study, tmp_path: Path) -> None:
+    (tmp_path / "one.mcap").write_bytes(b"no bag")
+    with pytest.raises(HardwareError, match=r"one\.mcap: cannot be read"):
+        Reader(study.task, {name: f"/t.{name}" for name in NAMES}).read(tmp_path / "one.mcap")
