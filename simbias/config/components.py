@@ -20,6 +20,9 @@ from simbias.core.messages import quote, with_type, words
 
 TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
 
+BESIDE = {"task": frozenset[str](), "policy": frozenset({"task", "nominal"})}  # what constructors are given
+PROVIDED = frozenset({"task"})  # beside their config: of other groups
+
 
 def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
     """Construct what `_target_` names; `provided` are arguments that it gets if it has them.
