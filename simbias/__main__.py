@@ -14,18 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
-from simbias.core.commands import add_own_components, python
+from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
-    from simbias.sweep.tracking import Tracking
     from simbias.terminal.identify import Request
-    from simbias.trial.study import Study
 
 PROGRAM = "python -m simbias"
 GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
-SUCCEEDED, FAILED, BAD_INPUT, WAITING, INTERRUPTED = 0, 1, 2, 3, 130
-
 RUN = "run"  # the command that is meant where none is named
 
 EXAMPLES = """\
@@ -99,7 +95,9 @@ def _trace_of_own_code(error: ConfigError) -> str:
 def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     """The arguments, and the `command` that is to be called with them; options may stand anywhere."""
     own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
-    add_own_components(own)
+    own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
+    allowed = "also let configs name classes of this module, as of those next to DIR; may be repeated"
+    own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
     own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
     own.add_argument("--version", action="version", version=f"simbias {__version__}")
     known, rest = own.parse_known_args(arguments)
@@ -198,7 +196,7 @@ def _pictures(parsed: argparse.Namespace) -> int:
     from simbias.pictures.trial.gallery import save_all
 
     trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
-    files = save_all(trial.study, trial.iterations, Path(parsed.folder))
+    files = save_all(trial.study, trial.iterations, Path(parsed.folder), trial.withdrawn)
     print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return SUCCEEDED
 
@@ -265,8 +263,12 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
         print(_as_yaml(composition), end="")
         return SUCCEEDED
     if "sweep" in composition.config:
-        return _sweep(parsed, composition, variations)
-    return _run(parsed, composition)
+        from simbias.terminal import run_sweep
+
+        return run_sweep.run(variations, composition, _command(parsed))
+    from simbias.terminal import run
+
+    return run.run(composition, _command(parsed))
 
 
 def _as_yaml(composition: Composition) -> str:
@@ -274,94 +276,6 @@ def _as_yaml(composition: Composition) -> str:
     from omegaconf import OmegaConf
 
     return OmegaConf.to_yaml(OmegaConf.create(dict(composition.config)))
-
-
-def _run(parsed: argparse.Namespace, composition: Composition) -> int:
-    """Run one trial in the terminal, or resume it."""
-    from simbias.config.build import build
-    from simbias.sweep.services import engine, tracking
-    from simbias.terminal.notices import preparing, slowness_in_one_line
-    from simbias.testing.rehearsal import rehearse
-
-    engine(composition)  # a single trial needs none, but a bad one is bad input
-    store = tracking(composition)
-    with slowness_in_one_line():
-        with preparing():
-            study = build(composition)
-            rehearse(study)
-        return _run_study(study, store, _command(parsed))
-
-
-def _run_study(study: Study, store: Tracking, again: str) -> int:
-    """Run a trial as far as it gets, resume or replay it; `again` is the command that resumes it."""
-    from simbias.core.messages import counted, with_type
-    from simbias.sweep.tracking import Export
-    from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
-    from simbias.trial.folder import TrialFolder
-    from simbias.trial.run import run_trial
-    from simbias.trial.study import Observers
-    from simbias.trial.summary import Outcome
-
-    folder = store.trial_folder(study.hash)
-    export = store.export_trial(folder) if folder else Export()
-    replayed = folder is not None and TrialFolder(folder).ended
-    if folder is not None and (changed := changed_since(study, folder)):
-        print(f"simbias: {changed}", file=sys.stderr)
-    try:
-        with TrialConsole(study) as console:
-            record = run_trial(asking(study, console), folder, Observers(console, export))
-        if folder is not None and store.pictures:
-            from simbias.pictures.trial.gallery import illustrate
-
-            illustrate(record, folder)
-    except (ConfigError, KeyboardInterrupt):
-        raise
-    except Exception as error:  # of the disk: what a component raises is in the record
-        print(f"simbias: {with_type(error)} (resume with:  {again})", file=sys.stderr)
-        return FAILED
-    finally:
-        export.update(final=True)
-    summary = record.summary
-    if summary.outcome.final:
-        console.conclude(record, export.where, replayed)
-        return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
-    kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
-    trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
-    print(f"simbias: {summary.reason} ({kept}{trace}; resume with:  {again})", file=sys.stderr)
-    return WAITING if summary.outcome is Outcome.WAITING else FAILED
-
-
-def _sweep(parsed: argparse.Namespace, composition: Composition, variations: Variations) -> int:
-    """Run a sweep in the terminal, or tell what it would run."""
-    from simbias.mlflow.store import cause
-    from simbias.sweep.running import changed_trials, prepare, run_sweep
-    from simbias.sweep.services import engine, tracking
-    from simbias.terminal.notices import preparing, slowness_in_one_line
-    from simbias.terminal.sweep import SweepConsole, dry_run
-
-    trials_engine, store = engine(composition), tracking(composition)
-    with preparing(), slowness_in_one_line():
-        sweep, study, finished = prepare(store, variations)
-    if sweep.dry_run:
-        dry_run(sweep, study, finished, trials_engine)
-        return SUCCEEDED
-    console, again = SweepConsole(), _command(parsed)
-    if changed := changed_trials(sweep, store):
-        print(f"simbias: {changed}", file=sys.stderr)
-    try:
-        trials, where = run_sweep(sweep, trials_engine, store, again, console)
-    except KeyboardInterrupt:
-        console.stopped("interrupted", again)
-        return INTERRUPTED
-    except ConfigError:
-        raise
-    except Exception as error:  # of the store or the engine: what a trial raises is in its record
-        console.stopped(f"{type(error).__name__}: {cause(error)}", again)
-        return FAILED
-    console.conclude(trials, where)
-    if console.waiting:
-        return WAITING
-    return FAILED if (trials["outcome"] == "error").any() else SUCCEEDED
 
 
 def _export(parsed: argparse.Namespace) -> int:

@@ -15,9 +15,10 @@ from conftest import OWN_CONF, POINT_MASS, rest_slow
 from rich.console import Console
 
 import simbias
-from simbias.__main__ import BAD_INPUT, main
+from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core import NOT_A_NUMBER, Cost
+from simbias.core.commands import BAD_INPUT
 from simbias.core.error_origin import told
 from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Rollout, Selection, Transitions
@@ -96,7 +97,7 @@ def shown(study: Study) -> str:
         ("nominal", NaNVelocity, "NaNVelocity.step: expected finite numbers near the start, got [["),
         ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
         ("nominal", OneColumn, "OneColumn.step: expected a state, got (1,)"),
-        ("policy", Unbounded, "Unbounded.act: expected inputs within [5.], got "),
+        ("policy", Unbounded, "Unbounded.act: expected inputs within [-5.] and [5.], got "),
         ("policy", ImitatesByOne, "ImitatesByOne.imitating: expected parameters (3,), got (1,)"),
     ],
 )

@@ -49,7 +49,7 @@ def check_allowed(module: str, key: str, allowed: Sequence[str]) -> None:
 
 
 def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
-    """What the user allows, and what the `components.yaml` of the folders does.
+    """The prefixes that the user allows, and those that the folders' `components.yaml` do.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def prefixes(folders: Sequence[Path], allow: Sequence[str]) -> tuple[str, ...]:
 
 
 def _of_file(file: Path) -> list[str]:
-    """What a folder's file allows; nothing if there is none."""
+    """The prefixes that a folder's file allows; none if there is no file."""
     if not file.is_file():
         return []
     from omegaconf import OmegaConf  # lazily: --help needs none
@@ -89,7 +89,7 @@ def _module(name: Any, key: str) -> str:
 
 
 def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
-    """What a config may name: modules of the prefixes, and those that lie in, or beside, a folder of configs.
+    """The modules that a config may name: of the prefixes, and those in, or beside, a folder of configs.
 
     No deeper: an environment with everything that is installed may lie there too.
     """

@@ -54,7 +54,7 @@ def build(composition: Composition) -> Study:
     task = construct(config["task"], Task, "task", own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
     nominal = construct(config["nominal"], Nominal, "nominal", own, task=task)
-    given = {"task": task, "nominal": nominal}
+    given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
     components = {
         group: construct(
             config[group], contract, group, own, **{k: given[k] for k in BESIDE.get(group, PROVIDED)}

@@ -20,8 +20,8 @@ from simbias.core.messages import quote, with_type, words
 
 TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
 
-BESIDE = {"task": frozenset[str](), "policy": frozenset({"task", "nominal"})}  # what constructors are given
-PROVIDED = frozenset({"task"})  # beside their config: of other groups
+PROVIDED = frozenset({"task", "hardware_from"})  # what constructors are given beside their config,
+BESIDE = {"task": frozenset[str](), "policy": PROVIDED | {"nominal"}}  # of these groups
 
 
 def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
@@ -114,7 +114,7 @@ def constructor_parameters(component: Any) -> Mapping[str, inspect.Parameter]:
 
 @cache
 def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
-    """What checks a constructor's arguments, but for those that are provided."""
+    """The schema of a constructor's arguments, but for those that are provided."""
     hints = get_type_hints(component.__init__, include_extras=True)
     fields = {
         name: (Required if parameter.default is parameter.empty else NotRequired)[hints.get(name, Any)]
@@ -125,7 +125,7 @@ def _schema(component: Any, provided: frozenset[str]) -> TypeAdapter:
 
 
 def _adapter(fields: dict[str, Any]) -> TypeAdapter:
-    """What checks a mapping with these fields."""
+    """The schema of a mapping with these fields."""
     schema = TypedDict("schema", fields)  # type: ignore[misc]
     schema.__pydantic_config__ = ConfigDict(  # type: ignore[attr-defined]
         extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False

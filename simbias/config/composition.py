@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -31,6 +31,7 @@ class Composition:
     config: Mapping[str, Any]
     choices: Mapping[str, str]  # group -> chosen option
     own: Own = field(default=NOTHING, compare=False)  # what it may name of the user's
+    from_environment: tuple[str, ...] = field(default=(), compare=False)  # keys whose values may be secrets
 
     @cached_property
     def identity_fields(self) -> Mapping[str, Any]:
@@ -66,7 +67,7 @@ class Composition:
 
     @property
     def trial(self) -> Composition:
-        """What concerns a single trial."""
+        """The part that concerns a single trial."""
         config = {key: value for key, value in self.config.items() if key not in OF_SWEEPS}
         choices = {key: option for key, option in self.choices.items() if key not in OF_SWEEPS}
         return replace(self, config=config, choices=choices)
@@ -122,11 +123,11 @@ class Variations:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # Hydra only warns of a search path that does not exist
-                structure, values = self._split()
+                structure, changes = self._split
                 groups = self._compose(structure).choices if settings else {}
                 options = [f"{key}={value}" for key, value in settings.items() if key in groups]
                 composed = self._compose([*structure, *options])
-                values |= {key: value for key, value in settings.items() if key not in groups}
+                values = changes | {key: value for key, value in settings.items() if key not in groups}
                 config = composed.config.copy() if values else composed.config
                 for key, value in values.items():
                     _set(config, key, value)
@@ -137,8 +138,10 @@ class Variations:
             raise _in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self.overrides), reason(error)) from error
-        return Composition(plain, dict(composed.choices), own(plain, self._folders, self._allowed))
+        theirs = own(plain, self._folders, self._allowed)
+        return Composition(plain, dict(composed.choices), theirs, tuple(_from_environment(config)))
 
+    @cached_property
     def _split(self) -> tuple[list[str], dict[str, Any]]:
         """The overrides that Hydra composes, and those that change values of what it composed.
 
@@ -166,14 +169,28 @@ class Variations:
         return _composed(tuple(overrides), self._config_dir, files)
 
 
+def _from_environment(config: DictConfig) -> Iterator[str]:
+    """The keys of what is written down whose values come from environment variables."""
+    from omegaconf import OmegaConf
+
+    groups: Any = OmegaConf.to_container(config, resolve=False)
+    waiting = [(str(key), value) for key, value in groups.items() if key != "tracking"]
+    for key, value in waiting:
+        if isinstance(value, dict | list):
+            parts = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(f"{key}.{part}", each) for part, each in parts]
+        elif "${oc.env:" in str(value):
+            yield key
+
+
 class _Composed(NamedTuple):
-    """What Hydra composed."""
+    """A composition by Hydra."""
 
     config: DictConfig  # interpolations not yet resolved
     choices: Mapping[str, str]
 
 
-@lru_cache(maxsize=200)
+@lru_cache(maxsize=2000)
 def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset) -> _Composed:
     """Hydra's composition, which takes 40 ms; `files` is the state of what it reads."""
     import hydra
@@ -257,7 +274,7 @@ def _in_one_line(error: Exception) -> ConfigError:
 
 
 def _no_such_key(key: str) -> ConfigError:
-    """What to say of a key that the config has not."""
+    """The error of a key that the config has not."""
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
     return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

@@ -1,4 +1,4 @@
-"""What a trial is: what of its config deviates from the constructors' defaults and affects its result.
+"""Identity of a trial: whatever of its config is no constructor's default and affects its result.
 
 A value that equals its constructor's default is left out. So an option that is added, its default the old
 behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
@@ -42,7 +42,7 @@ DIGITS = 12  # hexadecimal
 def identity_fields(
     config: Mapping[str, Any], left_out: Sequence[str], allowed: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """What a config says of a trial, some groups left out, in plain containers; `allowed` as of `construct`.
+    """A trial's config, some groups left out, in plain containers; `allowed` as of `component_class`.
 
     Raises
     ------

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import re
 import traceback
+from urllib.parse import unquote
 
 LONGEST = 300  # characters of a message
 LONGEST_REASON = 500  # of what an error says, where it is kept
 LONGEST_VALUE = 80  # of a value in a message
+SHORTEST_SECRET = 4  # that is looked for in any text
+SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password of an address
+SECRET_VALUE = re.compile(r"([?&]\w*(?:password|token|secret|key)\w*=)([^&\s'\"]+)", re.IGNORECASE)
 
 
 def printable(text: str) -> str:
@@ -30,6 +34,16 @@ def quote(value: object) -> str:
         return brief(repr(value), LONGEST_VALUE)
     except (Exception, SystemExit):
         return f"a value of type {type(value).__name__}"
+
+
+def redact(text: str, address: str = "") -> str:
+    """Text without users, passwords and tokens of addresses; also without those of a known address."""
+    login = re.match(r"(?!sqlite)[^:]*://(.*)@", address, re.DOTALL)
+    known = [login[1], login[1].partition(":")[2]] if login else []
+    for secret in (*known, *(value for _, value in SECRET_VALUE.findall(address))):
+        for each in (secret, unquote(secret)):
+            text = text.replace(each, "") if len(each) >= SHORTEST_SECRET else text
+    return SECRET_VALUE.sub(r"\1***", SECRET.sub(r"\1://", text))
 
 
 def counted(count: int, noun: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -16,6 +16,9 @@ class WorkerLostError(RuntimeError):
     """A worker died with its task, again and again."""
 
 
+Results = Generator[tuple[int, R | WorkerLostError], None, None]  # a task's index, and its result
+
+
 class Engine(ABC):
     """Where the trials of a sweep run."""
 
@@ -24,11 +27,10 @@ class Engine(ABC):
     @abstractmethod
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
-    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+    ) -> Results[R]:
         """Yield (index of a task, function(task)) as tasks end, in any order, every task once.
 
         `function` is one of a module's and raises nothing. A task whose worker died runs again; one whose
         workers die each time yields a WorkerLostError. Tasks can be pickled. `code` packs the user's own code
-        and files, for workers that share no disk; empty if there is none. Closing the iterator stops the
-        workers.
+        and files, for workers that share no disk; empty if there is none. Closing it stops the workers.
         """

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from simbias.core.errors import ConfigError
 from simbias.core.extras import library
 from simbias.core.ranges import Workers
-from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
+from simbias.engine.contract import MOST_LOSSES, Engine, R, Results, T, WorkerLostError
 from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Dask(Engine):
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
-    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+    ) -> Results[R]:
         """Yield indices and results as tasks end; a cluster at an address is sent the `code`.
 
         Two tasks for each worker are with Dask at a time: one that runs, and one that waits to. Dask blames a

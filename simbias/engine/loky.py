@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.core.ranges import Workers
-from simbias.engine.contract import MOST_LOSSES, Engine, R, T, WorkerLostError
+from simbias.engine.contract import MOST_LOSSES, Engine, R, Results, T, WorkerLostError
 from simbias.engine.workplace import workplace
 
 WATCH_SECONDS = 1.0
@@ -48,7 +48,7 @@ class Loky(Engine):
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
-    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+    ) -> Results[R]:
         """Yield indices and results as tasks end."""
         return run_rounds(partial(self._round, function), tasks)
 
@@ -81,7 +81,7 @@ class Loky(Engine):
             raise RoundBrokenError(_reason(error)) from error
 
 
-def run_rounds(run_round: Round, tasks: Sequence[T]) -> Iterator[tuple[int, R | WorkerLostError]]:
+def run_rounds(run_round: Round, tasks: Sequence[T]) -> Results[Any]:
     """Yield (index, result) of every task once, round after round, whatever becomes of workers.
 
     `run_round(calls, alone)` yields the results of (index, task) calls and raises RoundBrokenError when
@@ -113,7 +113,7 @@ def _noted(starts: list[int], tasks: Mapping[int, T]) -> Iterator[tuple[int, T]]
 
 
 def _reason(error: BaseException) -> str:
-    """What loky says of a dead worker, in short."""
+    """Why a worker died, in short, by loky."""
     lines = [line.strip() for line in str(error).splitlines() if "exit codes" in line]
     return lines[0] if lines else type(error).__name__
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
-from simbias.engine.contract import Engine, R, T, WorkerLostError
+from simbias.engine.contract import Engine, R, Results, T
 
 
 class Sequential(Engine):
@@ -12,7 +12,7 @@ class Sequential(Engine):
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
-    ) -> Iterator[tuple[int, R | WorkerLostError]]:
+    ) -> Results[R]:
         """Yield each task's index and result, in order."""
         for index, task in enumerate(tasks):
             yield index, function(task)

@@ -66,7 +66,8 @@ def _verdict(rows: Sequence[Row], summary: TrialSummary) -> str:
     count, reason = _count(rows, summary.experiments - made), summary.reason[:REASON_LENGTH]
     test = f" {summary.test_words}" if summary.test_episodes else ""
     if summary.outcome is Outcome.SUCCEEDED:
-        return f"**Succeeded** on hardware in iteration {rows[-1]['iteration']}, after {count}.{test}"
+        claim = f" By these, its last policy {summary.claim}." if summary.claim else ""
+        return f"**Succeeded** on hardware in iteration {rows[-1]['iteration']}, after {count}.{claim}{test}"
     if summary.outcome is Outcome.NOT_SUCCEEDED:
         return f"**Did not succeed**: no policy reached the goal on hardware, after {count}.{test}"
     if summary.outcome is Outcome.WAITING:

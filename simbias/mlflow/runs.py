@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from simbias.core.commands import python
 from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, database, file_number, is_server, reaching, redact
+from simbias.mlflow.store import connect, database, file_number, is_server, reaching
 from simbias.mlflow.writes import Files, Point, flush, size
 from simbias.sweep.tracking import Export
 
@@ -68,13 +69,13 @@ class Runs:
             return self._connect()
         if file_number(self._file) != self._number:
             raise ConfigError(
-                "tracking.uri", f"{redact(self.uri)}: the store was moved, or another put there"
+                "tracking.uri", f"{redact(self.uri, self.uri)}: the store was moved, or another put there"
             )
         return self._client
 
     def address(self, identity: str, run_id: str) -> str:
         """How a person looks at the run of a hash: a command, or the page of a server."""
-        uri = redact(self.uri)
+        uri = redact(self.uri, self.uri)
         if is_server(self.uri):
             return f"{uri.rstrip('/')}/{pages.run_page(self.experiment_id, run_id)}"
         values = {"uri": (uri, URI), "experiment": (self._experiment, EXPERIMENT)}

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
 from simbias.engine import workplace
 from simbias.trial.disk import locked
 
@@ -31,15 +32,9 @@ LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log, with a traceback
 OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
-SECRET = re.compile(r"\b(?!sqlite)(\w+(?:\+\w+)?)://\S*@")  # user and password of an address
 ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
 MOVED = "was moved or copied: its files are in {}; delete it, and `python -m simbias export` makes it again"
 MAKING_SECONDS = 120.0  # that a process waits for another one that makes the same store
-
-
-def redact(text: str) -> str:
-    """Text without users and passwords of addresses in it."""
-    return SECRET.sub(r"\1://", text)
 
 
 def connect(uri: str, experiment: str) -> tuple[MlflowClient, str]:
@@ -78,7 +73,7 @@ def reaching(uri: str) -> Iterator[None]:
     except Exception as error:
         words = cause(error)
         problem = OTHER_VERSION if "out-of-date database schema" in words else words
-        raise ConfigError("tracking.uri", f"{redact(uri)}: {problem}") from error
+        raise ConfigError("tracking.uri", redact(f"{uri}: {problem}", uri)) from error
 
 
 def is_server(uri: str) -> bool:
@@ -206,7 +201,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 
 def cause(error: BaseException) -> str:
-    """What an error comes from, in one line: the system's or SQLite's own words, if it comes from there."""
+    """The cause of an error in one line: the system's or SQLite's own words, if it comes from there."""
     chain: list[BaseException] = [error]
     while (deeper := chain[-1].__cause__ or chain[-1].__context__) is not None:
         chain.append(deeper)

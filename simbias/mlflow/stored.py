@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simbias.core.errors import ConfigError
-from simbias.mlflow.store import client_of, database, reaching, redact
+from simbias.core.messages import redact
+from simbias.mlflow.store import client_of, database, reaching
 from simbias.mlflow.trial import FOLDER
 
 
@@ -24,7 +25,7 @@ def trial_folder(run_id: str, uri: str) -> Iterator[Path]:
     """
     file = database(uri)
     if file is not None and not file.exists():
-        raise ConfigError("tracking.uri", f"{redact(uri)}: no such store")
+        raise ConfigError("tracking.uri", f"{redact(uri, uri)}: no such store")
     with tempfile.TemporaryDirectory() as folder:
         with reaching(uri):
             _download(run_id, uri, folder)
@@ -41,7 +42,7 @@ def _download(run_id: str, uri: str, folder: str) -> None:
     except MlflowException as error:
         if error.error_code != "RESOURCE_DOES_NOT_EXIST":
             raise
-        raise ConfigError(run_id, f"no such run in {redact(uri)}, and no such folder") from error
+        raise ConfigError(run_id, f"no such run in {redact(uri, uri)}, and no such folder") from error
     if "sweep" in tags:
         raise ConfigError(run_id, "is a sweep; each of its trials is a run of its own")
     if "hash" not in tags:

@@ -24,7 +24,7 @@ class FigureError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class SweptTrials:
-    """What a sweep found: a table of its trials, and each trial in full."""
+    """The trials of a sweep, as a table and each in full."""
 
     sweep: Sweep
     table: DataFrame  # as `simbias.sweep.results` describes it

@@ -44,7 +44,7 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Report:
-    """What is told of the results."""
+    """Columns and measures of a sweep's table."""
 
     columns: str | None  # the axis whose points stand side by side
     measures: tuple[Measure, ...]  # of each cell
@@ -248,7 +248,7 @@ def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequenc
 
 
 def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
-    """What to report, checked against the axes."""
+    """The report of a config, checked against the axes."""
     fields = {
         "columns": NotRequired[str | None],
         "measures": NotRequired[list[Measure]],

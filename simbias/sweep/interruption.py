@@ -7,20 +7,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TypeVar
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-T = TypeVar("T")
-
-
-@contextmanager
-def stopping_workers(results: Iterator[T]) -> Iterator[Iterator[T]]:
-    """Close what an engine yields, however that ends, so that its workers stop."""
-    try:
-        yield results
-    finally:
-        if hasattr(results, "close"):
-            results.close()
 
 
 class Interruption:

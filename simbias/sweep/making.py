@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
 from simbias.sweep.figure import FigureError
-from simbias.sweep.interruption import Interruption, stopping_workers
+from simbias.sweep.interruption import Interruption
 
 if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep
@@ -91,7 +91,7 @@ def _outcomes(
         code = partial(packed, [task.composition for task in tasks])
         with (
             observer.working(f"{name}: batches of experiments", len(batch_of), len(outcomes)) as advance,
-            stopping_workers(engine.run(run_batch, tasks, code)) as results,
+            closing(engine.run(run_batch, tasks, code)) as results,
         ):
             for index, result in results:
                 if isinstance(result, WorkerLostError) or result.error:

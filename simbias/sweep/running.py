@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from simbias.config.build import build
 from simbias.config.sent_code import packed
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.sweep.grid import Sweep, Trial, expanded
-from simbias.sweep.interruption import Interruption, stopping_workers
+from simbias.sweep.interruption import Interruption
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.services import engine, tracking
 from simbias.sweep.state import SweepState, finished
@@ -139,7 +140,7 @@ def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, 
     plans = [state.plan(trial, trials_engine.shares_disk) for trial in trials]
     cells = {trial.cell.identity: trial for trial in trials}
     code = partial(packed, [trial.composition for trial in cells.values()])
-    with stopping_workers(trials_engine.run(run_plan, plans, code)) as ended:
+    with closing(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
 

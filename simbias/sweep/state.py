@@ -6,6 +6,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,14 @@ from pandas import DataFrame
 
 from simbias.config.build import build
 from simbias.core.errors import ConfigError
+from simbias.core.messages import redact
 from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
 from simbias.sweep.worker import GONE, Plan, Result, pack, unpack
 from simbias.trial.folder import PICTURES, TrialFolder
-from simbias.trial.origin import provenance
+from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
@@ -69,6 +71,7 @@ class SweepState:
         self._platforms = Counter(filter(None, ran_on))  # trials of each
         self._captions: dict[str, str] = {}  # of figures
         self._due = 0.0
+        tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
         self.folder.begin(_description(sweep, again))
         for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
             left.unlink()
@@ -94,12 +97,13 @@ class SweepState:
     def plan(self, trial: Trial, shares_disk: bool) -> Plan:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
+        composition = replace(trial.composition, from_environment=())  # which has been told
         if folder is None:
-            return Plan(trial.composition)
+            return Plan(composition)
         marker = "" if shares_disk else str(self._marker)
         kept = pack(folder) if marker and TrialFolder(folder).steps() else b""
         pictures = _pictures(trial.repetition, self._store)
-        return Plan(trial.composition, str(folder.absolute()), marker, kept, pictures)
+        return Plan(composition, str(folder.absolute()), marker, kept, pictures)
 
     def keep(self, trial: Trial, result: Result) -> None:
         """Note a trial that ended or stopped, and export it."""
@@ -194,7 +198,7 @@ def _description(sweep: Sweep, again: str) -> dict[str, Any]:
     return {
         "name": sweep.name,
         "hash": sweep.hash,
-        "command": again,
+        "command": redact(again, str(sweep.base.config.get("tracking", {}).get("uri", ""))),
         "config": {key: value for key, value in sweep.base.config.items() if key != "tracking"},
         "axes": [{"name": axis.name, "keys": list(axis.keys)} for axis in sweep.axes],
         "trials": {

@@ -184,7 +184,7 @@ def plain(arrangement: Layout) -> str:
 
 
 def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
-    """What the numbers are."""
+    """The meaning of the numbers, in words."""
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
@@ -194,7 +194,7 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
 
 
 def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
-    """What the numbers of test episodes are, where any is shown."""
+    """The meaning of the numbers of test episodes, where any is shown."""
     count = max(map(len, trials["test_episodes"]), default=0)
     texts = {
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy succeeds",

@@ -47,7 +47,7 @@ def run_plan(plan: Plan) -> Result:
         folder = None if plan.folder is None else Path(plan.folder)
         apart = bool(plan.marker) and not Path(plan.marker).exists()
         try:
-            if folder is not None and not apart and not folder.parent.is_dir():
+            if folder is not None and not apart and not folder.parent.exists():
                 return lost(GONE.format(folder.parent))
             if folder is not None and apart and plan.kept:
                 unpack(plan.kept, folder)

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal while a sweep runs."""
+"""Output at a terminal while a sweep runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees in the terminal while a trial runs."""
+"""Output at a terminal while a trial runs."""
 
 from __future__ import annotations
 
@@ -154,6 +154,10 @@ class TrialConsole(Observer):
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
         earlier = ", in an earlier run of this command; seed=N makes another trial" * replayed
         say(self._console, f"\n{verdict} {experiments} ({effort}{reason}){earlier}.", markup=True)
+        if summary.claim:
+            say(self._console, f"By its own experiments, its last policy {summary.claim}.")
+        for withdrawal in record.withdrawn:
+            say(self._console, f"{withdrawal}.", "yellow")
         if summary.test_words:
             say(self._console, summary.test_words)
         if where:

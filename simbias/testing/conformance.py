@@ -1,4 +1,4 @@
-"""What every component has to pass, whoever wrote it.
+"""The checks that every component has to pass, whoever wrote it.
 
 In a test of one's own:
 
@@ -51,7 +51,7 @@ def verdicts(study: Study, groups: Collection[str]) -> Iterator[Verdict]:
 
 
 def _problem(study: Study, group: str, error: BaseException) -> str:
-    """What is wrong, with the name of the component's class."""
+    """A problem in words, with the name of the component's class."""
     component = type(getattr(study, group)).__name__
     text = told(error)
     if isinstance(error, ConformanceError):

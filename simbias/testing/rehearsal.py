@@ -1,4 +1,4 @@
-"""What is done before a trial: components of the user's own are tried, and all is compiled."""
+"""Before a trial: components of the user's own are tried, and all is compiled."""
 
 from __future__ import annotations
 

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import getpass
 import hashlib
+import logging
 import platform
 import re
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -19,6 +20,7 @@ from typing import Any
 
 from simbias.trial.study import Study
 
+IN_CLEAR = "simbias: %s: from the environment, and written in clear into %s, which MLflow shows too"
 DIGITS = 12  # hexadecimal
 PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -36,6 +38,12 @@ def description(study: Study) -> dict[str, Any]:
         "code": digests(study),
         **provenance(),
     }
+
+
+def tell_what_is_in_clear(keys: Sequence[str], file: Path) -> None:
+    """Say which values, maybe secrets, are written into a file."""
+    if keys:
+        logging.getLogger(__name__).warning(IN_CLEAR, ", ".join(keys), file)
 
 
 def digests(study: Study) -> dict[str, str]:

@@ -53,6 +53,8 @@ class TrialSummary:
     long_success_rate: float = nan  # likewise, of the long ones
     long_seconds: float = nan  # mean duration of these
     test_words: str = ""  # the test in one sentence
+    claim: str = ""  # of the last policy, by the trial's own experiments: holds 90% of starts (80% to 96%)
+    claimed_share: float = nan  # of starts, at least
     platforms: tuple[str, ...] = ()  # that it ran on: two if it was resumed elsewhere
     processor: str = ""  # model of the last one's
     diagnostics: tuple[str, ...] = ()  # what is odd about it
@@ -127,7 +129,7 @@ def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iter
 
 
 def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> Iterator[str]:
-    """What happened in an iteration, in words."""
+    """The events of an iteration in words: failures, and everything odd."""
     failures = [each.failure or "failed" for each in iteration.experiments if each.failed_at is not None]
     if failures:
         causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
@@ -168,7 +170,7 @@ def _search_metrics(search: Search) -> dict[str, float]:
 
 
 def _model_metrics(model: Model) -> dict[str, float]:
-    """What the learners say of a policy's model, in numbers."""
+    """The diagnostics of a policy's model, in numbers."""
     return {
         **{f"bias/{name}": value for name, value in model.bias.diagnostics.items()},
         **{f"identification/{name}": value for name, value in model.nominal.diagnostics.items()},

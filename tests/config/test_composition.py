@@ -63,6 +63,18 @@ def test_bad_override() -> None:
         assert "\n" not in str(error.value)
 
 
+def test_values_are_merged_as_hydra_does() -> None:
+    """Which composes those that force a key."""
+    for values in (
+        ["bias.d=0.3", "seed=2", "bias.d=0.4"],
+        ["hardware.noise={torque_variance: 0.1}", "task.horizon=7"],
+        ["cost.state_weights=[1,1,1,1,1,1]", "bias=none"],
+        ["seed=${optimizer.max_evaluations}", "optimizer.algorithm='a b'", "bias=none"],
+    ):
+        forced = [value if value == "bias=none" else f"++{value}" for value in values]
+        assert compose(values).config == compose(forced).config
+
+
 def test_config_dir_must_exist() -> None:
     for folder in ("/no/such/folder", "[" * 400):  # the second is no name that a file system takes
         with pytest.raises(ConfigError, match="--config-dir: no such folder"):

@@ -13,10 +13,11 @@ from conftest import OWN_CONF, POINT_MASS
 from labs import THETA, lines, requested, written
 from point_mass import InTheWind, PointMass, Spring
 
-from simbias.__main__ import FAILED, SUCCEEDED, WAITING, main
+from simbias.__main__ import main
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.core import HardwareError, Waiting
+from simbias.core.commands import FAILED, SUCCEEDED, WAITING
 from simbias.core.records import Array
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.requests.folder import write_request

@@ -19,10 +19,11 @@ from conftest import PYTHONPATH, ROOT
 from labs import THETA
 from processes import INTERRUPTIBLE, runs, wait_for
 
-from simbias.__main__ import BAD_INPUT, main
+from simbias.__main__ import main
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.core import HardwareError, Waiting
+from simbias.core.commands import BAD_INPUT
 from simbias.core.records import Rollout
 from simbias.lab.requests.process import Process
 from simbias.trial.study import Study

@@ -14,9 +14,10 @@ from point_mass import InTheWind
 from records import assert_equal
 
 import simbias
-from simbias.__main__ import SUCCEEDED, WAITING, main
+from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core import HardwareError, Policy
+from simbias.core.commands import SUCCEEDED, WAITING
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety

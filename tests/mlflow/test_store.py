@@ -19,6 +19,7 @@ from mlflow import MlflowClient
 from processes import wait_for
 
 from simbias.config import ConfigError
+from simbias.core.messages import redact
 from simbias.mlflow import store
 from simbias.mlflow.tracking import Mlflow
 
@@ -155,4 +156,15 @@ def test_no_password_is_shown() -> None:
         "sqlite:////a/b@c/mlflow.db": "sqlite:////a/b@c/mlflow.db",
         "sqlite:///mlflow.db": "sqlite:///mlflow.db",
     }.items():
-        assert store.redact(text) == expected
+        assert redact(text) == expected
+    for address, secret in {
+        "http://me:se cr@et@host:5000": "se cr@et",
+        "postgresql://me:%73e%40cret@host/x": "se@cret",
+        "mysql+pymysql://host/x?user=me&password=se%20cret&ssl=1": "se%20cret",
+        "https://a-long-token@host": "a-long-token",
+    }.items():
+        said = redact(f"no answer from {address}: wrong password {secret}", address)
+        assert said.startswith("no answer from ")
+        assert "host" in said
+        assert secret not in said
+        assert "%73e" not in said

@@ -36,6 +36,7 @@ class Store:
     """The state of a sweep, as far as figures need it."""
 
     def __init__(self, path: Path) -> None:
+        path.mkdir(exist_ok=True)
         self.folder = SweepFolder(path)
         self.captions: dict[str, str] = {}
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from sweeping import simbias
 
-from simbias.__main__ import BAD_INPUT, main
+from simbias.__main__ import main
+from simbias.core.commands import BAD_INPUT
 from simbias.terminal.new import TEMPLATE
 
 

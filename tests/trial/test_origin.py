@@ -32,6 +32,22 @@ def test_commit_of_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert commit() == {"commit": head, "changed": True}
 
 
+def test_what_comes_from_the_environment_is_written_in_clear_with_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Once; the store's address is not written at all."""
+    monkeypatch.setenv("TOKEN", "s3cret")
+    secrets = ["hardware.command='robot ${oc.env:TOKEN}'", "tracking.uri='${oc.env:TOKEN}'"]
+    quick = ["optimizer.max_evaluations=5", "method.max_iterations=1"]
+    study = simbias.load(["hardware=process", *secrets, *quick])
+    for _ in range(2):
+        run_trial(study, tmp_path / "trial")
+    (warning,) = [each.getMessage() for each in caplog.records]
+    told = "simbias: hardware.command: from the environment, and written in clear into "
+    assert warning.startswith(f"{told}{tmp_path}")
+    assert (tmp_path / "trial" / "trial.json").read_text().count("s3cret") == 1
+
+
 ROBOT = """
 <mujoco>
   <compiler meshdir="shapes"/>

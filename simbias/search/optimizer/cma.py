@@ -55,6 +55,26 @@ def evolve(
     of a failure in Eq. 8 inflates.
     """
     width = evaluations.upper - evaluations.lower
+    evolution = strategy(evaluations.lower, evaluations.upper, rng, start, deviation, population)
+    while not (stop := evolution.stop()):
+        points = evolution.ask()
+        costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
+        evolution.tell(points, costs)
+        if max(evolution.stds) < resolution and min(costs) >= evaluations.target_cost:
+            return RESOLUTION
+    return f"pycma's {' and '.join(stop)}"
+
+
+def strategy(
+    lower: Array,
+    upper: Array,
+    rng: np.random.Generator,
+    start: Array,
+    deviation: float,
+    population: int | None = None,
+) -> Any:
+    """Pycma's strategy in the unit box, in whose units the deviation is; `ask` and `tell` drive it."""
+    width = upper - lower
     options = {
         "bounds": [0.0, 1.0],
         "randn": lambda *shape: rng.standard_normal(shape),  # leaves NumPy's global generator alone
@@ -70,14 +90,7 @@ def evolve(
         options["maxstd"] = np.inf  # pycma's limit on it raises in one dimension (its issue 302)
     if population is not None:
         options["popsize"] = population
-    strategy = _pycma().CMAEvolutionStrategy((start - evaluations.lower) / width, deviation, options)
-    while not (stop := strategy.stop()):
-        points = strategy.ask()
-        costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
-        strategy.tell(points, costs)
-        if max(strategy.stds) < resolution and min(costs) >= evaluations.target_cost:
-            return RESOLUTION
-    return f"pycma's {' and '.join(stop)}"
+    return _pycma().CMAEvolutionStrategy((start - lower) / width, deviation, options)
 
 
 @cache

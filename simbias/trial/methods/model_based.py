@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from simbias.core.ranges import Count, CountOrZero, Positive, Share
 from simbias.core.records import Iteration, Learning, Rollout
 from simbias.search.lqr import LqrCandidates
+from simbias.trial.claim import passes_for
 from simbias.trial.model_selection import log_likelihoods, most_likely
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
 from simbias.trial.study import Method, Observer, Study
+
+Confidence = Annotated[float, Field(gt=0, lt=1)]
 
 
 class ModelBased(Method):
@@ -41,6 +46,9 @@ class ModelBased(Method):
     passes
         Experiments that a policy has to pass to succeed, at least `experiments`, which is what None means;
         those beyond are made only as long as all are passed.
+    confidence
+        Share of starts that a trial has to know that its policy holds: success takes as many passes as bound
+        it by that (`simbias.trial.claim`), whatever `passes` says. None: it does not ask.
     model_selection
         Search on the model that predicts experiments best which it did not learn from: the nominal one as
         declared, with identified parameters, or with a bias too (`simbias.trial.model_selection`); else on
@@ -62,12 +70,15 @@ class ModelBased(Method):
         passes: Count | None = None,
         model_selection: bool = False,
         lqr_candidates: CountOrZero = 0,
+        confidence: Confidence | None = None,
     ) -> None:
         if passes is not None and passes < experiments:
             raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
         self.max_iterations = max_iterations
-        self._passes = passes or experiments
-        self.max_experiments = max_iterations * self._passes
+        self._passes = [passes or experiments] * max_iterations
+        if confidence is not None:
+            self._passes = [max(experiments, passes_for(confidence, i)) for i in range(max_iterations)]
+        self.max_experiments = sum(self._passes)
         self._before_stop = 1 if stop_at_failure else experiments
         self._keep_data = keep_data
         self._retry_search = retry_search
@@ -93,7 +104,7 @@ class ModelBased(Method):
             if reset:
                 data, learned_from = study.no_data, []
             with clock("experiments"):
-                limits = self._passes, self._before_stop
+                limits = self._passes[index], self._before_stop
                 rollouts = experiment(study, theta, hardware_rng, observer, *limits)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))

@@ -1,0 +1,61 @@
+"""A trial in the terminal: run as far as it gets, resumed or replayed; its exit status."""
+
+from __future__ import annotations
+
+import sys
+
+from simbias.config import Composition, ConfigError
+from simbias.config.build import build
+from simbias.core.commands import FAILED, SUCCEEDED, WAITING
+from simbias.core.messages import counted, with_type
+from simbias.sweep.services import engine, tracking
+from simbias.sweep.tracking import Export, Tracking
+from simbias.terminal.notices import preparing, slowness_in_one_line
+from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
+from simbias.testing.rehearsal import rehearse
+from simbias.trial.folder import TrialFolder
+from simbias.trial.run import run_trial
+from simbias.trial.study import Observers, Study
+from simbias.trial.summary import Outcome
+
+
+def run(composition: Composition, again: str) -> int:
+    """Run one trial, or resume it; `again` is the command that does."""
+    engine(composition)  # a single trial needs none, but a bad one is bad input
+    store = tracking(composition)
+    with slowness_in_one_line():
+        with preparing():
+            study = build(composition)
+            rehearse(study)
+        return _run_study(study, store, again)
+
+
+def _run_study(study: Study, store: Tracking, again: str) -> int:
+    """Run a trial as far as it gets, resume or replay it."""
+    folder = store.trial_folder(study.hash)
+    export = store.export_trial(folder) if folder else Export()
+    replayed = folder is not None and TrialFolder(folder).ended
+    if folder is not None and (changed := changed_since(study, folder)):
+        print(f"simbias: {changed}", file=sys.stderr)
+    try:
+        with TrialConsole(study) as console:
+            record = run_trial(asking(study, console), folder, Observers(console, export))
+        if folder is not None and store.pictures:
+            from simbias.pictures.trial.gallery import illustrate  # lazily: Matplotlib is not for all
+
+            illustrate(record, folder)
+    except (ConfigError, KeyboardInterrupt):
+        raise
+    except Exception as error:  # of the disk: what a component raises is in the record
+        print(f"simbias: {with_type(error)} (resume with:  {again})", file=sys.stderr)
+        return FAILED
+    finally:
+        export.update(final=True)
+    summary = record.summary
+    if summary.outcome.final:
+        console.conclude(record, export.where, replayed)
+        return SUCCEEDED if summary.outcome is Outcome.SUCCEEDED else FAILED
+    kept = f"{counted(summary.experiments, 'hardware experiment')} kept" if folder else "nothing is kept"
+    trace = f"; traceback in {file}" if (file := traceback_file(summary, record.traceback)) else ""
+    print(f"simbias: {summary.reason} ({kept}{trace}; resume with:  {again})", file=sys.stderr)
+    return WAITING if summary.outcome is Outcome.WAITING else FAILED

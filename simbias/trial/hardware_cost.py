@@ -1,0 +1,53 @@
+"""The cost of a policy on a simulated hardware, for searches that spend no experiments."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.core import Hardware
+from simbias.core.errors import ConfigError
+from simbias.core.records import Array
+from simbias.trial.study import Study
+
+SCREENING = 2  # rollouts after which a policy that failed in all of them is not tried any further
+
+
+class CostOnHardware:
+    """The mean cost Z (Eq. 8) of a policy over some starts and noise, the same for every policy.
+
+    Parameters
+    ----------
+    study
+        Its task, policy and cost.
+    hardware
+        A simulator: it is run as often as a search asks.
+    rng
+        Draws the starts and the noise, once.
+    rollouts
+        Number of the starts.
+
+    Raises
+    ------
+    ConfigError
+        If the hardware is a person's, a program's or a recording.
+    """
+
+    def __init__(self, study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int) -> None:
+        if type(hardware).__module__.startswith("simbias.lab"):
+            problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
+            raise ConfigError("method", problem)
+        self._study, self._hardware = study, hardware
+        self._scenarios = [
+            (study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)
+        ]
+
+    def __call__(self, theta: Array) -> float:
+        """The mean cost of theta (p,); of one that fails from the first starts, that from these."""
+        costs: list[float] = []
+        for start, seed in self._scenarios:
+            if len(costs) == SCREENING and min(costs) > self._study.cost.max_cost:
+                break
+            rng = np.random.default_rng(seed)
+            rollout = self._hardware.run(self._study.policy, theta, start, rng)
+            costs.append(self._study.cost.of(rollout))
+        return float(np.mean(costs))

@@ -1,0 +1,120 @@
+"""Policy search on the hardware itself, without a model (Fig. 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator
+from typing import Literal
+
+import numpy as np
+
+from simbias.core.errors import ConfigError
+from simbias.core.extras import library
+from simbias.core.ranges import Count, Deviation
+from simbias.core.records import Array, Iteration
+from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.search.optimizer.cma import strategy
+from simbias.trial.steps import Stopwatch, experiment, iteration_record
+from simbias.trial.study import Method, Observer, Study
+
+Proposals = Generator[Array, float, None]  # policies (p,) to try, each answered by its cost
+BOX = 4.0  # half width of Bayesian optimisation's box around a policy, in deviations
+FIRST = 2  # policies by chance for each parameter, before Bayesian optimisation has a model
+
+
+class DirectSearch(Method):
+    """Try policies on hardware, each chosen by the costs of those before.
+
+    Parameters
+    ----------
+    strategy
+        "cma": CMA-ES (N. Hansen's pycma). "bayesian": Bayesian optimisation of ln Z, with expected
+        improvement's kind of acquisition (the library bayesian-optimization).
+    begin
+        "cold", at the box's centre, or "lqr", at the policy that imitates the nominal model's LQR.
+    deviation
+        Of the first generation around it, in units of the box's width; Bayesian optimisation stays within
+        four of them.
+    max_iterations
+        Policies that are tried.
+    experiments
+        Passes in a row by which a policy succeeds; experiments with it end with the first that fails.
+    """
+
+    def __init__(
+        self,
+        strategy: Literal["cma", "bayesian"] = "cma",
+        begin: Literal["cold", "lqr"] = "cold",
+        deviation: Deviation = 0.25,
+        max_iterations: Count = 20,
+        experiments: Count = 2,
+    ) -> None:
+        self.max_iterations = max_iterations
+        self.max_experiments = max_iterations * experiments
+        self._propose = PROPOSALS[strategy]
+        self._begin, self._deviation, self._experiments = begin, deviation, experiments
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every policy that is tried.
+
+        Raises
+        ------
+        ConfigError
+            If it is to begin with LQR, and the model has none or the policy cannot imitate it.
+        """
+        proposal_rng, hardware_rng = rng.spawn(2)
+        lower, upper = study.policy.bounds
+        model = None if self._begin == "cold" else study.first_model()
+        policies = [0.5 * (lower + upper)] if model is None else lqr_policies(model, INPUT_WEIGHTS[1:2])
+        if not policies:
+            problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
+            raise ConfigError("method.begin", problem)
+        proposals = self._propose(lower, upper, policies[0], self._deviation, proposal_rng)
+        theta, made = next(proposals), 0
+        for index in range(self.max_iterations):
+            clock = Stopwatch()
+            with clock("experiments"):
+                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments, 1)
+            made += len(rollouts)
+            succeeded = all(map(study.cost.passes, rollouts))
+            record = iteration_record(index, theta, rollouts, succeeded, made, clock, model)
+            yield record
+            if succeeded:
+                return
+            theta = proposals.send(record.hardware_cost)
+
+
+def _cma(lower: Array, upper: Array, start: Array, deviation: float, rng: np.random.Generator) -> Proposals:
+    """The start, then CMA-ES around it, again and again."""
+    yield start
+    while True:
+        evolution = strategy(lower, upper, rng, start, deviation)
+        while not evolution.stop():
+            points, costs = evolution.ask(), list[float]()
+            for point in points:
+                costs.append((yield np.clip(lower + (upper - lower) * point, lower, upper)))
+            evolution.tell(points, costs)
+
+
+def _bayesian(
+    lower: Array, upper: Array, start: Array, deviation: float, rng: np.random.Generator
+) -> Proposals:
+    """The start, some by chance, then the most promising ones, in a box around it."""
+    optimization = library("bayes_opt", "bayesian-optimization", "study").BayesianOptimization
+    reach = BOX * deviation * (upper - lower)
+    low, high = np.maximum(lower, start - reach), np.minimum(upper, start + reach)
+    names = [f"p{index:03}" for index in range(len(low))]
+    box = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
+    seed = int(rng.integers(2**31))
+    search = optimization(None, box, random_state=seed, verbose=0, allow_duplicate_points=True)
+    theta = start
+    for number in range(10**6):
+        cost = yield theta
+        search.register(dict(zip(names, theta.tolist(), strict=True)), -np.log(max(cost, 1e-6)))
+        few = number + 1 < FIRST * len(low)
+        theta = rng.uniform(low, high) if few else np.array([search.suggest()[name] for name in names])
+
+
+PROPOSALS: dict[str, Callable[[Array, Array, Array, float, np.random.Generator], Proposals]] = {
+    "cma": _cma,
+    "bayesian": _bayesian,
+}

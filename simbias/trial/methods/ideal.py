@@ -1,0 +1,56 @@
+"""An upper bound: a search on the hardware itself, as if experiments cost nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simbias.core.ranges import Count
+from simbias.core.records import Iteration, Search
+from simbias.search.lqr import lqr_policies
+from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.steps import Stopwatch, experiment, iteration_record
+from simbias.trial.study import Method, Observer, Study
+
+
+class Ideal(Method):
+    """Search on the engine of a simulated hardware, with its gaps and noise, then experiment once.
+
+    What this policy does not hold, the policy class or the optimizer does not. It begins with the LQR
+    policies of the nominal model.
+
+    Parameters
+    ----------
+    experiments
+        Hardware experiments with the policy that is found.
+    rollouts
+        Starts of which a policy costs the mean.
+    """
+
+    max_iterations = 1
+
+    def __init__(self, experiments: Count = 2, rollouts: Count = 8) -> None:
+        self.max_experiments = self._experiments = experiments
+        self._rollouts = rollouts
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield the record of the only iteration.
+
+        Raises
+        ------
+        ConfigError
+            If the hardware is no simulator.
+        """
+        scenario_rng, search_rng, hardware_rng = rng.spawn(3)
+        clock, model = Stopwatch(), study.first_model()
+        with clock("search"):
+            cost = CostOnHardware(study, study.hardware_of(study.task), scenario_rng, self._rollouts)
+            box, candidates = study.policy.bounds, lqr_policies(model)
+            optimum = study.optimizer.minimize(cost, *box, search_rng, study.cost.max_cost, candidates)
+        found, theta = Search(optimum, optimum.cost), optimum.parameters
+        observer.designed(theta, model, found)
+        with clock("experiments"):
+            rollouts = experiment(study, theta, hardware_rng, observer, self._experiments)
+        succeeded = all(map(study.cost.passes, rollouts))
+        yield iteration_record(0, theta, rollouts, succeeded, len(rollouts), clock, model, found)

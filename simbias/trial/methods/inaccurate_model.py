@@ -1,0 +1,104 @@
+"""The direction of improvement from the model, the cost from the hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from simbias.core import failure_name
+from simbias.core.ranges import Count, Deviation
+from simbias.core.records import Array, Iteration, Rollout
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, search
+from simbias.trial.study import Method, Observer, Study
+
+NEAR = 1e-3  # of the box's width, to both sides of a policy, for derivatives
+
+
+class InaccurateModel(Method):
+    """Improve a policy along the gradient of a model that is made exact along the last experiment.
+
+    Abbeel, Quigley and Ng (ICML 2006): what the model missed in each frame of the experiment is added to its
+    step, so that it reproduces this one. There the cost is derived by the policy's parameters. How far to go
+    is tried on hardware: a step that does not cost less is halved. The first policy is searched on the model.
+
+    Parameters
+    ----------
+    step
+        First step along the gradient of ln Z, in units of the box's width.
+    max_iterations
+        Policies that are tried.
+    experiments
+        Hardware experiments of an iteration, which end with the first that fails.
+    """
+
+    def __init__(self, step: Deviation = 0.02, max_iterations: Count = 10, experiments: Count = 2) -> None:
+        self.max_iterations = max_iterations
+        self.max_experiments = max_iterations * experiments
+        self._step, self._experiments = step, experiments
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every policy that is tried."""
+        search_rng, hardware_rng = rng.spawn(2)
+        clock, model, found = Stopwatch(), study.first_model(), None
+        width = np.subtract(*study.policy.bounds[::-1])
+        with clock("search"):
+            found = search(study, model, search_rng, observer)
+        theta, made = found.optimum.parameters, 0
+        best, least, direction, step = theta, np.inf, np.zeros_like(theta), self._step
+        for index in range(self.max_iterations):
+            with clock("experiments"):
+                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments, 1)
+            made += len(rollouts)
+            succeeded = all(map(study.cost.passes, rollouts))
+            record = iteration_record(index, theta, rollouts, succeeded, made, clock, model, found)
+            yield record
+            if succeeded:
+                return
+            clock, found = Stopwatch(), None
+            with clock("search"):
+                if record.hardware_cost < least:
+                    best, least, step = theta, record.hardware_cost, self._step
+                    worst = max(rollouts, key=lambda rollout: rollout.cost)
+                    direction = -gradient(study, theta, worst)
+                else:
+                    step /= 2
+                theta = np.clip(best + step * width * direction, *study.policy.bounds)
+
+
+def gradient(study: Study, theta: Array, experiment: Rollout) -> Array:
+    """The direction (p,), of unit length in the box, in which ln Z grows fastest; zero where it is flat."""
+    lower, upper = study.policy.bounds
+    steps = NEAR * np.diag(upper - lower)
+    both = np.concatenate([theta + steps, theta - steps])
+    costs = np.log([study.cost.of(rollout) for rollout in along(study, both, experiment)])
+    slopes = np.subtract(*np.split(costs, 2))
+    return slopes / (np.linalg.norm(slopes) or 1.0)
+
+
+def along(study: Study, thetas: Array, experiment: Rollout) -> list[Rollout]:
+    """Rollouts of thetas (k, p) from an experiment's start, on the model made exact along it."""
+    task, nominal, policy, k = study.task, study.nominal, study.policy, len(thetas)
+    missed = experiment.states[1:] - nominal.along(experiment.states[:-1], experiment.inputs)
+    states = np.empty((k, task.horizon + 1, len(task.states)))
+    inputs = np.empty((k, task.horizon, len(task.inputs)))
+    states[:, 0], frames, violated = experiment.states[0], np.full(k, task.horizon), np.full(k, -1)
+    policy_state, model_state = np.zeros((k, policy.state_size)), np.zeros((k, nominal.state_size))
+    for t in range(task.horizon + 1):
+        failing = task.violated(states[:, t])
+        new = (failing >= 0) & (violated < 0)
+        frames[new], violated[new] = t, failing[new]
+        if t == task.horizon or (violated >= 0).all():
+            break
+        inputs[:, t], policy_state = policy.act(thetas, states[:, t], t * task.time_step, policy_state)
+        following, model_state = nominal.advance(states[:, t], inputs[:, t], model_state)
+        states[:, t + 1] = following + (missed[t] if t < len(missed) else 0.0)
+        states[violated >= 0, t + 1] = states[violated >= 0, t]  # where it has fallen, nothing overflows
+    rollouts = [Rollout(x[: T + 1], u[:T]) for x, u, T in zip(states, inputs, frames, strict=True)]
+    return [
+        rollout
+        if index < 0
+        else replace(rollout, failed_at=rollout.frames, failure=failure_name(task.criteria, index))
+        for rollout, index in zip(rollouts, violated.tolist(), strict=True)
+    ]

@@ -1,0 +1,89 @@
+"""Simulators of rising fidelity, then the hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from simbias.core import Hardware
+from simbias.core.ranges import Count
+from simbias.core.records import Iteration, Learning, Rollout
+from simbias.search.lqr import LqrCandidates
+from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
+from simbias.trial.study import Method, Observer, Study
+
+
+class MultiFidelity(Method):
+    """Search on the nominal model, go on from there on a better simulator, end on the hardware.
+
+    After Cutler, Walsh and How (IEEE T-RO 31, 2015): cheap simulators are exhausted before dear ones are
+    asked, what the dear ones say corrects the cheapest, and no level is gone back to that has been refuted.
+    They do so for discrete actions; here each level is a policy search that begins with the last one's
+    optimum. Without a simulator in the middle, the levels are the model and the hardware.
+
+    Parameters
+    ----------
+    hardware_from
+        Constructs the simulator for a task.
+    middle
+        Its config, as an option of the group `hardware`; None: there is none.
+    rollouts
+        Starts on it, of which a policy costs the mean.
+    max_iterations
+        Policies that are tried on the hardware.
+    experiments
+        Hardware experiments of an iteration, which end with the first that fails.
+    lqr_candidates
+        Models whose LQR policies a search on the model evaluates first.
+    """
+
+    def __init__(
+        self,
+        hardware_from: Callable[[Mapping[str, Any]], Hardware],
+        middle: dict[str, Any] | None = None,
+        rollouts: Count = 4,
+        max_iterations: Count = 10,
+        experiments: Count = 2,
+        lqr_candidates: Count = 1,
+    ) -> None:
+        self.max_iterations = max_iterations
+        self.max_experiments = max_iterations * experiments
+        self._middle = None if middle is None else hardware_from(middle)
+        self._rollouts, self._experiments = rollouts, experiments
+        self._lqr_candidates = lqr_candidates
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every iteration, each of which ends on the hardware."""
+        search_rng, middle_rng, hardware_rng = rng.spawn(3)
+        data, model, middle = study.no_data, study.first_model(), self._middle
+        experiments: list[Rollout] = []
+        learned_from: list[tuple[Rollout, ...]] = []
+        for index in range(self.max_iterations):
+            clock = Stopwatch()
+            with clock("search"):
+                found = search(study, model, search_rng, observer, LqrCandidates(model, self._lqr_candidates))
+                theta, simulation = found.optimum.parameters, model
+                if middle is not None:
+                    scenario_rng, own_rng = middle_rng.spawn(2)
+                    cost = CostOnHardware(study, middle, scenario_rng, self._rollouts)
+                    box, target = study.policy.bounds, study.cost.max_cost
+                    theta = study.optimizer.minimize(cost, *box, own_rng, target, [theta]).parameters
+                    observer.designed(theta, model)
+                    middle = None  # it has said what it knows
+            with clock("experiments"):
+                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments, 1)
+            experiments += rollouts
+            succeeded = all(map(study.cost.passes, rollouts))
+            with clock("learning"):
+                if not succeeded:
+                    learned_from.append(rollouts)
+                    model, data = learn(study, experiments, learned_from)
+                selection = study.samples.select(rollouts, model.nominal)
+            counts = succeeded, len(experiments)
+            learning = Learning(selection, data)
+            yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)
+            if succeeded:
+                return

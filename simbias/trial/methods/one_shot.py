@@ -1,0 +1,56 @@
+"""One batch of experiments, one fit, one policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simbias.core.ranges import Count
+from simbias.core.records import Iteration, Learning
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
+from simbias.trial.study import Method, Observer, Study
+
+
+class OneShot(Method):
+    """Learn once, from a batch of experiments with the nominal model's policy (Ko et al., ICRA 2007).
+
+    The process is not iterated: what the first policy did not meet is not learned.
+
+    Parameters
+    ----------
+    batch
+        Hardware experiments that are learned from.
+    experiments
+        Hardware experiments with the policy that is found then.
+    """
+
+    max_iterations = 2
+
+    def __init__(self, batch: Count = 8, experiments: Count = 2) -> None:
+        self._counts = batch, experiments
+        self.max_experiments = batch + experiments
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield the records of the batch, which ends the trial if all of it succeeds, and of what follows."""
+        search_rng, hardware_rng = rng.spawn(2)
+        data, model, made = study.no_data, study.first_model(), 0
+        for index, count in enumerate(self._counts):
+            clock = Stopwatch()
+            with clock("search"):
+                found = search(study, model, search_rng, observer)
+            theta, simulation = found.optimum.parameters, model
+            with clock("experiments"):
+                rollouts = experiment(study, theta, hardware_rng, observer, count)
+            made += count
+            succeeded = all(map(study.cost.passes, rollouts))
+            with clock("learning"):
+                selection = study.samples.select(rollouts, model.nominal)
+                if not index and not succeeded:
+                    model, data = learn(study, rollouts, [rollouts])
+            learning = Learning(selection, data)
+            yield iteration_record(
+                index, theta, rollouts, succeeded, made, clock, simulation, found, learning
+            )
+            if succeeded:
+                return

@@ -1,0 +1,157 @@
+"""Every rival on a case where it must work: the point mass in a wind, or a cost that is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from point_mass import InTheWind
+
+import simbias
+from simbias.core.errors import ConfigError
+from simbias.core.records import Array
+from simbias.lab.requests.process import Process
+from simbias.learning.bias.gp import GaussianProcess
+from simbias.testing.conformance import verdicts
+from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.methods.cost_residual import CostResidual
+from simbias.trial.methods.direct_search import PROPOSALS, DirectSearch
+from simbias.trial.methods.ideal import Ideal
+from simbias.trial.methods.inaccurate_model import InaccurateModel, along, gradient
+from simbias.trial.methods.multi_fidelity import MultiFidelity
+from simbias.trial.methods.one_shot import OneShot
+from simbias.trial.run import run_trial
+from simbias.trial.study import Method, Study
+from simbias.trial.summary import Outcome
+
+
+def wind(point_mass: Study):
+    """What a `middle` is constructed by: a hardware from its config."""
+    return lambda config: InTheWind(point_mass.task, **config)
+
+
+METHODS: dict[str, Method] = {
+    "ideal": Ideal(rollouts=2),
+    "one_shot": OneShot(batch=3),
+    "cost_residual": CostResidual(max_iterations=4),
+    "inaccurate_model": InaccurateModel(max_iterations=4),
+    "cma": DirectSearch("cma", max_iterations=5),
+    "bayesian": DirectSearch("bayesian", max_iterations=9),
+    "multi_fidelity": MultiFidelity(lambda config: None, max_iterations=3),  # type: ignore[arg-type,return-value]
+}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_each_keeps_the_contract_and_is_resumed(point_mass: Study, name: str) -> None:
+    """Counted experiments, no more than it may make, recalled when a trial is started again."""
+    study = replace(point_mass, method=METHODS[name])
+    for verdict in verdicts(study, ["method"]):
+        assert not verdict.problem
+
+
+def test_ideal_holds_what_the_model_does_not(point_mass: Study) -> None:
+    """Its policy is searched in the wind, and no experiment is spent on that."""
+    record = run_trial(replace(point_mass, method=Ideal(rollouts=2)))
+    assert (record.outcome, record.summary.experiments) == (Outcome.SUCCEEDED, 2)
+    assert record.iterations[0].parameters[2] == pytest.approx(-2.0, abs=0.7)  # the wind, balanced
+
+
+def test_ideal_needs_a_simulator(point_mass: Study) -> None:
+    hardware = Process(point_mass.task, "true")
+    with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, but Process is no sim"):
+        CostOnHardware(point_mass, hardware, np.random.default_rng(0), 2)
+
+
+def test_one_shot_learns_once(point_mass: Study) -> None:
+    record = run_trial(replace(point_mass, method=OneShot(batch=3, experiments=2)))
+    first, second = record.iterations
+    assert (len(first.experiments), len(second.experiments)) == (3, 2)
+    assert first.model.bias.predict(np.zeros((1, 3)))[0].max() == 0
+    assert second.model.bias.predict(first.learning.data.inputs)[0][:, 1].mean() > 0.02  # the wind
+    assert record.outcome is Outcome.SUCCEEDED
+
+
+def test_a_residual_on_the_cost_leaves_policies_that_are_refuted(point_mass: Study) -> None:
+    """The model predicts the same for all constant forces; experiments tell which balances the wind."""
+    record = run_trial(replace(point_mass, method=CostResidual(max_iterations=10, length_scale=0.3)))
+    costs = [iteration.hardware_cost for iteration in record.iterations]
+    assert len({tuple(iteration.parameters) for iteration in record.iterations}) == len(costs) > 1
+    assert min(costs) < 0.8 * costs[0]
+
+
+def test_the_model_is_exact_along_an_experiment(point_mass: Study) -> None:
+    """So its gradient is the hardware's, which the model itself has not."""
+    theta = np.array([3.0, 3.0, 0.0])
+    rollout = point_mass.experiment(theta, np.random.default_rng(0))
+    (same,) = along(point_mass, theta[None], rollout)
+    np.testing.assert_allclose(same.states, rollout.states, atol=1e-12)
+    direction = gradient(point_mass, theta, rollout)
+    hardware = InTheWind(point_mass.task)
+
+    def cost(offset: Array) -> float:
+        run = hardware.run(point_mass.policy, theta + offset, rollout.states[0], np.random.default_rng(0))
+        return point_mass.cost.of(run)
+
+    width = np.subtract(*point_mass.policy.bounds[::-1])
+    slopes = np.array(
+        [cost(1e-3 * w * e) - cost(-1e-3 * w * e) for w, e in zip(width, np.eye(3), strict=True)]
+    )
+    np.testing.assert_allclose(direction, slopes / np.linalg.norm(slopes), atol=0.02)
+
+
+def test_steps_along_the_gradient_cost_less_on_hardware(point_mass: Study) -> None:
+    record = run_trial(replace(point_mass, method=InaccurateModel(step=0.05, max_iterations=8)))
+    costs = [iteration.hardware_cost for iteration in record.iterations]
+    assert min(costs) < 0.8 * costs[0]
+
+
+def test_simulators_of_rising_fidelity_end_at_the_top(point_mass: Study) -> None:
+    """The one in the middle knows most of the wind: its policy, not the model's, is the first on hardware."""
+    method = MultiFidelity(wind(point_mass), {"wind": 1.8}, rollouts=2, max_iterations=3)
+    record = run_trial(replace(point_mass, method=method))
+    (only,) = record.iterations
+    assert only.succeeded
+    assert len(only.experiments) == 2  # of the hardware
+    assert only.parameters[2] == pytest.approx(-1.8, abs=0.7)
+    assert not np.array_equal(only.parameters, only.search.optimum.parameters)
+
+
+def test_what_the_top_says_corrects_the_bottom(point_mass: Study) -> None:
+    study = replace(point_mass, bias=GaussianProcess(point_mass.task))
+    method = MultiFidelity(wind(point_mass), {"wind": -2.0}, rollouts=2, max_iterations=3)
+    record = run_trial(replace(study, method=method))
+    assert not record.iterations[0].succeeded
+    assert record.outcome is Outcome.SUCCEEDED
+
+
+@pytest.mark.parametrize("strategy", PROPOSALS)
+def test_a_direct_search_finds_a_known_minimum(strategy: str) -> None:
+    lower, upper, best = -np.ones(2), np.ones(2), np.array([0.3, -0.2])
+    proposals = PROPOSALS[strategy](lower, upper, np.zeros(2), 0.25, np.random.default_rng(0))
+    theta, costs = next(proposals), []
+    for _ in range(40):
+        assert (np.abs(theta) <= 1).all()
+        costs.append(0.01 + float(np.sum((theta - best) ** 2)))
+        theta = proposals.send(costs[-1])
+    assert min(costs) < 0.03 < costs[0]
+
+
+def test_a_direct_search_may_begin_at_lqr(tmp_path: Path) -> None:
+    study = simbias.load(["preset=cartpole", "method=direct_search_lqr", "tracking=none"])
+    record = run_trial(study, tmp_path / "trial")
+    assert record.outcome is Outcome.SUCCEEDED
+    assert record.iterations[0].parameters == pytest.approx(
+        run_trial(replace(study, method=simbias.load(["method=lqr", "tracking=none"]).method))
+        .iterations[0]
+        .parameters
+    )
+
+
+def test_a_middle_is_an_option_of_the_group_hardware() -> None:
+    study = simbias.load(
+        ["method=multi_fidelity", "+hardware@method.middle=mujoco_bongoboard", "tracking=none"]
+    )
+    assert type(study.method._middle).__name__ == "MujocoBongoboard"  # type: ignore[attr-defined]
+    assert type(study.hardware).__name__ == "PymunkBongoboard"
