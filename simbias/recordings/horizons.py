@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.core import Nominal, Task
+from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array, Flags, Rollout
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
@@ -39,25 +39,21 @@ class Prediction:
     def ratio(self, part: int | None = None) -> float:
         """Identified over nominal error: the geometric mean over states, of all parts or of one."""
         if part is None:
-            nominal, identified = self.rmse()
-        else:
-            nominal, identified = _rmse(self.nominal[part]), _rmse(self.identified[part])
-        before, after = (np.clip(each, SMALLEST, LARGEST) for each in (nominal, identified))
-        ratios = after / before
-        return geometric_mean(np.clip(ratios, 1 / MOST_RATIO, MOST_RATIO))
+            return ratio(np.concatenate(self.identified), np.concatenate(self.nominal))
+        return ratio(self.identified[part], self.nominal[part])
 
     def coverage(self) -> float:
         """Share of a part's errors in the 90% region that those of the other parts span; nan if too few.
 
         The region is the ellipsoid of their second moments that holds 90% of them.
         """
-        inside: list[Flags] = []
+        held: list[Flags] = []
         for i, own in enumerate(self.identified):
             rest = [each for j, each in enumerate(self.identified) if j != i]
             known = np.concatenate(rest) if rest else np.empty((0, own.shape[1]))
             if len(own) and len(known) >= FEWEST * own.shape[1] and np.isfinite(known).all():
-                inside.append(_sizes(own, known) <= np.quantile(_sizes(known, known), REGION))
-        return float(np.mean(np.concatenate(inside))) if inside else np.nan
+                held.append(inside(own, known))
+        return float(np.mean(np.concatenate(held))) if held else np.nan
 
 
 def predictions(
@@ -77,7 +73,9 @@ def predictions(
     ]
 
 
-def errors(nominal: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
+def errors(
+    nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
+) -> Array:
     """Errors (w, n) of predictions so many frames ahead; infinite where a model has blown up."""
     shifts = sorted({round(share * frames) for share in SHIFTS})
     cut = [
@@ -89,13 +87,24 @@ def errors(nominal: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
     if not cut:
         return np.empty((0, rollouts[0].states.shape[1]))
     windows = Windows.of(cut, frames, 1)
-    wrong = predict([PredictionModel(nominal)], windows)[0, :, -1] - windows.means[:, -1]
+    wrong = predict([PredictionModel(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
     return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+
+
+def inside(wrong: Array, known: Array) -> Flags:
+    """Which errors (w, n) lie in the 90% region of known ones (v, n)."""
+    return _sizes(wrong, known) <= np.quantile(_sizes(known, known), REGION)
 
 
 def overall(made: Sequence[Prediction], part: int | None = None) -> float:
     """Identified over nominal error: the geometric mean over states and horizons."""
     return geometric_mean(np.array([prediction.ratio(part) for prediction in made]))
+
+
+def ratio(wrong: Array, reference: Array) -> float:
+    """Root mean squares of errors (w, n) over those of a reference (v, n): the geometric mean over states."""
+    both = (np.clip(_rmse(each), SMALLEST, LARGEST) for each in (wrong, reference))
+    return geometric_mean(np.clip(np.divide(*both), 1 / MOST_RATIO, MOST_RATIO))
 
 
 def geometric_mean(values: Array) -> float:
