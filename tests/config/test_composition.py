@@ -18,6 +18,7 @@ from simbias.trial.study import Study
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
 
+PROVIDED = {"task", "hardware_from"}  # to constructors, by whoever builds a study
 
 BAD = {  # by override: its key, and what is said of it
     "bias.d=abc": ("bias.d", "must be a valid number"),
@@ -116,7 +117,7 @@ def test_yaml_keys_are_the_constructors_arguments() -> None:
     for group, option in COMPONENTS:
         config, _ = split(shipped(group, option))
         component = component_class(config, group)
-        assert set(config) - {"_target_"} == set(constructor_parameters(component)) - {"task"}, option
+        assert set(config) - {"_target_"} == set(constructor_parameters(component)) - PROVIDED, option
 
 
 def test_own_components_come_from_a_config_dir() -> None:
