@@ -52,7 +52,7 @@ class Push(NamedTuple):
     """Pushes on an input during an episode: Gaussian pulses at random times, of either sign."""
 
     input: int
-    count: int
+    pulses: int
     amplitude: tuple[float, float]  # least and largest, in the input's unit; it may exceed the input's limit
     seconds: tuple[float, float]  # standard deviation of a pulse, least and largest
 

@@ -12,8 +12,9 @@ from simbias.config import ConfigError
 from simbias.config.build import build
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Posterior
-from simbias.recordings.excitation import Designer, Excitation, noise_of
+from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import trajectory
+from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import Recordings, read
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table

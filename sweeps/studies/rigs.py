@@ -8,8 +8,8 @@ recording alone. In development, the others are predicted.
 
 Measured are, over the lab's own identified model: errors of all states 0.1 and 0.5 s ahead, from measured
 states under measured torques, a geometric mean over states; and how many errors lie in 90% regions at each
-horizon. A region is the ellipsoid of second moments of errors in thirds of the one recording, each predicted
-by a model of the other two, that holds 90% of them.
+horizon (`simbias.recordings.horizons`). A region's size comes from thirds of the one recording, each
+predicted by a model of the other two.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from simbias.core import FittedBias, Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
-from simbias.recordings.horizons import HORIZONS, errors, inside, ratio
+from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, spread
 from simbias.recordings.parts import Part, others, parts
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
@@ -138,12 +138,9 @@ def rows(rig: Mapping[str, Any], checkout: Path, test: bool) -> Iterator[dict[st
         for seconds in HORIZONS:
             k = study.task.frames(seconds)
             reference = errors(lab.nominal, left, k)
-            known = np.concatenate(
-                [
-                    errors(model, part.rollouts, k)
-                    for model, part in zip(more["of_others"], more["thirds"], strict=True)
-                ]
-            )
+            of_thirds = list(zip(more["of_others"], more["thirds"], strict=True))
+            known = np.concatenate([errors(model, part.rollouts, k) for model, part in of_thirds])
+            spreads = np.concatenate([spread(model, part.rollouts, k) for model, part in of_thirds])
             for way, (model, bias) in ways.items():
                 wrong = errors(model, left, k, bias)
                 yield {
@@ -151,7 +148,9 @@ def rows(rig: Mapping[str, Any], checkout: Path, test: bool) -> Iterator[dict[st
                     "way": way,
                     "seconds": seconds,
                     "ratio": ratio(wrong, reference),
-                    "coverage": np.mean(inside(wrong, known)) if way == "identified" else np.nan,
+                    "coverage": np.mean(inside(wrong, spread(model, left, k), known, spreads))
+                    if way == "identified"
+                    else np.nan,
                     "fit": more["seconds"] if way == "identified" else np.nan,
                 }
         print(name, [round(each, 3) for each in more["guard"]], file=sys.stderr, flush=True)

@@ -194,7 +194,7 @@ def test_nothing_else_is_an_expression(text: str) -> None:
         ({"failure": {"falls": {"value": "angle"}}}, "task: failure.falls: one of above and below"),
         ({"states": {"a b": {"unit": "m"}}}, "task.states: 'a b' is no name"),
         ({"constants": {"angle": 1.0}}, "task: angle: two things have this name"),
-        ({"states": {"x": {"unit": "m", "meen": 1}}}, "task.states.x.meen: Unexpected"),
+        ({"states": {"x": {"unit": "m", "meen": 1}}}, "task.states.x.meen: no such key"),
         ({"drawing": {"rail": {"points": [["0", "nosuch"]]}}}, "task: drawing.rail.0.y: 'nosuch'"),
         ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "task.drawing.rail.points.0: "),
     ],

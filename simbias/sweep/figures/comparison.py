@@ -93,7 +93,7 @@ class _Method:
 
     def __init__(self, trials: pd.DataFrame, others: Sequence[str]) -> None:
         self.trials = trials.set_index([*others, "repetition"])
-        cells = [own["score"].to_numpy() for _, own in trials.groupby(others, sort=False)]
+        cells = [own["score"].to_numpy() for _, own in trials.groupby(list(others), sort=False)]
         repetitions = min(map(len, cells))
         self.scores: Array = np.array([cell[:repetitions] for cell in cells]).T
         self.curve = success_curve(
@@ -130,14 +130,14 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
         low, high = bootstrap_interval(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
         pairs = method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)
-        p[name] = sign_test(pairs.dropna().to_numpy())
+        p[name] = sign_test(pairs.dropna().tolist())
     table = pd.DataFrame.from_dict(rows, orient="index")
     return table.assign(p=pd.Series(holm(p)))
 
 
 def _caption(numbers: pd.DataFrame, bar: float) -> str:
     """The caption, from the numbers."""
-    best = numbers.loc[numbers["holds"].idxmax()]
+    best = numbers.iloc[int(numbers["holds"].to_numpy().argmax())]
     return (
         f"Left: interquartile mean over cells of the share of test episodes that last to their end, with 95% "
         f"stratified bootstrap intervals. Middle: share of trials with more than so much. Right: share of "
