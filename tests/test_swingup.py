@@ -1,4 +1,4 @@
-"""A swing-up that no linear policy can do: found on the model, and judged by the task."""
+"""Swing-ups that no linear policy can do: found on the model, and judged by the task."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import simbias
 from simbias.trial.steps import search
 from simbias.trial.study import Observer
 
-OVERRIDES = ["preset=acrobot_swingup", "evaluation=nominal_start", "optimizer.max_evaluations=3000"]
+QUICK = ["evaluation=nominal_start", "optimizer.max_evaluations=3000"]
 
 
 @pytest.mark.slow
-def test_a_search_swings_the_model_up() -> None:
-    study = simbias.load(OVERRIDES)
+@pytest.mark.parametrize("preset", ["acrobot_swingup", "pendubot_swingup"])
+def test_a_search_swings_the_model_up(preset: str) -> None:
+    study = simbias.load([f"preset={preset}", *QUICK])
     found = search(study, study.first_model(), np.random.default_rng(0), Observer())
     rollout = study.simulate(found.optimum.parameters)
     assert found.predicted_cost < 0.3  # 1 is the cost of hanging
