@@ -132,6 +132,7 @@ def _parser(
         "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
     )
     excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
+    report = commands.add_parser("report", help="write one HTML page of a trial or a sweep", parents=[own])
     withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
     ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
@@ -144,6 +145,8 @@ def _parser(
     pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
     pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
     pictures.set_defaults(command=_pictures)
+    report.add_argument("folder", type=Path, help="of a trial or a sweep, or that of all trials")
+    report.set_defaults(command=_report)
     for each, into, command in ((identify, "identified", _identify), (excite, "excitation.csv", _excite)):
         each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
         each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
@@ -196,8 +199,17 @@ def _pictures(parsed: argparse.Namespace) -> int:
     from simbias.pictures.trial.gallery import save_all
 
     trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
-    files = save_all(trial.study, trial.iterations, Path(parsed.folder))
+    files = save_all(trial.study, trial.iterations, Path(parsed.folder), trial.withdrawn)
     print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
+    return SUCCEEDED
+
+
+def _report(parsed: argparse.Namespace) -> int:
+    """Write the page of a trial or a sweep."""
+    from simbias.report.folder import write_report
+
+    for file in write_report(parsed.folder, parsed.config_dir, parsed.allow):
+        print(f"Look at it:  {file}")
     return SUCCEEDED
 
 

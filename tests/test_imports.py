@@ -27,7 +27,7 @@ STOREYS = (  # from the ground; folders of one line do not know each other
     ("pictures",),
     ("recordings",),
     ("sweep",),
-    ("sweep/figures",),
+    ("sweep/figures", "report"),
     ("mlflow",),
     ("terminal",),
     ("",),  # the few files on top of the package

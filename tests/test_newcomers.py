@@ -97,7 +97,7 @@ def shown(study: Study) -> str:
         ("nominal", NaNVelocity, "NaNVelocity.step: expected finite numbers near the start, got [["),
         ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
         ("nominal", OneColumn, "OneColumn.step: expected a state, got (1,)"),
-        ("policy", Unbounded, "Unbounded.act: expected inputs within [5.], got "),
+        ("policy", Unbounded, "Unbounded.act: expected inputs within [-5.] and [5.], got "),
         ("policy", ImitatesByOne, "ImitatesByOne.imitating: expected parameters (3,), got (1,)"),
     ],
 )

@@ -69,8 +69,12 @@ PROGRAM = """
 import ast, sys
 import simbias
 from simbias.__main__ import main
+from simbias.sweep.grid import expand
 
 print("home", simbias.__file__)
+for name in ("fig4", "fig5", "fig6", "fig7"):  # whose classes lie beside the sweeps
+    figure = expand([f"+sweep={name}"]).figures[name]
+    assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
 for arguments in ast.literal_eval(sys.argv[1]):
     try:
         status = main(arguments)

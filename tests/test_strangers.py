@@ -16,7 +16,10 @@ RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jso
 OF_YAML = {"safe_load", "dump", "SafeDumper"}  # which make plain values only,
 OF_YAML |= {"compose", "SafeLoader", "Node", "CollectionNode", "YAMLError"}  # or none at all
 READS_OF_OWN_WORKERS = ["loky.py"]  # by joblib, which unpickles too
-COMPILES_OWN_TEXT = {"exec": ["compilation.py"], "compile": ["compilation.py"]}
+COMPILES_OWN_TEXT = {
+    "exec": ["compilation.py", "verification.py"],
+    "compile": ["compilation.py", "verification.py"],
+}
 
 
 def test_nothing_runs_what_it_reads() -> None:

@@ -9,12 +9,12 @@ from typing import Any, NotRequired, Required, get_type_hints
 from pydantic import PositiveFloat
 
 from simbias.config.allowed import Own
-from simbias.config.components import construct, validate
+from simbias.config.components import BESIDE, PROVIDED, construct, validate
 from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
 from simbias.config.identity import LATER
 from simbias.config.renamed import unknown
-from simbias.core import Hardware, Task
+from simbias.core import Hardware, Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
 from simbias.trial.study import Budget, PolicyTest, Study
@@ -53,14 +53,18 @@ def build(composition: Composition) -> Study:
     own = composition.own
     task = construct(config["task"], Task, "task", own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
-    hardware_from = partial(_hardware, own=own, task=task)
+    nominal = construct(config["nominal"], Nominal, "nominal", own, task=task)
+    given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
     components = {
-        group: construct(config[group], contract, group, own, task=task, hardware_from=hardware_from)
+        group: construct(
+            config[group], contract, group, own, **{k: given[k] for k in BESIDE.get(group, PROVIDED)}
+        )
         for group, contract in contracts.items()
-        if group != "task"
+        if group not in given
     }
     return Study(
         task=task,
+        nominal=nominal,
         **components,
         **values,
         composition=composition,

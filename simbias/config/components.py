@@ -20,6 +20,9 @@ from simbias.core.messages import quote, with_type, words
 
 TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
 
+PROVIDED = frozenset({"task", "hardware_from"})  # what constructors are given beside their config,
+BESIDE = {"task": frozenset[str](), "policy": PROVIDED | {"nominal"}}  # of these groups
+
 
 def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provided: Any) -> Any:
     """Construct what `_target_` names; `provided` are arguments that it gets if it has them.

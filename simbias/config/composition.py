@@ -123,11 +123,11 @@ class Variations:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # Hydra only warns of a search path that does not exist
-                structure, values = self._split()
+                structure, changes = self._split
                 groups = self._compose(structure).choices if settings else {}
                 options = [f"{key}={value}" for key, value in settings.items() if key in groups]
                 composed = self._compose([*structure, *options])
-                values |= {key: value for key, value in settings.items() if key not in groups}
+                values = changes | {key: value for key, value in settings.items() if key not in groups}
                 config = composed.config.copy() if values else composed.config
                 for key, value in values.items():
                     _set(config, key, value)
@@ -141,6 +141,7 @@ class Variations:
         theirs = own(plain, self._folders, self._allowed)
         return Composition(plain, dict(composed.choices), theirs, tuple(_from_environment(config)))
 
+    @cached_property
     def _split(self) -> tuple[list[str], dict[str, Any]]:
         """The overrides that Hydra composes, and those that change values of what it composed.
 
@@ -189,7 +190,7 @@ class _Composed(NamedTuple):
     choices: Mapping[str, str]
 
 
-@lru_cache(maxsize=200)
+@lru_cache(maxsize=2000)
 def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset) -> _Composed:
     """Hydra's composition, which takes 40 ms; `files` is the state of what it reads."""
     import hydra

@@ -15,6 +15,8 @@ from typing import Any
 
 from simbias.config.allowed import TARGET
 from simbias.config.components import (
+    BESIDE,
+    PROVIDED,
     component_class,
     constructor_arguments,
     constructor_parameters,
@@ -74,7 +76,7 @@ def _is_component(config: Any) -> bool:
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:
     """The class, its version beyond the first, and the arguments that are not its defaults."""
     component = component_class(config, key, allowed)
-    provided = frozenset({"task", "hardware_from"}) if key != "task" else frozenset[str]()
+    provided = BESIDE.get(key, PROVIDED)
     arguments = constructor_arguments(component, config, key, provided)
     defaults = {
         name: parameter.default

@@ -36,13 +36,14 @@ def clopper_pearson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
 
     Its coverage is at least the confidence, whatever the share.
     """
-    from scipy.special import betaincinv  # lazily: workers do without it
-
     if not n:
         return Interval(np.nan, np.nan)
     tail = (1 - confidence) / 2
-    low = betaincinv(k, n - k + 1, tail) if k else 0.0
-    high = betaincinv(k + 1, n - k, 1 - tail) if k < n else 1.0
+    if k in (0, n):
+        return Interval(tail ** (1 / n), 1.0) if k else Interval(0.0, 1 - tail ** (1 / n))
+    from scipy.special import betaincinv  # lazily: workers whose policies pass do without it
+
+    low, high = betaincinv(k, n - k + 1, tail), betaincinv(k + 1, n - k, 1 - tail)
     return Interval(float(low), float(high))
 
 

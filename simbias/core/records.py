@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +35,18 @@ class Rollout:
     def frames(self) -> int:
         """How many frames k the robot was controlled."""
         return len(self.inputs)
+
+    def part(self, begin: int, end: int) -> Rollout:
+        """The frames from `begin` up to `end`; a failure is in the part that reaches it."""
+        failed = self.failed_at is not None and end == self.frames
+        return replace(
+            self,
+            states=self.states[begin : end + 1],
+            inputs=self.inputs[begin:end],
+            measured=None if self.measured is None else self.measured[begin : end + 1],
+            failed_at=end - begin if failed else None,
+            failure=self.failure if failed else None,
+        )
 
 
 @dataclass(frozen=True, eq=False)

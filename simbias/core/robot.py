@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simbias.core.kernel import Kernel
 from simbias.core.policy import Policy
 from simbias.core.records import Array, Indices, Rollout
 
@@ -53,7 +52,7 @@ class Push(NamedTuple):
     """Pushes on an input during an episode: Gaussian pulses at random times, of either sign."""
 
     input: int
-    count: int
+    pulses: int
     amplitude: tuple[float, float]  # least and largest, in the input's unit; it may exceed the input's limit
     seconds: tuple[float, float]  # standard deviation of a pulse, least and largest
 
@@ -87,8 +86,6 @@ class Task(ABC):
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
     pushes: tuple[Push, ...] = ()  # on inputs, in simulation and on simulated hardware
-    measure_kernel: Kernel | None = None
-    output_kernel: Kernel | None = None
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:

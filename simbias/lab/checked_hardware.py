@@ -160,7 +160,7 @@ class CheckedHardware(Hardware):
             raise HardwareError(f"{problem}{where}") from error
 
     def _run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
-        """What the hardware returns, not yet checked; an aborted experiment up to its last frame."""
+        """The hardware's answer, not yet checked; an aborted experiment up to its last frame."""
         limited = SafetyLimitedPolicy(policy, self._task, self._bounds) if self._bounds else None
 
         def experiment() -> Any:
@@ -185,7 +185,7 @@ class CheckedHardware(Hardware):
             raise HardwareError(f"{self._name}: expected a Rollout, got {got}") from error
 
     def _here(self, experiment: Callable[[], Any]) -> Any:
-        """What an experiment returns, in this thread."""
+        """The result of an experiment that runs in this thread."""
         try:
             return experiment()
         except KeyboardInterrupt:
@@ -193,7 +193,7 @@ class CheckedHardware(Hardware):
             raise
 
     def _in_time(self, experiment: Callable[[], Any]) -> Any:
-        """What an experiment returns before its timeout, in a thread of its own."""
+        """The result of an experiment within its timeout, in a thread of its own."""
         assert self._timeout is not None
         call = _Call(experiment)
         try:

@@ -136,20 +136,13 @@ def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     seen = rollout.states if rollout.measured is None else rollout.measured
     for frame in range(rollout.frames):
         if failure := monitor.of_state(seen[frame]):
-            return _cut(rollout, frame, failure)
+            return replace(rollout.part(0, frame), failed_at=frame, failure=failure)
         if failure := monitor.of_input(rollout.inputs[frame]):
             raise HardwareError(
                 f"{source}: inputs: expected them within the limits of the experiment (hardware.safety), "
                 f"got {failure} in frame {frame}: {rollout.inputs[max(frame - 1, 0) : frame + 1].tolist()}"
             )
     return rollout
-
-
-def _cut(rollout: Rollout, frame: int, failure: str) -> Rollout:
-    """The rollout, failed in an earlier frame."""
-    measured = None if rollout.measured is None else rollout.measured[: frame + 1]
-    states, inputs = rollout.states[: frame + 1], rollout.inputs[:frame]
-    return replace(rollout, states=states, inputs=inputs, measured=measured, failed_at=frame, failure=failure)
 
 
 class SafetyLimitedPolicy(Policy):
@@ -192,7 +185,7 @@ class SafetyLimitedPolicy(Policy):
 
     @property
     def aborted(self) -> Rollout | None:
-        """What the last controller recorded, if it aborted its experiment."""
+        """The recording of the last controller, if it aborted its experiment."""
         return self._last.record() if self._last and self._last.failure else None
 
 

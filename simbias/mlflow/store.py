@@ -201,7 +201,7 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 
 def cause(error: BaseException) -> str:
-    """What an error comes from, in one line: the system's or SQLite's own words, if it comes from there."""
+    """The cause of an error in one line: the system's or SQLite's own words, if it comes from there."""
     chain: list[BaseException] = [error]
     while (deeper := chain[-1].__cause__ or chain[-1].__context__) is not None:
         chain.append(deeper)

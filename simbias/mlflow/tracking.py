@@ -49,7 +49,7 @@ class Mlflow(Tracking):
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
-        """Of all trials."""
+        """The folder of all trials."""
         if self._trials:
             return Path(self._trials)
         file = database(self._uri)

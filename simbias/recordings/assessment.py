@@ -78,7 +78,7 @@ def assess(
     posterior = study.identification
     if not isinstance(posterior, Posterior):
         raise ConfigError("identification", "identifies no posterior; identification=posterior does")
-    if not study.nominal.parameters:
+    if not posterior.prior(study.nominal).parameters:
         raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
     all_parts = parts(recordings)
     _check_length(posterior, [*all_parts, *([Part("", tuple(held_out.values()))] if held_out else [])])

@@ -54,14 +54,15 @@ class Designer:
         posterior = study.identification
         assert isinstance(posterior, Posterior)
         self._study, self._posterior = study, posterior
-        rng, p = np.random.default_rng(SEED), len(model.parameters)
+        self.nominal = posterior.prior(study.nominal)
+        parameters = self.nominal.parameters
+        rng, p = np.random.default_rng(SEED), len(parameters)
         if isinstance(model, Identified):
             mode, spread, self._errors = model.mode, model.spread, model.errors
         else:
             mode, spread, self._errors = np.zeros(p), np.eye(p), None
         self._z = mode + np.vstack([np.zeros(p), rng.standard_normal((DRAWS - 1, p))]) @ spread.T
-        self.nominal = study.nominal
-        self._models = [self.nominal.with_parameters(values_at(model.parameters, each)) for each in self._z]
+        self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in self._z]
         self._precision = np.linalg.inv(spread @ spread.T)
         self.before = np.sqrt(np.diag(spread @ spread.T))  # (p,)
         self._bounds = study.conditions.safety.bounds(study.task)
@@ -139,10 +140,3 @@ class Designer:
         return ErrorDistribution.of(
             predict([PredictionModel(self._models[0])], windows)[0] - windows.means, windows
         )
-
-
-def noise_of(rollouts: Sequence[Rollout]) -> Array:
-    """Standard deviations (n,) of white noise in recorded states, from their third differences."""
-    thirds = np.concatenate([np.diff(rollout.states, 3, axis=0) for rollout in rollouts])
-    deviations: Array = np.median(np.abs(thirds), axis=0) / 0.6745 / np.sqrt(20.0)
-    return deviations

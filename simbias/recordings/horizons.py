@@ -7,13 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.core import Nominal, Task
+from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array, Flags, Rollout
+from simbias.recordings.noise import noise_of
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 HORIZONS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # s
 SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
 REGION = 0.9  # probability of a predictive region
+DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a prediction
+COMMON = 0.03  # share of the common second moments in the measure of an error
+LARGEST_SPREAD = 1e6  # deviation, in place of one that is not finite
 FEWEST = 5  # errors that a region is estimated from, for each state
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
@@ -26,6 +30,7 @@ class Prediction:
     seconds: float
     nominal: tuple[Array, ...]  # of each part (w, n)
     identified: tuple[Array, ...]  # by models that were not fitted to the part
+    spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
 
     @property
     def windows(self) -> int:
@@ -39,25 +44,25 @@ class Prediction:
     def ratio(self, part: int | None = None) -> float:
         """Identified over nominal error: the geometric mean over states, of all parts or of one."""
         if part is None:
-            nominal, identified = self.rmse()
-        else:
-            nominal, identified = _rmse(self.nominal[part]), _rmse(self.identified[part])
-        before, after = (np.clip(each, SMALLEST, LARGEST) for each in (nominal, identified))
-        ratios = after / before
-        return geometric_mean(np.clip(ratios, 1 / MOST_RATIO, MOST_RATIO))
+            return ratio(np.concatenate(self.identified), np.concatenate(self.nominal))
+        return ratio(self.identified[part], self.nominal[part])
 
     def coverage(self) -> float:
         """Share of a part's errors in the 90% region that those of the other parts span; nan if too few.
 
-        The region is the ellipsoid of their second moments that holds 90% of them.
+        Errors are measured by their prediction's spread, and a little of the other parts' second moments; the
+        region holds 90% of the other parts' errors. So it is wider where small differences grow.
         """
-        inside: list[Flags] = []
+        held: list[Flags] = []
         for i, own in enumerate(self.identified):
-            rest = [each for j, each in enumerate(self.identified) if j != i]
-            known = np.concatenate(rest) if rest else np.empty((0, own.shape[1]))
+            rest = [j for j in range(len(self.identified)) if j != i]
+            known, spreads = (
+                np.concatenate([each[j] for j in rest] or [each[i][:0]])
+                for each in (self.identified, self.spreads)
+            )
             if len(own) and len(known) >= FEWEST * own.shape[1] and np.isfinite(known).all():
-                inside.append(_sizes(own, known) <= np.quantile(_sizes(known, known), REGION))
-        return float(np.mean(np.concatenate(inside))) if inside else np.nan
+                held.append(inside(own, self.spreads[i], known, spreads))
+        return float(np.mean(np.concatenate(held))) if held else np.nan
 
 
 def predictions(
@@ -71,14 +76,38 @@ def predictions(
             seconds,
             tuple(errors(nominal, part, k) for part in parts),
             tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
+            tuple(spread(model, part, k) for model, part in zip(identified, parts, strict=True)),
         )
         for seconds, k in frames.items()
         if k <= longest and k > frames.get(_before(seconds), 0)
     ]
 
 
-def errors(nominal: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
+def errors(
+    nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
+) -> Array:
     """Errors (w, n) of predictions so many frames ahead; infinite where a model has blown up."""
+    windows = _windows(rollouts, frames)
+    if not windows:
+        return np.empty((0, rollouts[0].states.shape[1]))
+    wrong = predict([PredictionModel(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
+    return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+
+
+def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
+    """Covariance (w, n, n) of each prediction among draws of the model, from starts with noise."""
+    windows, n = _windows(rollouts, frames), rollouts[0].states.shape[1]
+    if not windows:
+        return np.empty((0, n, n))
+    rng, noise = np.random.default_rng(SEED), noise_of(rollouts)
+    drawn = [PredictionModel(model.draw(rng), offset=noise * rng.standard_normal(n)) for _ in range(DRAWS)]
+    made = predict([PredictionModel(model), *drawn], windows)[:, :, -1]
+    e = np.clip(np.nan_to_num(made[1:] - made[0], nan=LARGEST_SPREAD), -LARGEST_SPREAD, LARGEST_SPREAD)
+    return np.einsum("kwi,kwj->wij", e, e) / DRAWS
+
+
+def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
+    """Windows of so many frames, and the same shifted by a half; None where no rollout lasts as long."""
     shifts = sorted({round(share * frames) for share in SHIFTS})
     cut = [
         Rollout(r.states[: len(r.states) - shift], r.inputs[: len(r.inputs) - shift])
@@ -86,16 +115,25 @@ def errors(nominal: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
         for shift in shifts
         if r.frames - shift >= frames
     ]
-    if not cut:
-        return np.empty((0, rollouts[0].states.shape[1]))
-    windows = Windows.of(cut, frames, 1)
-    wrong = predict([PredictionModel(nominal)], windows)[0, :, -1] - windows.means[:, -1]
-    return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+    return Windows.of(cut, frames, 1) if cut else None
+
+
+def inside(wrong: Array, spreads: Array, known: Array, known_spreads: Array) -> Flags:
+    """Which errors (w, n), of spreads (w, n, n), lie in the 90% region of known ones (v, n), (v, n, n)."""
+    moments = known.T @ known / len(known)
+    limit = np.quantile(_sizes(known, known_spreads, moments), REGION)
+    return _sizes(wrong, spreads, moments) <= limit
 
 
 def overall(made: Sequence[Prediction], part: int | None = None) -> float:
     """Identified over nominal error: the geometric mean over states and horizons."""
     return geometric_mean(np.array([prediction.ratio(part) for prediction in made]))
+
+
+def ratio(wrong: Array, reference: Array) -> float:
+    """Root mean squares of errors (w, n) over those of a reference (v, n): the geometric mean over states."""
+    both = (np.clip(_rmse(each), SMALLEST, LARGEST) for each in (wrong, reference))
+    return geometric_mean(np.clip(np.divide(*both), 1 / MOST_RATIO, MOST_RATIO))
 
 
 def geometric_mean(values: Array) -> float:
@@ -113,10 +151,9 @@ def _rmse(wrong: Array) -> Array:
     return np.sqrt(np.mean(wrong**2, axis=0)) if len(wrong) else np.zeros(wrong.shape[1])
 
 
-def _sizes(wrong: Array, known: Array) -> Array:
-    """Squared sizes (w,) of errors (w, n), in terms of the second moments of known ones."""
-    moments = known.T @ known / len(known)
+def _sizes(wrong: Array, spreads: Array, moments: Array) -> Array:
+    """Squared sizes (w,) of errors (w, n) in terms of spreads (w, n, n) and of common moments (n, n)."""
     scale = np.sqrt(np.diag(moments)) + np.finfo(float).tiny
-    white = np.linalg.pinv(moments / np.outer(scale, scale))
+    of_each = (spreads + COMMON * moments) / np.outer(scale, scale)
     scaled = wrong / scale
-    return np.einsum("wi,ij,wj->w", scaled, white, scaled)
+    return np.einsum("wi,wij,wj->w", scaled, np.linalg.pinv(of_each, hermitian=True), scaled)

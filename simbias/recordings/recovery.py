@@ -11,6 +11,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import QUANTILE, Identified
+from simbias.learning.identification.posterior import Posterior
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
@@ -59,12 +60,14 @@ def recover(
     ConfigError
         If no robot lasts for a window.
     """
-    rng, parameters = np.random.default_rng(study.seed), study.nominal.parameters
+    assert isinstance(study.identification, Posterior)
+    nominal = study.identification.prior(study.nominal)
+    rng, parameters = np.random.default_rng(study.seed), nominal.parameters
     true, modes, deviations = [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
         z = rng.standard_normal(len(parameters))
-        robot = study.nominal.with_parameters(values_at(parameters, z))
+        robot = nominal.with_parameters(values_at(parameters, z))
         made = [record(study, PredictionModel(robot), take, noise, rng) for take in takes]
         fitted = study.identification.fit(study.nominal, [rollout for rollout in made if rollout.frames])
         if isinstance(fitted, Identified):

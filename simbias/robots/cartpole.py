@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from simbias.core import Kernel, Nominal, Task
+from simbias.core import Nominal, Task
 from simbias.core.parameters import Parameter
 from simbias.core.ranges import Acceleration, Length, Mass, NonNegative
 from simbias.core.records import Array
@@ -83,8 +83,6 @@ class CartPole(Nominal):
         If the task has not these states, or no parameter has such a name.
     """
 
-    kernel: Kernel
-
     def __init__(
         self,
         task: Task,
@@ -108,17 +106,16 @@ class CartPole(Nominal):
             )
             for name, spread in (uncertainty or {}).items()
         )
-        self.kernel = Kernel(_step, np.array([task.time_step, *values.values(), gravity]))
+        self._constants = np.array([task.time_step, *values.values(), gravity])
 
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., 4), one frame after x (..., 4) under u (..., 1) in N."""
-        return elementwise(_step, x, u, parameters=self.kernel.parameters)
+        return elementwise(_step, x, u, parameters=self._constants)
 
     def with_parameters(self, values: Array) -> CartPole:
         """The model with other values (k,) of its parameters."""
-        constants = self.kernel.parameters.copy()
         places = {name: place for place, name in enumerate(_UNITS, start=1)}
-        constants[[places[parameter.name] for parameter in self.parameters]] = values
         changed = copy(self)
-        changed.kernel = Kernel(_step, constants)
+        changed._constants = self._constants.copy()
+        changed._constants[[places[parameter.name] for parameter in self.parameters]] = values
         return changed

@@ -1,4 +1,4 @@
-"""A planar double pendulum, both joints driven or the second alone (an acrobot), with friction."""
+"""A planar double pendulum with friction: both joints are driven, the first or the second alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simbias.core.records import Array
 from simbias.simulation.compiler import arctan, elementwise, sincos
 
 SHARPNESS = 100.0  # s/rad, of Coulomb friction where the velocity changes its sign
-Driven = Literal["both", "second"]  # joints
+Driven = Literal["both", "first", "second"]  # joints
 Zero = Literal["hanging", "upright"]  # where the first angle is 0
 
 
@@ -86,7 +86,7 @@ class DoublePendulum(Nominal):
     Parameters
     ----------
     driven
-        The joints that the task's inputs are torques on: both, or the second alone.
+        The joints that the task's inputs are torques on: both, or one alone.
     zero
         Where the first angle is 0.
 
@@ -227,6 +227,11 @@ def _on_both(u):
     return u[0], u[1]
 
 
+def _on_first(u):
+    """Torques on both joints, of which the second is free."""
+    return u[0], 0.0
+
+
 def _on_second(u):
     """Torques on both joints, of which the first is free."""
     return 0.0, u[0]
@@ -235,7 +240,7 @@ def _on_second(u):
 @cache
 def _steps(count: int, driven: Driven) -> Callable:
     """So many midpoint steps (J. C. Butcher, Numerical Methods for ODEs, 2016, Section 232)."""
-    on_joints = _on_both if driven == "both" else _on_second
+    on_joints = {"both": _on_both, "first": _on_first, "second": _on_second}[driven]
 
     def step(x, u, parameters):
         """States a frame after x under u."""

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from simbias.core import Kernel, Nominal, Task
+from simbias.core import Nominal
 from simbias.core.records import Array
-
-
-def _stay(x, u, parameters):
-    """x_next = x."""
-    return x
 
 
 class NoNominal(Nominal):
     """Predicts that nothing changes: f' = 0 in Eq. 2, so that g_D is learned from scratch (Section IV-A)."""
-
-    def __init__(self, task: Task) -> None:
-        self.kernel = Kernel(_stay, task.start_mean[:0])
 
     def step(self, x: Array, u: Array) -> Array:
         """X_next (..., n) = x (..., n)."""

@@ -18,12 +18,12 @@ from scipy.linalg import block_diag, solve_discrete_are
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
+from simbias.simulation.linearization import STEP, derivatives
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
 STEADY = 0.03  # share of the limits of steady inputs that disturb records of a regulator with an integral
 NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
-STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
 RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
 EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
@@ -112,25 +112,25 @@ def linearised(model: Model) -> Linear:
     n, size, limit = len(x), model.nominal.state_size, model.task.input_limit
     model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
     point = np.concatenate([x, model_state, u])
-    steps = STEP * np.diag(np.concatenate([np.ones(n + size), limit]))
+    steps = STEP * np.concatenate([np.ones(n + size), limit])
 
     def following(points: Array) -> Array:
         states, model_states, inputs = np.split(points, [n, n + size], axis=-1)
         after, kept = model.nominal.advance(states, inputs, model_states)
         return np.concatenate([after + model.bias.correction(states, inputs), kept], axis=-1)
 
-    slopes = (following(point + steps) - following(point - steps)) / (2 * np.diag(steps)[:, None])
+    slopes = derivatives(following, point, steps)
     Q = np.diag(np.concatenate([np.ones(n), np.full(size, MODEL_STATE_WEIGHT)]))
-    return Linear(slopes[: n + size].T, slopes[n + size :].T, point[: n + size], u, n, Q)
+    return Linear(slopes[:, : n + size], slopes[:, n + size :], point[: n + size], u, n, Q)
 
 
 def _with_integrals(model: Model, linear: Linear, weight: float) -> Linear:
     """The model with the integrals over time of what the policy integrates, behind its own states."""
-    x, step = linear.rest[: linear.states], STEP * np.eye(linear.states)
+    x, steps = linear.rest[: linear.states], np.full(linear.states, STEP)
     if not model.policy.integrated(x).size:
         raise ValueError("the policy integrates nothing")
-    slopes = (model.policy.integrated(x + step) - model.policy.integrated(x - step)) / (2 * STEP)
-    C = np.pad(slopes.T, ((0, 0), (0, len(linear.A) - linear.states)))  # (i, l)
+    slopes = derivatives(model.policy.integrated, x, steps)
+    C = np.pad(slopes, ((0, 0), (0, len(linear.A) - linear.states)))  # (i, l)
     i = len(C)
     return linear._replace(
         A=np.block([[linear.A, np.zeros((len(linear.A), i))], [model.task.time_step * C, np.eye(i)]]),

@@ -73,9 +73,9 @@ class Noise:
 
     def _pulses(self, push: Push, rng: np.random.Generator) -> Array:
         """The pulses (T,) of an episode."""
-        middle = rng.uniform(0.0, self._times[-1, 0], push.count)
-        height = rng.uniform(*push.amplitude, push.count) * rng.choice([-1.0, 1.0], push.count)
-        width = rng.uniform(*push.seconds, push.count)
+        middle = rng.uniform(0.0, self._times[-1, 0], push.pulses)
+        height = rng.uniform(*push.amplitude, push.pulses) * rng.choice([-1.0, 1.0], push.pulses)
+        width = rng.uniform(*push.seconds, push.pulses)
         return (height * np.exp(-0.5 * ((self._times - middle) / width) ** 2)).sum(axis=1)
 
 

@@ -144,7 +144,8 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
         return bias.correction(x, u)
     k, n = x.shape
     once, rows = np.ones(k, np.int64), np.arange(k)
-    windows = Windows(*map(np.ascontiguousarray, (x, u)), rows, 0 * once, once, window=1, chunk=1)
+    states, inputs = np.ascontiguousarray(x), np.ascontiguousarray(u)
+    windows = Windows(states, inputs, rows, 0 * once, once, window=1, chunk=1)
     step = Kernel(zero(n).function, np.zeros((1, n)))
     return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)), 0)[0, :, 0]
 

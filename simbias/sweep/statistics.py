@@ -5,6 +5,7 @@ A score matrix (r, c) has a row for each repetition and a column for each cell. 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -100,7 +101,8 @@ def success_curve(experiments: Array, succeeded: Flags) -> SuccessCurve:
 
     data = CensoredData(uncensored=experiments[succeeded], right=experiments[~succeeded])
     found = ecdf(data).cdf
-    with np.errstate(all="ignore"):  # the band is nan where nothing or everything has succeeded
+    with warnings.catch_warnings():  # the band is nan where nothing or everything has succeeded
+        warnings.simplefilter("ignore")
         band = found.confidence_interval(CONFIDENCE, method="log-log")
     low, high = (each.probabilities for each in band)
     return SuccessCurve(found.quantiles, found.probabilities, low, high)

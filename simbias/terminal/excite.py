@@ -12,8 +12,9 @@ from simbias.config import ConfigError
 from simbias.config.build import build
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Posterior
-from simbias.recordings.excitation import Designer, Excitation, noise_of
+from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import trajectory
+from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import Recordings, read
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table
@@ -50,7 +51,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     rows = [
         (parameter.name, parameter.unit, f"{before:.2f}", f"{after:.2f}")
         for parameter, before, after in zip(
-            study.nominal.parameters, designer.before, found.deviations, strict=True
+            designer.nominal.parameters, designer.before, found.deviations, strict=True
         )
     ]
     table(console, names, rows)
@@ -107,7 +108,10 @@ def _prepared(request: Request) -> tuple[Study, Recordings]:
     """The study, which identifies a posterior, and the recordings."""
     with preparing():
         study = build(request.composition)
-    if not isinstance(study.identification, Posterior) or not study.nominal.parameters:
+    if (
+        not isinstance(study.identification, Posterior)
+        or not study.identification.prior(study.nominal).parameters
+    ):
         raise ConfigError("nominal", "declares no uncertain parameters, or identification is not posterior")
     return study, read(study, request.recordings, request.columns)
 

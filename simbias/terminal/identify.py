@@ -14,8 +14,9 @@ from simbias.config.build import build
 from simbias.config.composition import overridden
 from simbias.recordings import words
 from simbias.recordings.assessment import Assessment, assess
-from simbias.recordings.excitation import Designer, Excitation, noise_of
+from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import OPTION, write
+from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import read
 from simbias.terminal.lines import say
 from simbias.terminal.notices import preparing, slowness_in_one_line

@@ -156,6 +156,8 @@ class TrialConsole(Observer):
         say(self._console, f"\n{verdict} {experiments} ({effort}{reason}){earlier}.", markup=True)
         if summary.claim:
             say(self._console, f"By its own experiments, its last policy {summary.claim}.")
+        for withdrawal in record.withdrawn:
+            say(self._console, f"{withdrawal}.", "yellow")
         if summary.test_words:
             say(self._console, summary.test_words)
         if where:

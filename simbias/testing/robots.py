@@ -55,12 +55,6 @@ def _task_failure(study: Study) -> None:
     )
 
 
-@check("task", "compiled functions give the same numbers")
-def _task_kernels(study: Study) -> None:
-    expect_kernel_agrees(study.task.measure_kernel, study.task.measure, "task.measure", states(study))
-    expect_kernel_agrees(study.task.output_kernel, study.task.output, "task.output", states(study))
-
-
 @check("nominal", "any leading axes")
 def _nominal_axes(study: Study) -> None:
     x, u = states(study), inputs(study)

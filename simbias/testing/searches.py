@@ -20,7 +20,7 @@ from simbias.trial.run import run_trial
 from simbias.trial.study import Observer, Study
 from simbias.trial.summary import Outcome
 
-EVALUATIONS = 30  # of each search of a trial
+EVALUATIONS, EXPERIMENTS = 30, 3  # of each search of a trial, and of all of it
 
 
 @check("optimizer", "a known minimum in the box, within the evaluations, the same each time")
@@ -55,16 +55,17 @@ def _optimizer_raises(study: Study) -> None:
     raise ConformanceError("minimize: expected the objective's exception, got none")
 
 
-def _with_short_searches(study: Study) -> Study:
-    """The study, whose searches take seconds even on a model of many contacts."""
-    optimizer = copy(study.optimizer)
+def _shortened(study: Study) -> Study:
+    """The study, whose trials take seconds even on a model of many contacts."""
+    optimizer, budget = copy(study.optimizer), study.budget
     optimizer.max_evaluations = min(EVALUATIONS, optimizer.max_evaluations)
-    return replace(study, optimizer=optimizer)
+    experiments = min(EXPERIMENTS, budget.experiments or EXPERIMENTS)
+    return replace(study, optimizer=optimizer, budget=replace(budget, experiments=experiments))
 
 
 @check("method", "counted experiments, no more than it may make, recalled when a trial is started again")
 def _method_counts_and_recalls(study: Study) -> None:
-    study = _with_short_searches(study)
+    study = _shortened(study)
     made: list[Rollout] = []
     counts: list[int] = []  # after each iteration
 

@@ -1,4 +1,4 @@
-"""What a trial that succeeds claims of its last policy, by its experiments alone."""
+"""The claim of a successful trial about its last policy, by its experiments alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def passes_for(share: float, policy: int) -> int:
 
 
 def claim_of(iteration: Iteration) -> Claim:
-    """What the experiments of an iteration say of its policy, with exact one-sided bounds."""
+    """The evidence of an iteration's experiments for its policy, with exact one-sided bounds."""
     n = len(iteration.experiments)
     k = sum(rollout.failed_at is None for rollout in iteration.experiments)
     return Claim(k / n, *clopper_pearson(k, n, 1 - 2 * error_of(iteration.index)))

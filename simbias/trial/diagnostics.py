@@ -1,4 +1,4 @@
-"""What a person should know of a trial under way, before more hardware is spent: told at once, in a line."""
+"""Oddities of a trial under way, told at once in a line each, before more hardware is spent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Remark(NamedTuple):
 
 
 def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration]) -> Iterator[Remark]:
-    """What is odd about a policy theta (p,), searched or not, that was made after earlier iterations."""
+    """Oddities of a policy theta (p,), searched or not, that was made after earlier iterations."""
     if search is not None and search.optimum.flat:
         optimum = search.optimum
         yield Remark(

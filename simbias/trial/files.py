@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -16,6 +15,7 @@ from simbias.core.messages import printable, quote
 from simbias.core.records import Rollout
 
 TEXTS = "UST"  # kinds of NumPy's types that are no numbers
+RESERVED = ("file", "allow_pickle")  # arguments of `numpy.savez`
 SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
 
 
@@ -38,14 +38,6 @@ def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:
     place = tuple(arrays.pop("place").tolist())
     scalars = {name: arrays.pop(name).item() for name in SCALARS if name in arrays}
     return Rollout(**arrays, **scalars), place
-
-
-def save_arrays(file: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays as compressed npz, without pickle."""
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:  # savez cannot take every name
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                np.lib.format.write_array(entry, array, allow_pickle=False)
 
 
 def raw_parts(returned: Any) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
@@ -81,7 +73,7 @@ def _parts(returned: Any) -> dict[str, Any]:
     parts: dict[str, Any] = {}
     for name, part in named:
         key = re.sub(r"\W", "_", name if isinstance(name, str) else quote(name))
-        while key in parts:
+        while key in parts or key in RESERVED:
             key += "_"
         parts[key] = part
     return parts

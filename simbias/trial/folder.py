@@ -1,8 +1,7 @@
 """The folder of a trial: its config and every step that it made, only ever appended to.
 
     trial.json              composed config, chosen options, versions, the user's own code; written first
-    attempts.jsonl          a line for each process that began to run the trial, one for how that stopped, and
-                            one for each experiment that a person withdrew
+    attempts.jsonl          a line for each process that began, for how it stopped, for each withdrawal
     0000_search.json        the steps in the order in which they ended:
     0001_experiment.npz     searches, hardware experiments,
     0002_iteration.json     iterations, with all that was measured of them in numbers

@@ -1,4 +1,4 @@
-"""What a policy costs on a simulated hardware, for searches that spend no experiments."""
+"""The cost of a policy on a simulated hardware, for searches that spend no experiments."""
 
 from __future__ import annotations
 

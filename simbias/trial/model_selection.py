@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +24,7 @@ VARIANTS: Mapping[str, ModelVariant] = {  # by name, the simplest first
 
 
 def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, float]:
-    """Of each variant, by name, the mean log-likelihood (nats) of a window that it did not learn from.
+    """Mean log-likelihoods (nats) of a window that was not learned from, of each variant by name.
 
     The experiments are left out in turn or, if there are few, their parts. The errors of a window are assumed
     to be distributed as those of the others when these are left out (`simbias.learning.prediction_errors`).
@@ -73,18 +72,5 @@ def _folds(experiments: Sequence[Rollout], least: int) -> list[list[Rollout]]:
         for fold in range(FOLDS):
             begin, end = (rollout.frames * each // FOLDS for each in (fold, fold + 1))
             if end - begin >= least:
-                parts[fold].append(_part(rollout, begin, end))
+                parts[fold].append(rollout.part(begin, end))
     return [fold for fold in parts if fold]
-
-
-def _part(rollout: Rollout, begin: int, end: int) -> Rollout:
-    """Some frames of an experiment."""
-    measured = rollout.measured
-    return replace(
-        rollout,
-        states=rollout.states[begin : end + 1],
-        inputs=rollout.inputs[begin:end],
-        measured=None if measured is None else measured[begin : end + 1],
-        failed_at=end - begin if end == rollout.frames and rollout.failed_at is not None else None,
-        failure=rollout.failure if end == rollout.frames else None,
-    )

@@ -1,4 +1,4 @@
-"""What an experiment will do, as far as simulation tells: one trajectory, and a band of others."""
+"""The prediction of an experiment by simulation: one trajectory, and a band of others."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ BAND = (0.05, 0.95)  # quantiles
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Of an experiment with one policy."""
+    """Simulated rollouts of an experiment with one policy."""
 
     expected: Rollout  # from its start, on the model that the search used
     draws: tuple[Rollout, ...]  # from other starts that the task draws, on models that may be right too
 
     @property
     def failures(self) -> list[str]:
-        """What failed, of those draws that did."""
+        """The failures of those draws that failed."""
         return [draw.failure or "failed" for draw in self.draws if draw.failed_at is not None]
 
     def band(self, inputs: bool = False) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from simbias.core.messages import with_type, words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, write_json, write_whole
-from simbias.trial.files import load_rollout, raw_parts, save_arrays, save_rollout
+from simbias.trial.files import load_rollout, raw_parts, save_rollout
 from simbias.trial.folder import (
     ATTEMPTS,
     EPISODES,
@@ -158,9 +158,9 @@ class FolderRecord(Record):
         stems = (f"{REFUSED}{number:04d}" for number in itertools.count())
         stem = next(stem for stem in stems if not any(path.glob(f"{stem}.*")))
         arrays, texts = raw_parts(returned)
-        arrays |= {"asked_parameters": theta, "asked_start": start}
+        asked: dict[str, Any] = {**arrays, "asked_parameters": theta, "asked_start": start}
         numbers, text = path / f"{stem}.npz", path / f"{stem}.txt"
-        write_whole(numbers, lambda file: save_arrays(file, arrays))
+        write_whole(numbers, lambda file: np.savez_compressed(file, **asked))
         lines = [why, *(f"{name}: {said}" for name, said in texts.items())]
         write_whole(text, lambda file: file.write("\n".join([*lines, ""]).encode()))
         return numbers, text

@@ -10,24 +10,24 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from simbias.core import Model, Waiting, platform
+from simbias.core import Waiting, platform
 from simbias.core.error_origin import told
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_trace, words
-from simbias.core.records import Array, Iteration, Rollout, Search
+from simbias.core.records import Iteration, Rollout
 from simbias.trial import diagnostics
 from simbias.trial.claim import claim_of
 from simbias.trial.folder import Withdrawal
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.record import FolderRecord
 from simbias.trial.replay import EndOfRecord
-from simbias.trial.study import Observer, Study
+from simbias.trial.study import Observer, Observers, Study
 from simbias.trial.summary import Outcome, TrialSummary
 
 
 @dataclass(frozen=True, eq=False)
 class TrialRecord:
-    """What a trial did, up to its end or to where it stopped."""
+    """The record of a trial, up to its end or to where it stopped."""
 
     study: Study
     summary: TrialSummary
@@ -99,20 +99,20 @@ class _Run(Observer):
     """A trial that runs: what it has done so far."""
 
     def __init__(self, study: Study, kept: FolderRecord | None, observer: Observer) -> None:
-        self._study, self._kept, self._observer = study, kept, observer
+        self._study, self._kept = study, kept
+        self._observers = Observers(self, observer)
         self._clock = time.perf_counter()
         self._iterations: list[Iteration] = []
         self._unfinished: list[Rollout] = []
         self._policy_test: PolicyTestResult | None = None
-        self.searching = observer.searching  # type: ignore[method-assign]  # called thousands of times
 
     def run(self) -> None:
         """Run the method, then the test of its last policy."""
         study = self._study if self._kept is None else self._study.over(self._kept)
-        for iteration in study.run(self):
-            self.iterated(iteration if self._kept is None else self._kept.iteration(iteration))
+        for iteration in study.run(self._observers):
+            self._observers.iterated(iteration if self._kept is None else self._kept.iteration(iteration))
         if self._iterations:
-            theta, trying = self._iterations[-1].parameters, self._observer.trying
+            theta, trying = self._iterations[-1].parameters, self._observers.trying
             self._policy_test = run_policy_test(study, theta, study.policy_test, trying)
 
     @property
@@ -120,24 +120,14 @@ class _Run(Observer):
         """Whether the last iteration's policy passed on the hardware."""
         return bool(self._iterations) and self._iterations[-1].succeeded
 
-    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
-        """Pass it on."""
-        self._observer.designed(theta, model, search)
-
-    def experimenting(self, theta: Array, start: Array) -> None:
-        """Pass it on."""
-        self._observer.experimenting(theta, start)
-
     def experimented(self, rollout: Rollout) -> None:
-        """Note an experiment, and pass it on."""
+        """Note an experiment."""
         self._unfinished.append(rollout)
-        self._observer.experimented(rollout)
 
     def iterated(self, iteration: Iteration) -> None:
-        """Note an iteration, and pass it on."""
+        """Note an iteration."""
         self._unfinished.clear()
         self._iterations.append(iteration)
-        self._observer.iterated(iteration)
 
     def stop(self, record: TrialRecord) -> TrialRecord:
         """Keep how the trial ended or stopped; of one that had ended before, how it did."""
@@ -150,7 +140,7 @@ class _Run(Observer):
         return record
 
     def record(self, outcome: Outcome, reason: str = "", traceback: str = "") -> TrialRecord:
-        """What has been done, and how it ended."""
+        """The record of the trial so far, with how it ended."""
         method, test = self._study.method, self._policy_test
         made = [rollout for each in self._iterations for rollout in each.experiments] + self._unfinished
         before = self._kept.folder if self._kept else None

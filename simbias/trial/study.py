@@ -77,7 +77,7 @@ def _each(functions: Sequence[Callable[..., None]], *arguments: Any) -> None:
 
 
 class Origin(Protocol):
-    """What a study was composed of: plain containers, interpolations resolved."""
+    """The config that a study was built from: plain containers, interpolations resolved."""
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -337,9 +337,8 @@ class Study:
         rollout = self.simulate(theta, fitted_bias)
         if len(data):
             frames = min(self.task.frames(WARM_UP), rollout.frames)
-            rollout = replace(rollout, states=rollout.states[: frames + 1], inputs=rollout.inputs[:frames])
-            nominal = self.identification.fit(self.nominal, [rollout])
-            self.bias.learn(data, [rollout], nominal)
+            moved = [rollout.part(0, frames)]
+            self.bias.learn(data, moved, self.identification.fit(self.nominal, moved))
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:

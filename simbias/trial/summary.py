@@ -129,7 +129,7 @@ def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iter
 
 
 def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> Iterator[str]:
-    """What happened in an iteration, in words."""
+    """The events of an iteration in words: failures, and everything odd."""
     failures = [each.failure or "failed" for each in iteration.experiments if each.failed_at is not None]
     if failures:
         causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
@@ -170,7 +170,7 @@ def _search_metrics(search: Search) -> dict[str, float]:
 
 
 def _model_metrics(model: Model) -> dict[str, float]:
-    """What the learners say of a policy's model, in numbers."""
+    """The diagnostics of a policy's model, in numbers."""
     return {
         **{f"bias/{name}": value for name, value in model.bias.diagnostics.items()},
         **{f"identification/{name}": value for name, value in model.nominal.diagnostics.items()},

@@ -74,7 +74,7 @@ PENDULUM = ["preset=double_pendulum", "identification=none", "hardware.folder=te
 TWINS: dict[str, tuple[list[str], Callable[[Study], Nominal]]] = {
     "cart-pole": (
         ["preset=cartpole"],
-        lambda study: CartPole(study.task, study.nominal.kernel.parameters[1:]),
+        lambda study: CartPole(study.task, study.nominal._constants[1:]),
     ),
     "double pendulum": (
         PENDULUM,

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -19,9 +21,8 @@ from numba import njit, set_num_threads
 from threadpoolctl import threadpool_limits
 
 import simbias
-from simbias.core import Kernel
 from simbias.learning.bias.none import ZeroBias
-from simbias.simulation.compiler import LANES, everywhere, fma, store
+from simbias.simulation.compiler import LANES, everywhere, fma, of_cost, parts_of, store
 from simbias.simulation.compiler.trigonometry import _by_polynomials
 from simbias.trial.study import Study
 
@@ -93,22 +94,26 @@ def symbols(count: int) -> tuple[Symbol, ...]:
 def operations(study: Study, noisy: bool) -> int:
     """Of a step without a bias: criteria, output, control, model and cost."""
     Symbol.noted = {}
-    task, nominal, cost = study.task, study.nominal.kernel, study.cost.kernel
-    policy = study.policy.kernel(np.zeros((1, study.policy.n_parameters))) if study.policy.kernel else None
-    parts = (task.measure_kernel, task.output_kernel, policy, nominal, cost)
-    measure, output, control, step, total = (part for part in parts if isinstance(part, Kernel))
-    x = symbols(len(task.states))
-    modules = ("simbias.robots.bongoboard.task", "simbias.robots.bongoboard.equations")
-    with patch(f"{modules[0]}.sincos", _by_polynomials), patch(f"{modules[1]}.sincos", _by_polynomials):
+    task = study.task
+    measure, control, step, _ = (part.kernel for part in parts_of(study.model()))
+    terms = of_cost(study.cost, task).kernel
+    x, t = symbols(len(task.states)), Symbol()
+    extremes = {name: partial(Symbol.of, name) for name in ("at_most", "at_least", "lesser", "greater")}
+    with ExitStack() as stack:
+        for function in (measure.function, control.function, step.function, terms.function):
+            known = {name: each for name, each in extremes.items() if name in function.__globals__}
+            stack.enter_context(patch.dict(function.__globals__, known | {"sincos": _by_polynomials}))
+        stack.enter_context(patch("simbias.robots.bongoboard.equations.sincos", _by_polynomials))
         measures = measure.function(x, measure.parameters)
         for value, criterion in zip(measures, task.criteria, strict=True):
             Symbol.of("<=", value, criterion.limit)
         seen = tuple(value + Symbol() for value in x) if noisy else x
-        u = control.function(output.function(seen, output.parameters), symbols(control.parameters.shape[1]))
+        u, _ = control.function(symbols(control.size), seen, t, (), control.constants)
         force = tuple(value + Symbol() for value in u) if noisy else u
-        x_next = step.function(x, force, symbols(len(nominal.parameters)))
+        x_next = step.function(x, force, symbols(len(step.parameters)))
         corrected = tuple(value + Symbol() for value in x_next)
-        total.function(corrected, u, total.parameters, symbols(study.cost.totals))
+        for value in terms.function(corrected, u, t, terms.parameters):
+            value + Symbol()
     return len(Symbol.noted)
 
 

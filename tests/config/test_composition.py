@@ -18,6 +18,7 @@ from simbias.trial.study import Study
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
 
+PROVIDED = {"task", "hardware_from"}  # to constructors, by whoever builds a study
 
 BAD = {  # by override: its key, and what is said of it
     "bias.d=abc": ("bias.d", "must be a valid number"),
@@ -63,6 +64,18 @@ def test_bad_override() -> None:
         assert "\n" not in str(error.value)
 
 
+def test_values_are_merged_as_hydra_does() -> None:
+    """Which composes those that force a key."""
+    for values in (
+        ["bias.d=0.3", "seed=2", "bias.d=0.4"],
+        ["hardware.noise={torque_variance: 0.1}", "task.horizon=7"],
+        ["cost.state_weights=[1,1,1,1,1,1]", "bias=none"],
+        ["seed=${optimizer.max_evaluations}", "optimizer.algorithm='a b'", "bias=none"],
+    ):
+        forced = [value if value == "bias=none" else f"++{value}" for value in values]
+        assert compose(values).config == compose(forced).config
+
+
 def test_config_dir_must_exist() -> None:
     for folder in ("/no/such/folder", "[" * 400):  # the second is no name that a file system takes
         with pytest.raises(ConfigError, match="--config-dir: no such folder"):
@@ -104,7 +117,7 @@ def test_yaml_keys_are_the_constructors_arguments() -> None:
     for group, option in COMPONENTS:
         config, _ = split(shipped(group, option))
         component = component_class(config, group)
-        assert set(config) - {"_target_"} == set(constructor_parameters(component)) - {"task"}, option
+        assert set(config) - {"_target_"} == set(constructor_parameters(component)) - PROVIDED, option
 
 
 def test_own_components_come_from_a_config_dir() -> None:

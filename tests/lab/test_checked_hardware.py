@@ -24,7 +24,7 @@ from simbias.core import Hardware, HardwareError, Policy, Waiting
 from simbias.core.messages import LONGEST_VALUE
 from simbias.core.records import Array, Rollout
 from simbias.lab import checked_hardware
-from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
+from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions, MakeExperiment
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
@@ -119,10 +119,10 @@ class Memory:
         self.kept, self.refused = list(kept), []
         self._replayed = iter(kept)
 
-    def experiment(self, theta: Array, make: Callable[[], Rollout]) -> Rollout:
+    def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         rollout = next(self._replayed, None)
         if rollout is None:
-            rollout = make()
+            rollout = make(rng)
             self.kept.append(rollout)
         return rollout
 

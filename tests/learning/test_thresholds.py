@@ -9,7 +9,7 @@ import pytest
 
 import simbias
 from simbias.core import Nominal
-from simbias.core.records import Array, Rollout, Transitions
+from simbias.core.records import Array, Rollout
 from simbias.learning.samples.thresholds import Thresholds, Windows, line_weights
 from simbias.trial.study import Study
 
@@ -182,38 +182,23 @@ def test_windows_recover_the_residual_that_single_steps_lose(study: Study) -> No
 # Selection by information
 
 
-def test_information_keeps_as_many_samples_farther_apart(study: Study) -> None:
-    """A robot that rests for most of the time: the same counts, but the motion is seen."""
-    rng = np.random.default_rng(0)
-    moving = 0.3 * rng.uniform(-1, 1, size=(60, 6))
-    states = np.concatenate([1e-4 * rng.normal(size=(941, 6)), moving])
-    rollouts = [Rollout(states, np.zeros((1000, 1)))]
-    by_stride, by_information = (
-        Thresholds(study.task, stride=20, residual=1.0, selection=selection).select(rollouts, Still())
-        for selection in ("stride", "information")
-    )
-    assert len(by_information.transitions) == len(by_stride.transitions) == 50
-    assert by_information.sampled == by_stride.sampled
-    assert by_information.rejected == by_stride.rejected
-
-    def gap(data: Transitions) -> float:  # from any of the moving states to the nearest sample
-        return float(np.linalg.norm(moving[:-1, None] - data.inputs[None, :, :6], axis=2).min(axis=1).max())
-
-    assert gap(by_information.transitions) < 0.7 * gap(by_stride.transitions)
-    assert len(np.unique(by_information.transitions.inputs, axis=0)) == 50
-
-
-def test_information_chooses_the_farthest_again_and_again(study: Study) -> None:
-    """From the first on, each the farthest from those before it: all distances written out."""
+def test_information_chooses_as_many_the_farthest_again_and_again(study: Study) -> None:
+    """From the first on, each the farthest from those before it, inputs in units of their limits."""
     rng = np.random.default_rng(1)
     states = np.cumsum(0.01 * rng.normal(size=(41, 6)), axis=0)
-    samples = Thresholds(study.task, stride=4, residual=10.0, selection="information")
-    chosen = samples.select([Rollout(states, np.zeros((40, 1)))], Still()).transitions.inputs[:, :6]
+    rollouts = [Rollout(states, 2.0 * rng.normal(size=(40, 1)))]
+    by_stride, by_information = (
+        Thresholds(study.task, stride=4, residual=10.0, selection=selection).select(rollouts, Still())
+        for selection in ("stride", "information")
+    )
+    assert (by_information.sampled, by_information.rejected) == (by_stride.sampled, by_stride.rejected)
+    places = np.hstack([states[:-1], rollouts[0].inputs / study.task.input_limit])
     expected = [0]
-    while len(expected) < 10:
-        gaps = [min(np.linalg.norm(state - states[i]) for i in expected) for state in states[:-1]]
+    while len(expected) < len(by_stride.transitions):
+        gaps = [min(np.linalg.norm(place - places[i]) for i in expected) for place in places]
         expected.append(int(np.argmax(gaps)))
-    np.testing.assert_array_equal(chosen, states[sorted(expected)])
+    chosen = by_information.transitions.inputs
+    np.testing.assert_array_equal(chosen[:, :6], states[sorted(expected)])
 
 
 def test_information_never_chooses_what_the_criteria_reject(study: Study) -> None:
@@ -228,15 +213,6 @@ def test_information_never_chooses_what_the_criteria_reject(study: Study) -> Non
     assert selection.rejected["body_angle"] == 20
     assert len(selection.transitions) == 20
     assert np.abs(selection.transitions.inputs[:, 2]).max() < 0.5
-
-
-def test_information_measures_inputs_in_units_of_their_limits(study: Study) -> None:
-    """1 N m of 100 is less than 0.1 rad."""
-    states, inputs = np.zeros((41, 6)), np.zeros((40, 1))
-    inputs[10], states[20, 2] = 1.0, 0.1
-    samples = Thresholds(study.task, stride=20, residual=1.0, selection="information")
-    chosen = samples.select([Rollout(states, inputs)], Still()).transitions.inputs
-    np.testing.assert_array_equal(chosen[:, 2], [0.0, 0.1])
 
 
 def test_nothing_comes_from_nothing(study: Study) -> None:

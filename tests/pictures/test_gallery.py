@@ -16,6 +16,7 @@ from simbias.pictures import rejections, save, save_animation
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.trial.comparison import simulated, worst_experiment
 from simbias.pictures.trial.gallery import ANIMATION, FIGURES, pictures
+from simbias.trial.folder import Withdrawal
 from simbias.trial.study import Study
 
 
@@ -50,7 +51,10 @@ def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
 
 @pytest.mark.slow
 def test_a_task_without_a_drawing_has_no_animation(of_point_mass: tuple[Study, list[Iteration]]) -> None:
+    loose = Withdrawal("0004_experiment.npz", "a loose cable", (), 0.0, 0.0)
     files = pictures(*of_point_mass)
+    marked = pictures(*of_point_mass, ["costs", "overview"], [loose])
+    assert all(marked[name] != files[name] for name in ("costs.png", "overview.png"))
     assert files.keys() == {f"{name}.png" for name in FIGURES}
     with pytest.raises(NoPictureError, match="PointMass"):
         save_animation(*of_point_mass, BytesIO())

@@ -15,7 +15,8 @@ from simbias.config import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
-from simbias.recordings.excitation import Designer, noise_of
+from simbias.recordings.excitation import Designer
+from simbias.recordings.noise import noise_of
 from simbias.recordings.recovery import Recovery, Take, record, recover
 from simbias.simulation.open_loop import PredictionModel
 from simbias.trial.study import Study

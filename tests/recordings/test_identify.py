@@ -103,14 +103,22 @@ def test_a_single_recording_is_cut_into_thirds() -> None:
 
 
 def test_regions_hold_what_they_promise() -> None:
-    """Normal errors, the same in all parts: 90%, for any covariance. Wider ones elsewhere: less."""
+    """Normal errors, the same in all parts: 90%, for any covariance. Wider ones elsewhere: less, unless their
+    predictions spread as much.
+    """
     rng = np.random.default_rng(0)
-    e = [rng.standard_normal((4000, 2)) @ np.array([[1.0, 0.9], [0.0, 1e-4]]) for _ in range(3)]
-    assert Prediction(0.1, tuple(e), tuple(e)).coverage() == pytest.approx(0.9, abs=0.02)
-    wide = (e[0], e[1], 5 * e[2])
-    assert Prediction(0.1, wide, wide).coverage() < 0.75
-    few = tuple(each[:3] for each in e)
-    assert np.isnan(Prediction(0.1, few, few).coverage())
+    factor = np.array([[1.0, 0.9], [0.0, 1e-4]])
+    e = [rng.standard_normal((4000, 2)) @ factor for _ in range(3)]
+    none, spreads = np.zeros((4000, 2, 2)), np.tile(factor.T @ factor, (4000, 1, 1))
+
+    def coverage(wrong: list[np.ndarray], spread: list[np.ndarray]) -> float:
+        return Prediction(0.1, tuple(wrong), tuple(wrong), tuple(spread)).coverage()
+
+    assert coverage(e, [none] * 3) == pytest.approx(0.9, abs=0.02)
+    wide = [e[0], e[1], 5 * e[2]]
+    assert coverage(wide, [none] * 3) < 0.75
+    assert coverage(wide, [spreads, spreads, 25 * spreads]) == pytest.approx(0.9, abs=0.03)
+    assert np.isnan(coverage([each[:3] for each in e], [none[:3]] * 3))
 
 
 def test_too_short_recordings_are_one_line(study: Study) -> None:

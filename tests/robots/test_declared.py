@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from mechanisms import DOUBLE
 from omegaconf import OmegaConf
 
-import simbias
 from simbias.config import ConfigError
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
@@ -21,6 +20,10 @@ from simbias.core import Task
 from simbias.robots.declared.task import Declared
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions
+from simbias.simulation.compiler.choices import greater, lesser
+from simbias.simulation.compiler.symbolic_arrays import row
+from simbias.simulation.compiler.symbols import Symbol, Trace
+from simbias.simulation.compiler.written import written
 from simbias.trial.study import Study
 
 CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
@@ -129,14 +132,19 @@ def test_what_is_not_a_number_stays_none(extreme: str, position: int) -> None:
     x = np.ones(3)
     x[position] = np.nan
     assert np.isnan(expression(x))
-    name = {"min": "lesser", "max": "greater"}[extreme]
-    substitute = getattr(simbias.simulation.compiler.expressions, name).substitute
+    substitute = {"min": lesser, "max": greater}[extreme].substitute
     assert np.isnan(substitute(substitute(x[0], x[1]), x[2]))
 
 
 def test_other_numbers_need_no_other_code() -> None:
-    kernels = [Expressions({"f": f"{number} * a"}, ("a",)).kernel for number in (2, 3)]
-    assert kernels[0].function is kernels[1].function
+    texts = [written(*_traced(f"{number} * a + sin(a)"), "x, p").function for number in (2.5, 3.5)]
+    assert texts[0] is texts[1]
+
+
+def _traced(text: str) -> tuple[Trace, list[list[Symbol]]]:
+    """The trace of an expression of one variable, and its result."""
+    trace = Trace()
+    return trace, [list(Expressions({"f": text}, ("a",))(row(trace, "x", 1))[0])]
 
 
 @pytest.mark.parametrize(
@@ -178,7 +186,7 @@ def test_nothing_else_is_an_expression(text: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"failure": {}}, "task: failure is empty"),
+        ({"inputs": {}}, "task: inputs is empty"),
         (
             {"failure": {"falls": {"value": "angel", "above": 1}}},
             "task: falls: 'angel': nothing is called angel",
@@ -186,7 +194,7 @@ def test_nothing_else_is_an_expression(text: str) -> None:
         ({"failure": {"falls": {"value": "angle"}}}, "task: failure.falls: one of above and below"),
         ({"states": {"a b": {"unit": "m"}}}, "task.states: 'a b' is no name"),
         ({"constants": {"angle": 1.0}}, "task: angle: two things have this name"),
-        ({"states": {"x": {"unit": "m", "meen": 1}}}, "task.states.x.meen: Unexpected"),
+        ({"states": {"x": {"unit": "m", "meen": 1}}}, "task.states.x.meen: no such key"),
         ({"drawing": {"rail": {"points": [["0", "nosuch"]]}}}, "task: drawing.rail.0.y: 'nosuch'"),
         ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "task.drawing.rail.points.0: "),
     ],

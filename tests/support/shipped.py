@@ -48,7 +48,7 @@ def file_of(group: str, option: str) -> Any:
 def shipped(group: str, option: str) -> Any:
     """What names the class of an option: its file, or what that is composed with."""
     own = file_of(group, option)
-    return own if TARGET in own else compose(overrides(group, option)).config[group]
+    return own if TARGET in own and "defaults" not in own else compose(overrides(group, option)).config[group]
 
 
 @cache

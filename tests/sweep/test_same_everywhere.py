@@ -36,6 +36,7 @@ ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Pa
 
 def digests(engine: Engine, folder: Path, backwards: bool = False) -> list[str]:
     """Of every trial's folder, in the order of TRIALS."""
+    folder.mkdir(exist_ok=True)
     trials = [compose([*SHORT, *trial, f"seed={seed}"]).trial for seed, trial in enumerate(TRIALS)]
     plans = [Plan(each, str(folder / str(i))) for i, each in enumerate(trials)]
     for _, result in engine.run(run_plan, plans[::-1] if backwards else plans):

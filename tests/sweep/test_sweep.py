@@ -43,7 +43,7 @@ pytestmark = pytest.mark.slow
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
 
 
-@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])  # tests/figures
+@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith(("fig", "methods"))])
 def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     base = compose([f"+sweep={name}"]).config  # not expanded: that takes as long as the trials
     axes = [read_axis(*axis) for axis in base["sweep"]["axes"].items()]
@@ -74,7 +74,7 @@ def test_the_folder_tells_everything(folder: Path, capsys: pytest.CaptureFixture
     assert f"Look at it:  {own.relative_to(folder)}\n" in out
     assert "     0.1         0         0" in out
     assert "| torque variance | angle variance | velocity variance | no error: experiments |" in told["table"]
-    assert "| 0.1 | 0 | 0 | 2.0 | 1/1 | 5.5 | 2.0 | 1/1 | 2.5 |" in told["table"]
+    assert "| 0.1 | 0 | 0 | 2.0 | 1/1 [21%, 100%] | 5.5 | 2.0 | 1/1 [21%, 100%] | 2.5 |" in told["table"]
     assert (told["verdict"], told["done"], told["outcomes"]) == ("**Done**", 4, {"succeeded": 4})
     assert (own / "table.md").read_text() == told["table"]
     assert list(pd.read_csv(own / "table.csv")["paper"]) == [6.4, 2.8, 5.5, 2.5]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from contextlib import chdir
@@ -17,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT
 from PIL import Image
 from sweeping import finish, run, start, until_trials, write_sweep
 
@@ -229,28 +225,3 @@ def test_figure_without_a_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert {file.name for file in (tmp_path / "here").iterdir()} == {
         f"experiments.{suffix}" for suffix in ("png", "svg", "csv", "md")
     }
-
-
-def test_figures_of_an_installed_package(tmp_path: Path) -> None:
-    """There, configs, sweeps and their figures lie inside the package; they have the same names."""
-    ignored = shutil.ignore_patterns("__pycache__", "results", "studies")
-    for folder, place in (("simbias", "simbias"), ("conf", "simbias/conf"), ("sweeps", "simbias/sweeps")):
-        shutil.copytree(ROOT / folder, tmp_path / place, ignore=ignored)
-    program = (
-        "from simbias.sweep.grid import expand; import sys\n"
-        f"for name in {sorted(SMALL)}:\n"
-        "    figure = expand(['+sweep=' + name]).figures[name]\n"
-        "    print(sys.modules[type(figure).__module__].__file__)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    files = [
-        Path(line).relative_to(tmp_path / "simbias" / "sweeps" / "figures") for line in done.stdout.split()
-    ]
-    assert len(set(files)) == len(SMALL)

@@ -63,3 +63,24 @@ def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates() -> None:
     (problem,) = problems(replace(longer, cost=Constant()), "cost")
     assert "Constant" in problem
     assert "with_horizon" in problem
+
+
+class Failing(Noting):
+    """Predicts that every policy fails."""
+
+    def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Any:
+        def predicted(theta: Array) -> float:
+            self.thetas.append(theta)
+            return 2 * cost.max_cost
+
+        return predicted
+
+
+def test_a_method_is_checked_by_a_short_trial() -> None:
+    """However long its own are: on a model of many contacts they take minutes."""
+    long = ["optimizer=sobol", "optimizer.max_evaluations=100000"]
+    study = replace(
+        simbias.load([*POINT_MASS, "tracking=none", *long], OWN_CONF), evaluation=(evaluation := Failing())
+    )
+    assert problems(study, "method") == []
+    assert 0 < len(evaluation.thetas) < 1000

@@ -115,7 +115,7 @@ REFUSED: list[tuple[object, dict[str, object], dict[str, str]]] = [
     (LONG, {"returned": LONG}, {}),
     ([[1, 2], [3, 4]], {"returned": [[1, 2], [3, 4]]}, {}),
     ([LONG, "caf\udce9", {}], {"0": LONG}, {"1": r"'caf\udce9'", "2": "{}"}),
-    ({"a b": 1.5, "a/b": 2j, "file": [1, [2]]}, {"a_b": 1.5, "a_b_": 2j}, {"file": "[1, [2]]"}),
+    ({"a b": 1.5, "a/b": 2j, "file": [1, [2]]}, {"a_b": 1.5, "a_b_": 2j}, {"file_": "[1, [2]]"}),
     (Odd(), {"angles": [1, 2, 3]}, {"camera": "{'left'}"}),
     ([Odd()], {}, {"0": "a Odd that cannot be shown"}),
     (np.array([LONG, None], dtype=object), {}, {"returned": "4.2842857142857144e+02"}),

@@ -97,10 +97,10 @@ def test_two_processes_do_not_make_the_same_trial(
     study, folder = simbias.load(SHORT, conf), tmp_path / "trial"
     process = start(folder, SHORT, conf)
     until_begun(process, tmp_path, 1)
-    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 0.1)
+    monkeypatch.setattr("simbias.trial.record.LOCK_SECONDS", 0.1)
     with pytest.raises(ConfigError, match="another process is running this trial"):
         run_trial(study, folder)
-    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 60.0)
+    monkeypatch.setattr("simbias.trial.record.LOCK_SECONDS", 60.0)
     record = run_trial(study, folder)
     process.join(120)
     assert process.exitcode == 0

@@ -73,7 +73,7 @@ class Program:
 
 
 class _Output(threading.Thread):
-    """What a program prints; it is ended when that is more than MOST_OUTPUT."""
+    """The output of a program, which is ended when it prints more than MOST_OUTPUT."""
 
     def __init__(self, stream: IO[bytes], end: Callable[[], None]) -> None:
         super().__init__(daemon=True)

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from simbias.core import Bias, FittedBias, Kernel, Task
 from simbias.core.ranges import Count, Positive
-from simbias.core.records import Array, Indices, Transitions
+from simbias.core.records import Array, Flags, Indices, Transitions
 from simbias.learning.bias.covariance import correlation, hyperparameters, output_scale
 from simbias.learning.bias.gp_kernel import correlations, means, pack
 from simbias.learning.bias.none import ZeroBias
@@ -73,7 +73,7 @@ class LeastSquaresDensity(Bias):
         return FittedDensity(x[chosen], y[chosen], _weights(H, h, regularisation), width, units, scale)
 
     def _error(
-        self, x: Array, y: Array, chosen: Indices, own: Array, width: float, regularisation: float
+        self, x: Array, y: Array, chosen: Indices, own: Flags, width: float, regularisation: float
     ) -> float:
         """Squared error of densities, up to a constant, on some samples that were left out."""
         weights = _weights(*_moments(x[~own], y[~own], x[chosen], y[chosen], width), regularisation)

@@ -10,6 +10,7 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.parameters import Estimate, Parameter, values_at
+from simbias.core.ranges import Coordinate
 from simbias.core.records import Array
 from simbias.learning.prediction_errors import ErrorDistribution
 
@@ -21,8 +22,8 @@ class Known:
     """A posterior as numbers: normal in the coordinates of p parameters' declared priors."""
 
     parameters: list[str]  # their names, in the model's order
-    mode: list[float]  # (p,)
-    spread: list[list[float]]  # (p, p) a square root of the covariance
+    mode: list[Coordinate]  # (p,)
+    spread: list[list[Coordinate]]  # (p, p) a square root of the covariance
 
 
 @final

@@ -15,6 +15,7 @@ from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
+from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -56,11 +57,13 @@ class Posterior(Identification):
         Largest number of steps of the search for the mode in a round.
     known
         An earlier posterior, as of recordings, in place of the declared prior.
+    motors, sensors
+        How uncertain those of inputs and states are, by name (`simbias.learning.identification.rig`).
 
     Raises
     ------
     ValueError
-        If `known` is not of the nominal model's parameters (`fit`).
+        If `known` is not of the model's parameters, or the task has no such motor or sensor (`fit`).
     """
 
     def __init__(
@@ -72,7 +75,10 @@ class Posterior(Identification):
         rounds: Count = 4,
         evaluations: Count = 12,
         known: Known | None = None,
+        motors: dict[str, Motor] | None = None,
+        sensors: dict[str, Sensor] | None = None,
     ) -> None:
+        self._task, self._motors, self._sensors = task, motors or {}, sensors or {}
         self._time_step = task.time_step
         self._chunks = chunks
         self._set_window(window)
@@ -108,10 +114,16 @@ class Posterior(Identification):
         Without a whole window it is the model itself, or the one that is known.
         """
         if self._known is None:
-            return self._fit(nominal, rollouts)
-        prior = KnownPrior(nominal, self._known)
+            return self._fit(self.prior(nominal), rollouts) if rollouts else nominal
+        prior = KnownPrior(self.prior(nominal), self._known)
         fitted = self._fit(prior, rollouts)
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)
+
+    def prior(self, nominal: Nominal) -> Nominal:
+        """The nominal model, with the parameters of motors and sensors if any are uncertain."""
+        if not self._motors and not self._sensors:
+            return nominal
+        return Rig(self._task, nominal, self._motors, self._sensors)
 
     def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The posterior, with the declared prior."""

@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from simbias.core import Nominal, Samples, Task
 from simbias.core.ranges import Positive, Span, frames_in
-from simbias.core.records import Array, Rollout, Selection, Transitions
+from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,11 @@ class _Candidates:
 
     inputs: Array  # (k, n+m)
     residuals: Array  # (k, n)
-    verdicts: list[str | None]  # (k,) names of criteria, None of what is accepted
+    verdicts: Indices  # (k,) index of a criterion, -1 of what is accepted
 
-    def every(self, stride: int) -> _Candidates:
-        """The first of each `stride`."""
-        return _Candidates(self.inputs[::stride], self.residuals[::stride], self.verdicts[::stride])
-
-    def accepted(self) -> Transitions:
-        """The transitions that no criterion rejects."""
-        rows = np.array([verdict is None for verdict in self.verdicts], dtype=bool)
+    def accepted(self, stride: int) -> Transitions:
+        """The transitions, one of each `stride`, that no criterion rejects."""
+        rows = np.flatnonzero(self.verdicts[::stride] < 0) * stride
         return Transitions(self.inputs[rows], self.residuals[rows])
 
 
@@ -82,7 +78,7 @@ class Thresholds(Samples):
         self._task = task
         self._stride = frames_in(stride, task.time_step)
         self._limits = {c.name: c.limit for c in task.criteria} | dict(limits or {})
-        self._residual = np.inf if residual is None else residual
+        self._limits["residual"] = np.inf if residual is None else residual
         self._true_state = frames_in(window.true_state, task.time_step)
         self._measured = frames_in(window.measured, task.time_step)
         self._selection = selection
@@ -90,13 +86,12 @@ class Thresholds(Samples):
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
         """Downsample; judge states and residuals (Eq. 6) by the criteria; count what each rejects first."""
         candidates = [self._candidates(rollout, nominal) for rollout in rollouts]
-        sampled = [candidate.every(self._stride) for candidate in candidates]
-        verdicts = [verdict for candidate in sampled for verdict in candidate.verdicts]
-        transitions = self._union(sampled)
+        verdicts = [verdict for each in candidates for verdict in each.verdicts[:: self._stride].tolist()]
+        transitions = self._union(candidates, self._stride)
         if self._selection == "information":
-            transitions = self._spread(self._union(candidates), len(transitions))
+            transitions = self._spread(self._union(candidates, 1), len(transitions))
         frames = sum(rollout.frames for rollout in rollouts)
-        rejected = {name: verdicts.count(name) for name in (*self._limits, "residual")}
+        rejected = {name: verdicts.count(index) for index, name in enumerate(self._limits)}
         return Selection(transitions, frames, len(verdicts), rejected, self._why_none(rollouts))
 
     def _window_of(self, rollout: Rollout) -> int:
@@ -121,7 +116,7 @@ class Thresholds(Samples):
         window = self._window_of(rollout)
         if rollout.frames < window:
             nothing = Transitions.empty(states.shape[1], inputs.shape[1])
-            return _Candidates(nothing.inputs, nothing.residuals, [])
+            return _Candidates(nothing.inputs, nothing.residuals, np.empty(0, np.int64))
         residuals = states[1:] - nominal.along(states[:-1], inputs)  # Eq. 6
         weights = line_weights(window)
         columns = (states[:-1], inputs, states[1:], residuals)
@@ -130,21 +125,17 @@ class Thresholds(Samples):
         )
         verdicts = self._verdicts(x, x_next, residuals)
         if rollout.failed_at is not None:
-            ends = range(window, rollout.frames + 1)
-            verdicts = [
-                rollout.failure if end >= rollout.failed_at else verdict
-                for end, verdict in zip(ends, verdicts, strict=True)
-            ]
+            names = list(self._limits)
+            failure = names.index(rollout.failure) if rollout.failure in names else len(names)
+            verdicts[max(rollout.failed_at - window, 0) :] = failure
         return _Candidates(np.concatenate([x, u], axis=1), residuals, verdicts)
 
-    def _verdicts(self, x: Array, x_next: Array, residuals: Array) -> list[str | None]:
-        """The first of the criteria 1-7 that rejects each sample from x (k, n) to x_next (k, n)."""
+    def _verdicts(self, x: Array, x_next: Array, residuals: Array) -> Indices:
+        """The first of the criteria 1-7 that rejects each sample from x (k, n) to x_next (k, n); else -1."""
         measures = np.maximum(self._task.measure(x), self._task.measure(x_next))
         sizes = np.linalg.norm(residuals, axis=1, keepdims=True)
-        names = [*self._limits, "residual"]
-        within = np.hstack([measures, sizes]) <= [*self._limits.values(), self._residual]
-        first = np.where(within.all(axis=1), -1, np.argmin(within, axis=1))
-        return [None if index < 0 else names[index] for index in first]
+        within = np.hstack([measures, sizes]) <= list(self._limits.values())
+        return np.where(within.all(axis=1), -1, np.argmin(within, axis=1))
 
     def _spread(self, transitions: Transitions, count: int) -> Transitions:
         """Pick `count` transitions, each the farthest from those before it, with inputs over their limits."""
@@ -159,11 +150,11 @@ class Thresholds(Samples):
         rows = sorted(chosen)
         return Transitions(transitions.inputs[rows], transitions.residuals[rows])
 
-    def _union(self, candidates: Sequence[_Candidates]) -> Transitions:
+    def _union(self, candidates: Sequence[_Candidates], stride: int) -> Transitions:
         """The accepted transitions of all rollouts."""
         union = Transitions.empty(len(self._task.states), len(self._task.inputs))
         for candidate in candidates:
-            union |= candidate.accepted()
+            union |= candidate.accepted(stride)
         return union
 
 

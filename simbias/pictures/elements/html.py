@@ -21,6 +21,7 @@ table { border-collapse: collapse; margin: 1rem 0; font-size: 0.9rem; display: b
 th, td { border-bottom: 1px solid #ddd; padding: 0.25rem 0.7rem; text-align: right; white-space: nowrap }
 th:first-child, td:first-child, td:last-child, th:last-child { text-align: left }
 img { max-width: 100%; height: auto }
+pre { font-size: 0.85rem; overflow-x: auto; background: #f6f6f6; padding: 0.7rem }
 """
 
 
@@ -61,5 +62,14 @@ def picture(figure: Figure, words: str) -> str:
     """A figure within the page; the words say what it shows to those who cannot see it."""
     file = BytesIO()
     render(figure, PUBLISHED_DOTS_PER_INCH).save(file, "PNG", optimize=True)
-    data = b64encode(file.getvalue()).decode()
-    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{data}"></p>'
+    return image(file.getvalue(), words)
+
+
+def image(png: bytes, words: str) -> str:
+    """A PNG file within the page."""
+    return f'<p><img alt="{escape(words)}" src="data:image/png;base64,{b64encode(png).decode()}"></p>'
+
+
+def preformatted(text: str) -> str:
+    """Text as it is, line by line."""
+    return f"<pre>{escape(text)}</pre>"

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from simbias.core.errors import ConfigError
 from simbias.core.records import Iteration
 from simbias.pictures.elements.drawing import NoPictureError
-from simbias.pictures.elements.style import png, save
+from simbias.pictures.elements.style import SMALL, png, save
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.costs import costs
 from simbias.pictures.trial.errors import prediction_errors
@@ -24,7 +24,7 @@ from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
 from simbias.pictures.trial.rejections import rejections
 from simbias.trial.disk import write_whole
-from simbias.trial.folder import PICTURES
+from simbias.trial.folder import PICTURES, Withdrawal
 from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
 
@@ -41,7 +41,10 @@ ALL = (*FIGURES, ANIMATION)
 
 
 def pictures(
-    study: Study, iterations: Sequence[Iteration], names: Sequence[str] = (*FIGURES, ANIMATION)
+    study: Study,
+    iterations: Sequence[Iteration],
+    names: Sequence[str] = (*FIGURES, ANIMATION),
+    withdrawn: Sequence[Withdrawal] = (),
 ) -> dict[str, bytes]:
     """The pictures of a trial as files by name, PNG and GIF; none of a trial without iterations.
 
@@ -54,7 +57,7 @@ def pictures(
             if name == ANIMATION:
                 files[f"{name}.gif"] = _gif(study, iterations)
             else:
-                files[f"{name}.png"] = png(FIGURES[name](study, iterations))
+                files[f"{name}.png"] = png(_figure(name, study, iterations, withdrawn))
         except NoPictureError:
             continue
         except Exception as error:
@@ -70,13 +73,15 @@ def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) ->
     if not record.outcome.final or not missing:
         return
     with threadpool_limits(1, user_api="blas"):  # as when the trial ran
-        files = pictures(record.study, record.iterations, missing)
+        files = pictures(record.study, record.iterations, missing, record.withdrawn)
     target.mkdir(exist_ok=True)
     for name, content in files.items():
         write_whole(target / name, lambda file, content=content: file.write(content))  # type: ignore[misc]
 
 
-def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> list[str]:
+def save_all(
+    study: Study, iterations: Sequence[Iteration], folder: Path, withdrawn: Sequence[Withdrawal] = ()
+) -> list[str]:
     """Write all pictures of a trial to be published, PNG, SVG and GIF; return the names of the files.
 
     Raises
@@ -91,9 +96,9 @@ def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> lis
     except OSError as error:
         raise ConfigError(str(folder), f"no folder ({error.strerror})") from error
     files = []
-    for name, draw in FIGURES.items():
+    for name in FIGURES:
         with suppress(NoPictureError):
-            figure = draw(study, iterations)
+            figure = _figure(name, study, iterations, withdrawn)
             for suffix in (".png", ".svg"):
                 save(figure, folder / f"{name}{suffix}")
                 files.append(f"{name}{suffix}")
@@ -101,6 +106,16 @@ def save_all(study: Study, iterations: Sequence[Iteration], folder: Path) -> lis
         (folder / f"{ANIMATION}.gif").write_bytes(_gif(study, iterations))
         files.append(f"{ANIMATION}.gif")
     return files
+
+
+def _figure(
+    name: str, study: Study, iterations: Sequence[Iteration], withdrawn: Sequence[Withdrawal]
+) -> Figure:
+    """A figure of a trial; at its foot, the experiments that were withdrawn."""
+    figure = FIGURES[name](study, iterations)
+    if withdrawn:
+        figure.supxlabel("; ".join(map(str, withdrawn)), fontsize=SMALL)
+    return figure
 
 
 def _gif(study: Study, iterations: Sequence[Iteration]) -> bytes:

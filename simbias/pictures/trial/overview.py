@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -133,11 +132,7 @@ def _cost_so_far(study: Study) -> Measure:
 
     def so_far(rollout: Rollout) -> tuple[Indices, Array]:
         frames = np.unique(np.linspace(1, rollout.frames, POINTS).round().astype(int))
-        cut = [
-            replace(rollout, states=rollout.states[: k + 1], inputs=rollout.inputs[:k], failed_at=None)
-            for k in frames[:-1]
-        ]
-        return frames, np.array([study.cost.of(each) for each in (*cut, rollout)])
+        return frames, np.array([study.cost.of(rollout.part(0, k)) for k in frames])
 
     return Measure("cost Z so far", study.cost.max_cost, Z_MAX, so_far)
 

@@ -86,7 +86,7 @@ class World:
         """State (6,) of the task, of the engine's positions and velocities."""
         turns = np.stack([self.data.qpos, self.data.qvel], axis=1)
         leg = (turns[8] + turns[LEGS].mean(axis=0)).tolist()
-        return state_of(*turns[[2, 5]].tolist(), leg, leg)
+        return state_of(turns[2].tolist(), turns[5].tolist(), leg, leg)
 
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""

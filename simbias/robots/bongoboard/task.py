@@ -12,7 +12,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from simbias.core import Criterion, Kernel, Quantity, Task
+from simbias.core import Criterion, Quantity, Task
 from simbias.core.ranges import (
     Acceleration,
     Angle,
@@ -130,11 +130,6 @@ def _output(x, lengths):
     return x_p, d_x_p, theta, d_theta, phi
 
 
-def _states(x, lengths):
-    """All of the state as outputs."""
-    return x
-
-
 class Bongoboard(Task):
     """Balance for `horizon` frames of `time_step` seconds with an ankle torque within `input_limit` N m.
 
@@ -157,9 +152,6 @@ class Bongoboard(Task):
         Quantity("d_theta", "rad/s"),
         Quantity("alpha_f", "rad"),
     )
-
-    measure_kernel: Kernel
-    output_kernel: Kernel
 
     def __init__(
         self,
@@ -193,19 +185,22 @@ class Bongoboard(Task):
             Criterion("speed", "too fast", limits.speed, "rad/s", rates),
         )
         height = r + thickness + robot.ankle_height
-        self.measure_kernel = Kernel(_measure, np.array([r, robot.board_length, thickness]))
-        lengths = np.array([r, height, robot.leg_length])
-        self.output_kernel = Kernel(_output if outputs == "pelvis" else _states, lengths)
+        self._lengths = {
+            _measure: np.array([r, robot.board_length, thickness]),
+            _output: np.array([r, height, robot.leg_length]),
+        }
         if outputs == "states":
             self.outputs = self.states
 
     def measure(self, x: Array) -> Array:
         """Measures (..., 6) of the criteria 1-6 of Section IV-C at states x (..., 6)."""
-        return elementwise(_measure, x, parameters=self.measure_kernel.parameters)
+        return elementwise(_measure, x, parameters=self._lengths[_measure])
 
     def output(self, x: Array) -> Array:
         """Outputs z (..., 5) at states x (..., 6) (Fig. 3(b)), or these themselves."""
-        return elementwise(self.output_kernel.function, x, parameters=self.output_kernel.parameters)
+        if self.outputs == self.states:
+            return x.copy()
+        return elementwise(_output, x, parameters=self._lengths[_output])
 
     def pose(self, angles: Array) -> Pose:
         """Positions and angles of the bodies at (alpha_w, alpha_b, theta), real or complex."""

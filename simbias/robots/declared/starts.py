@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from simbias.core.ranges import Coordinate, NonNegative
 from simbias.core.records import Array
 
+Range = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
-class Start(Protocol):
-    """Where a state starts."""
 
-    mean: float
-    deviation: float
-    uniform: Sequence[float] | None
-    values: Sequence[float] | None
+@dataclass(frozen=True)
+class State:
+    """A state, and where it starts: mean + N(0, deviation^2), the mean a number, uniform or one of values."""
+
+    unit: str
+    kind: str = ""  # shared with others, so that noise can be declared of all at once
+    mean: Coordinate = 0.0
+    deviation: NonNegative = 0.0  # of hardware starts
+    uniform: Range | None = None  # least and largest mean
+    values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; of several states, a grid
+    wraps: bool = False  # an angle in rad that is the same after a turn
 
 
 class Starts:
@@ -28,7 +37,7 @@ class Starts:
         If a state declares more than one mean, or a start has not a number for each state.
     """
 
-    def __init__(self, states: Mapping[str, Start], starts: Sequence[Sequence[float]] | None) -> None:
+    def __init__(self, states: Mapping[str, State], starts: Sequence[Sequence[float]] | None) -> None:
         for name, state in states.items():
             if state.uniform is not None and not state.uniform[0] < state.uniform[1]:
                 raise ValueError(f"states.{name}: uniform is {list(state.uniform)}, not from less to more")
@@ -55,18 +64,18 @@ class Starts:
         mean = self.mean.copy()
         for index, state in enumerate(self._states):
             if state.uniform is not None:
-                mean[index] = rng.uniform(*state.uniform)
+                mean[index] = rng.uniform(state.uniform[0], state.uniform[1])
             elif state.values is not None:
                 mean[index] = rng.choice(state.values)
         return mean + deviation
 
 
-def _means(state: Start) -> Sequence[float]:
+def _means(state: State) -> Sequence[float]:
     """Numbers whose mean is the state's."""
     return state.uniform or state.values or [state.mean]
 
 
-def _spread(state: Start) -> float:
+def _spread(state: State) -> float:
     """The standard deviation of a state's mean."""
     if state.uniform is not None:
         return float(np.ptp(state.uniform) / np.sqrt(12))

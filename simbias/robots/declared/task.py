@@ -14,26 +14,11 @@ from simbias.core.files import ConfigFile
 from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, Seconds, TimeStep
 from simbias.core.records import Array
 from simbias.robots.declared.goal import Reference, Success, check_within, success_names
-from simbias.robots.declared.starts import Starts
+from simbias.robots.declared.starts import Range, Starts, State
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors
 from simbias.simulation.compiler import Expression, Expressions
-
-Range = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
-
-
-@dataclass(frozen=True)
-class State:
-    """A state, and where it starts: mean + N(0, deviation^2), the mean a number, uniform or one of values."""
-
-    unit: str
-    kind: str = ""  # shared with others, so that noise can be declared of all at once
-    mean: Coordinate = 0.0
-    deviation: NonNegative = 0.0  # of hardware starts
-    uniform: Range | None = None  # least and largest mean
-    values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; of several states, a grid
-    wraps: bool = False  # an angle in rad that is the same after a turn
 
 
 @dataclass(frozen=True)
@@ -195,8 +180,6 @@ class Declared(Task):
             {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
         )
         self._output = self.expressions({name: output.value for name, output in given.items()})
-        if not self._sensors:
-            self.measure_kernel, self.output_kernel = self._measure.kernel, self._output.kernel
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
         self.pushes = tuple(_push(name, each, tuple(inputs)) for name, each in dict(pushes or {}).items())
@@ -288,7 +271,7 @@ class Declared(Task):
         """Whether an episode of states (T+1, n) that has not failed succeeds; None without conditions."""
         if self._success is None:
             return None
-        times = self.time_step * np.arange(len(states))
+        times = self.time_step * np.arange(len(states), dtype=np.float64)
         return self._success.holds(self._seen(states), times, self.error(states, times))
 
     def points(self, x: Array) -> dict[str, Array]:
@@ -330,10 +313,11 @@ def _push(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
     """Pushes on an input of these."""
     if name not in inputs:
         raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
-    for key, (least, most) in (("amplitude", pulses.amplitude), ("seconds", pulses.seconds)):
+    amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
+    for key, (least, most) in (("amplitude", amplitude), ("seconds", seconds)):
         if not 0 <= least <= most:
             raise ValueError(f"pushes.{name}.{key} is [{least:g}, {most:g}], not from less to more")
-    return Push(inputs.index(name), pulses.count, tuple(pulses.amplitude), tuple(pulses.seconds))
+    return Push(inputs.index(name), pulses.count, amplitude, seconds)
 
 
 def _criterion(name: str, failure: Failure, states: Collection[str]) -> Criterion:

@@ -11,7 +11,7 @@ import numpy as np
 
 from simbias.core import Task
 from simbias.core.messages import quote
-from simbias.core.records import Array
+from simbias.core.records import Array, Indices
 from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
 
@@ -137,7 +137,7 @@ def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key:
             raise ValueError(f"{key}: {file} has no {quote(name)}; it has {', '.join(known)}")
 
 
-def _places(addresses: Array, count: int, joint: int) -> Array:
+def _places(addresses: Indices, count: int, joint: int) -> Indices:
     """Indices of a joint's numbers among `count`: from its own address up to that of the next joint."""
     return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 

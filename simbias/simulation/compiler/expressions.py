@@ -1,27 +1,23 @@
-"""Expressions of a config, such as `length * cos(angle)`: for NumPy's arrays, and in the compiled loop.
+"""Expressions of a config, such as `length * cos(angle)`, in NumPy.
 
 A config may be somebody else's, so nothing of it is ever run. It is parsed, held against a short list of
-what an expression may be made of, and written anew: names become elements of a vector, numbers become
-parameters. So a loop is compiled once for expressions that differ in numbers only.
+what an expression may be made of, and becomes a function of NumPy's arrays, whose trace joins compiled loops.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from simbias.core import Kernel
 from simbias.core.messages import quote
 from simbias.core.records import Array
-from simbias.simulation.compiler.choices import greater, lesser
-from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.kernels import elementwise
-from simbias.simulation.compiler.trigonometry import sincos
 
 LENGTH, DEPTH = 1000, 60  # of an expression: characters, and parts within parts
 
@@ -33,12 +29,16 @@ def _as_text(value: Any) -> Any:
 
 Expression = Annotated[str, BeforeValidator(_as_text), Field(min_length=1, max_length=LENGTH)]
 
-
 CONSTANTS = {"pi": math.pi}
-OF_ONE = {"abs": "abs({})", "sqrt": "np.sqrt({})", "sin": "sincos({})[0]", "cos": "sincos({})[1]"}
-OF_TWO = {"atan2": "np.arctan2({}, {})"}
-OF_MANY = {"min": "lesser({}, {})", "max": "greater({}, {})"}
-OPERATORS: Mapping[type, str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+OF_ONE: Mapping[str, Callable] = {"abs": np.abs, "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos}
+OF_TWO: Mapping[str, Callable] = {"atan2": np.arctan2}
+OF_MANY: Mapping[str, Callable] = {"min": np.minimum, "max": np.maximum}
+OPERATORS: Mapping[type, Callable] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
 EXPONENTS = (2, 3, 4)
 ALLOWED = (
     f"+ - * / ** ({', '.join(map(str, EXPONENTS))}), {', '.join([*OF_ONE, *OF_TWO, *OF_MANY, *CONSTANTS])}"
@@ -72,38 +72,44 @@ class Expressions:
         constants: Mapping[str, float] | None = None,
         where: Mapping[str, str] | None = None,
     ) -> None:
-        writer = _Writer(variables, {**CONSTANTS, **(constants or {})})
-        lines = [writer.assign(name, text) for name, text in (where or {}).items()]
-        values = [writer.write(name, text) for name, text in expressions.items()]
-        lines.append(f"return ({''.join(f'{value}, ' for value in values)})")
-        text = "def expressions(x, p):\n    " + "\n    ".join(lines) + "\n"
-        names = {"np": np, "sincos": sincos, "lesser": lesser, "greater": greater}
-        function = function_of(text, "expressions", **names)
-        self.kernel = Kernel(function, np.array(writer.numbers, dtype=np.float64))
+        parser = _Parser({**CONSTANTS, **(constants or {})}, variables)
+        self._where = [parser.define(name, text) for name, text in (where or {}).items()]
+        self._values = [parser.parse(name, text) for name, text in expressions.items()]
 
     def __call__(self, x: Array) -> Array:
         """Their values (..., k) at x (..., n)."""
-        return elementwise(self.kernel.function, x, parameters=self.kernel.parameters)
+        with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
+            known = [x[..., index] for index in range(x.shape[-1])]
+            for value in self._where:
+                known.append(value(known))
+            rows = np.empty_like(x, np.float64, shape=(*x.shape[:-1], len(self._values)))
+            for index, value in enumerate(self._values):
+                rows[..., index] = value(known)
+        return rows
 
 
-class _Writer:
-    """Writes expressions anew, in Python, of x and of the numbers p."""
+Value = Callable[[Sequence[Any]], Any]  # of the variables (...), and of what has a name after them
 
-    def __init__(self, variables: Sequence[str], constants: Mapping[str, float]) -> None:
-        self.numbers: list[float] = []
-        self._names = {variable: f"x[{index}]" for index, variable in enumerate(variables)}
-        self._given = list(variables)
+
+class _Parser:
+    """Makes functions of expressions."""
+
+    def __init__(self, constants: Mapping[str, float], variables: Sequence[str]) -> None:
+        self._names: dict[str, Value] = {}
+        self._count = 0  # of what is known when expressions are computed
+        for name in variables:
+            self._add_next(name)
         for name, value in constants.items():
-            self._add(name, self._number(value))
+            self._add(name, _number(value))
 
-    def assign(self, name: str, text: str) -> str:
-        """A line that gives an expression a name for those after it."""
-        line = f"v{len(self._names)} = {self.write(name, text)}"
-        self._add(name, line.partition(" = ")[0])
-        return line
+    def define(self, name: str, text: str) -> Value:
+        """An expression whose name those after it may use."""
+        value = self.parse(name, text)
+        self._add_next(name)
+        return value
 
-    def write(self, name: str, text: str) -> str:
-        """An expression, in Python."""
+    def parse(self, name: str, text: str) -> Value:
+        """An expression."""
         try:
             parsed = ast.parse(text.strip(), mode="eval").body
             if _depth(parsed) > DEPTH:
@@ -115,55 +121,63 @@ class _Writer:
         except _NotAllowedError as error:
             raise ValueError(f"{name}: {quote(text)}: {error}") from error
 
-    def _add(self, name: str, written: str) -> None:
+    def _add_next(self, name: str) -> None:
+        """Let a name mean what is known next."""
+        self._add(name, operator.itemgetter(self._count))
+        self._count += 1
+
+    def _add(self, name: str, value: Value) -> None:
         """Let a name have a meaning."""
         if name in self._names:
             raise ValueError(f"{name}: two things have this name")
-        self._names[name] = written
+        self._names[name] = value
 
-    def _number(self, value: float) -> str:
-        """A number, as a parameter."""
-        number = float(value)
-        if not math.isfinite(number):
-            raise _NotAllowedError("numbers have to be finite")
-        self.numbers.append(number)
-        return f"p[{len(self.numbers) - 1}]"
-
-    def _node(self, node: ast.AST) -> str:
-        """A part of an expression, in Python."""
+    def _node(self, node: ast.AST) -> Value:
+        """A part of an expression."""
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-                return self._number(value)
+                return _number(value)
             case ast.Name() | ast.Subscript():
                 name = ast.unparse(node)
                 if name not in self._names:
                     raise _NotAllowedError(f"nothing is called {name}; there is {', '.join(self._names)}")
                 return self._names[name]
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-                return f"({'-' if isinstance(sign, ast.USub) else '+'}{self._node(operand)})"
+                return _applied(
+                    operator.neg if isinstance(sign, ast.USub) else operator.pos, self._node(operand)
+                )
             case ast.BinOp(left=base, op=ast.Pow(), right=ast.Constant(value=int() as exponent)):
                 if exponent in EXPONENTS:
-                    return f"({self._node(base)} ** {int(exponent)})"
-            case ast.BinOp(left=left, op=operator, right=right) if type(operator) in OPERATORS:
-                return f"({self._node(left)} {OPERATORS[type(operator)]} {self._node(right)})"
+                    return _applied(operator.pow, self._node(base), _number(exponent))
+            case ast.BinOp(left=left, op=operation, right=right) if type(operation) in OPERATORS:
+                return _applied(OPERATORS[type(operation)], self._node(left), self._node(right))
             case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]):
                 return self._call(function, [self._node(argument) for argument in arguments])
         raise _NotAllowedError(f"{ast.unparse(node)} is not allowed; an expression may use {ALLOWED}")
 
-    def _call(self, function: str, arguments: list[str]) -> str:
+    def _call(self, name: str, arguments: list[Value]) -> Value:
         """A call of one of the functions that there are."""
-        if function in OF_ONE and len(arguments) == 1:
-            return OF_ONE[function].format(*arguments)
-        if function in OF_TWO and len(arguments) == 2:
-            return OF_TWO[function].format(*arguments)
-        if function in OF_MANY and len(arguments) >= 2:
-            value, *others = arguments
-            for other in others:
-                value = OF_MANY[function].format(value, other)
-            return value
+        if name in OF_MANY and len(arguments) >= 2:
+            return reduce(lambda a, b: _applied(OF_MANY[name], a, b), arguments)
+        functions = {1: OF_ONE, 2: OF_TWO}.get(len(arguments), {})
+        if name in functions:
+            return _applied(functions[name], *arguments)
         raise _NotAllowedError(
-            f"there is no {function} of {len(arguments)} values; an expression may use {ALLOWED}"
+            f"there is no {name} of {len(arguments)} values; an expression may use {ALLOWED}"
         )
+
+
+def _number(value: float) -> Value:
+    """A number."""
+    number = np.float64(value)
+    if not math.isfinite(number):
+        raise _NotAllowedError("numbers have to be finite")
+    return lambda known: number
+
+
+def _applied(function: Callable, *operands: Value) -> Value:
+    """A function of values."""
+    return lambda known: function(*(operand(known) for operand in operands))
 
 
 def _depth(node: ast.AST) -> int:

@@ -35,14 +35,14 @@ other, several times slower. A division by zero gives inf or nan, and a rollout 
 has failed. Such a function also takes arrays in place of numbers, as long as it has neither `min`, `max` nor
 branches: so the plain method can be `elementwise(_step, x, u, parameters=...)`.
 
-    Task.measure_kernel      (x, parameters) -> measures
-    Nominal.kernel           (x, u, parameters) -> x_next               parameters differ between scenarios
+    Nominal.kernel           (x, u, parameters) -> x_next               parameters: by scenario
                              (x, u, parameters, model_state) -> x_next, model_state
     FittedBias.kernel        (x, u, parameters) -> correction
                              (x (n, LANES), u (m, LANES), data, correction (n, LANES)) -> None
 
-Policies and costs are always traced, and what is computed of thetas alone is computed once for each:
+Tasks, policies and costs are always traced. What a policy computes of thetas alone is computed once for each:
 
+    Task.measure             (x, constants) -> measures
     Policy.act               (parameters, x, t, policy_state, constants) -> u, policy_state
     Cost.terms               (x_next, u, t, constants) -> terms
 

@@ -59,7 +59,8 @@ def _folding(ufunc: np.ufunc, rule: Callable) -> Callable:
 
     def folded(*values: Symbol) -> Symbol:
         if all(value.name == "number" for value in values):
-            return values[0].trace.number(ufunc(*(value.value for value in values)))
+            made = ufunc(*(value.value for value in values))
+            return values[0].trace.number(made, all(value.whole for value in values))
         return rule(*values)
 
     return folded

@@ -24,8 +24,9 @@ class TraceError(TypeError):
 class Trace:
     """The operations that were asked for, each once.
 
-    Numbers that are met become parameters of what is written. No operation is left out because of a number's
-    value, nor are equal numbers one parameter: models that differ in numbers have the same operations.
+    Numbers that are met become parameters of what is written; whole ones, as in `x / 2` and `1 + x`, are
+    written as they are. No operation is left out because of a number's value, nor are equal numbers one
+    parameter: models that differ in numbers have the same operations.
     """
 
     def __init__(self) -> None:
@@ -36,11 +37,16 @@ class Trace:
         """A number that what is written is given, by its name there."""
         return self._add("given", value=name)
 
-    def number(self, value: Any) -> Symbol:
-        """A number that the code knows."""
+    def number(self, value: Any, whole: bool = False) -> Symbol:
+        """A number that the code knows; one that is `whole`, or comes of such, is written as it is."""
         if isinstance(value, complex | np.complexfloating):
             raise TraceError("it computes with complex numbers")
-        return self._add("number", value=float(value))
+        if not whole and not isinstance(value, int | np.integer):
+            return self._add("number", value=float(value))
+        key = ("whole", float(value))
+        if key not in self._known:
+            self._known[key] = self._add("number", value=float(value), whole=True)
+        return self._known[key]
 
     def operation(self, name: str, *operands: Symbol, truth: bool = False) -> Symbol:
         """An operation's result; of the same operation, the same one."""
@@ -50,12 +56,17 @@ class Trace:
         return self._known[key]
 
     def _add(
-        self, name: str, operands: tuple[Symbol, ...] = (), value: Any = None, truth: bool = False
+        self,
+        name: str,
+        operands: tuple[Symbol, ...] = (),
+        value: Any = None,
+        truth: bool = False,
+        whole: bool = False,
     ) -> Symbol:
         """One more symbol."""
         if len(self.symbols) >= MOST:
             raise TraceError(f"it takes more than {MOST} operations, on single numbers")
-        symbol = Symbol(self, name, operands, value, truth)
+        symbol = Symbol(self, name, operands, value, truth, whole)
         self.symbols.append(symbol)
         return symbol
 
@@ -63,10 +74,10 @@ class Trace:
 class Symbol(NDArrayOperatorsMixin):
     """A number that is not known yet, or whether something holds."""
 
-    __slots__ = ("index", "name", "operands", "trace", "truth", "value")
+    __slots__ = ("index", "name", "operands", "trace", "truth", "value", "whole")
 
     def __init__(
-        self, trace: Trace, name: str, operands: tuple[Symbol, ...], value: Any, truth: bool
+        self, trace: Trace, name: str, operands: tuple[Symbol, ...], value: Any, truth: bool, whole: bool
     ) -> None:
         self.trace = trace
         self.index = len(trace.symbols)  # among all of the trace: after its operands
@@ -74,6 +85,7 @@ class Symbol(NDArrayOperatorsMixin):
         self.operands = operands
         self.value = value  # of a number; the name of what is given
         self.truth = truth  # whether it is a condition
+        self.whole = whole  # whether it is a number that is written as it is
 
     def __hash__(self) -> int:
         return id(self)
@@ -205,7 +217,7 @@ def divide(a: Symbol, b: Symbol) -> Symbol:
     """A quotient; the product with the inverse of a known number takes less time."""
     if b.name == "number":
         with np.errstate(all="ignore"):
-            return multiply(a, b.trace.number(np.divide(1.0, b.value)))
+            return multiply(a, b.trace.number(np.divide(1.0, b.value), b.whole))
     return quotient(a, b)
 
 

@@ -12,11 +12,11 @@ from itertools import pairwise
 import numpy as np
 from numba import get_num_threads
 
-from simbias.core.records import Array
+from simbias.core.records import Indices
 from simbias.simulation.compiler.kernels import LANES
 
 
-def in_threads(run: Callable[[int, int, Array], object], count: int) -> None:
+def in_threads(run: Callable[[int, int, Indices], object], count: int) -> None:
     """Call run(begin, end, interrupted) for parts of range(count), one on each thread if they fill the lanes.
 
     An exception in this thread, as of Ctrl-C, sets `interrupted` (1,), and the loops end. This thread only

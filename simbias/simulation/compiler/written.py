@@ -195,7 +195,8 @@ def written(
     Of the same operations it is the same function.
     """
     names = {symbol.index: f"p[{index}]" for index, symbol in enumerate(before)}
-    numbers = [symbol for symbol in needed(trace, results, names) if symbol.name == "number"]
+    order = needed(trace, results, names)
+    numbers = [symbol for symbol in order if symbol.name == "number" and not symbol.whole]
     names |= {symbol.index: f"{numbers_name}[{index}]" for index, symbol in enumerate(numbers)}
     lines = statements(trace, results, NUMBA, names)
     vectors = ["(" + "".join(f"{names[symbol.index]}, " for symbol in vector) + ")" for vector in results]

@@ -1,0 +1,248 @@
+"""What lies between a robot's mechanics and its record: motors and sensors that are not quite as declared.
+
+    y = offset + gain x,    x' = f'(x, acting - friction),    acting = motor(u)
+
+A state x is recorded as y. A motor has gain, offset, lag and delay (`simbias.simulation.actuator`), and its
+gear friction beyond the model's: Stribeck's, which falls with the velocity, and one in proportion to the
+torque. A delay that all sensors share is the motors' delay: their record cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import final
+
+import numpy as np
+
+from simbias.core import Kernel, Nominal, Task
+from simbias.core.parameters import Parameter
+from simbias.core.ranges import Lag, NonNegative, Spread
+from simbias.core.records import Array
+from simbias.simulation.actuator import Actuator, Actuators, taps_of
+from simbias.simulation.compiler import elementwise, function_of
+
+STRIBECK = 0.2  # rad/s or m/s, at which Stribeck friction has fallen to a half
+SMOOTH = 0.02  # rad/s or m/s, within which friction changes its sign
+MOST_DELAY = 4.0  # prior deviations that a delay may have
+
+
+@dataclass(frozen=True)
+class Motor:
+    """How uncertain a motor is: standard deviations, of half-normals but for gain and offset."""
+
+    gain: Spread = 0.0  # of its logarithm
+    offset: NonNegative = 0.0  # in the input's unit
+    lag: Lag = 0.0  # s
+    delay: Lag = 0.0  # s
+    velocity: str | None = None  # the state that its friction brakes
+    stribeck: NonNegative = 0.0  # friction at rest beyond that in motion, in the input's unit
+    load: NonNegative = 0.0  # friction over the torque
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How uncertain a sensor is: standard deviations."""
+
+    gain: Spread = 0.0  # of its logarithm
+    offset: NonNegative = 0.0  # in the state's unit
+
+
+@final
+class Rig(Nominal):
+    """A nominal model with parameters of motors and sensors behind its own: `tau1.gain`, `pos1.offset`.
+
+    Raises
+    ------
+    ValueError
+        If the task has no such input or state, a motor has friction but no velocity, a delay is too long, or
+        motors are declared of a model that has its own.
+    """
+
+    def __init__(
+        self, task: Task, nominal: Nominal, motors: Mapping[str, Motor], sensors: Mapping[str, Sensor]
+    ) -> None:
+        states, inputs = ([each.name for each in some] for some in (task.states, task.inputs))
+        _check_names(motors, inputs, "motors")
+        _check_names(sensors, states, "sensors")
+        _check_names([m.velocity for m in motors.values() if m.velocity], states, "motors")
+        if motors and nominal.state_size:
+            raise ValueError("identification.motors: the nominal model has lag and delay of its own")
+        for name, motor in motors.items():
+            if (motor.stribeck or motor.load) and motor.velocity is None:
+                raise ValueError(
+                    f"identification.motors.{name}.velocity: missing; friction brakes a velocity"
+                )
+        self._nominal, self._time_step = nominal, task.time_step
+        self._states, self._inputs = states, inputs
+        brakes = [motors[u].velocity if u in motors else None for u in inputs]
+        self._brakes = tuple(None if name is None else states.index(name) for name in brakes)
+        longest = max((motor.delay for motor in motors.values()), default=0.0)
+        self._taps = taps_of(MOST_DELAY * longest, task.time_step)
+        own = [*_of_motors(task, motors), *_of_sensors(task, sensors)]
+        self.parameters = (*nominal.parameters, *own)
+        self._values = {parameter.name: parameter.value for parameter in own}
+        self._has_motors = bool(motors)
+        self._assemble()
+
+    def _assemble(self) -> None:
+        """Motors, numbers and the kernel for the values that the rig has."""
+        v = self._values
+        actuators = [
+            Actuator(
+                v.get(f"{u}.gain", 1.0),
+                v.get(f"{u}.offset", 0.0),
+                lag=v.get(f"{u}.lag", 0.0),
+                delay=v.get(f"{u}.delay", 0.0),
+            )
+            for u in self._inputs
+        ]
+        self._actuators = Actuators(actuators, self._time_step, self._taps) if self._has_motors else None
+        self.state_size = self._actuators.state_size if self._actuators else self._nominal.state_size
+        self._numbers = np.array(
+            [
+                *(v.get(f"{x}.offset", 0.0) for x in self._states),
+                *(v.get(f"{x}.gain", 1.0) for x in self._states),
+                *(v.get(f"{u}.stribeck", 0.0) for u in self._inputs),
+                *(v.get(f"{u}.load", 0.0) for u in self._inputs),
+            ]
+        )
+        self.kernel = self._compiled()
+
+    def _compiled(self) -> Kernel | None:
+        """The kernel, if the mechanics have one."""
+        mechanics = self._nominal.kernel
+        if mechanics is None:
+            return None
+        function = _recorded(
+            mechanics.function, len(self._states), self._brakes, self._nominal.state_size > 0
+        )
+        recorded = Kernel(function, np.concatenate([self._numbers, mechanics.parameters]))
+        return self._actuators.before(recorded) if self._actuators else recorded
+
+    def step(self, x: Array, u: Array) -> Array:
+        """y_next (..., n) after a record x (..., n), as if u (..., m) had acted for long."""
+        acting = self._actuators.settled(u) if self._actuators else u
+        return self._record(self._nominal.step(*self._truth(x, acting)))
+
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """y_next (..., n), and the model state (..., s) for the next frame."""
+        if self._actuators:
+            acting, model_state = self._actuators.acting(u, model_state)
+            return self._record(self._nominal.step(*self._truth(x, acting))), model_state
+        x_next, model_state = self._nominal.advance(*self._truth(x, u), model_state)
+        return self._record(x_next), model_state
+
+    def model_states(self, states: Array, inputs: Array) -> Array:
+        """Model states (k, s) in each frame of a record, from its start on."""
+        if self._actuators:
+            return self._actuators.model_states(inputs)
+        return self._nominal.model_states(*self._truth(states, inputs))
+
+    def with_parameters(self, values: Array) -> Rig:
+        """The rig with other values (k,) of its parameters."""
+        other, count = copy(self), len(self._nominal.parameters)
+        if count:
+            other._nominal = self._nominal.with_parameters(values[:count])
+        other._values = dict(zip(self._values, values[count:].tolist(), strict=True))
+        other._assemble()
+        return other
+
+    def _truth(self, y: Array, acting: Array) -> tuple[Array, Array]:
+        """States (..., n) behind a record, and what acts (..., m) on the mechanics."""
+        n = len(self._states)
+        x = elementwise(_away(n), y, parameters=self._numbers)
+        return x, elementwise(_braked(n, self._brakes), x, acting, parameters=self._numbers)
+
+    def _record(self, x: Array) -> Array:
+        """The record (..., n) of states."""
+        return elementwise(_back(len(self._states)), x, parameters=self._numbers)
+
+
+def _check_names(named: Sequence[str] | Mapping[str, object], known: Sequence[str], key: str) -> None:
+    """Refuse what the task has not."""
+    unknown = sorted(set(named) - set(known))
+    if unknown:
+        raise ValueError(f"identification.{key}: no {', '.join(unknown)}; there is {', '.join(known)}")
+
+
+def _of_motors(task: Task, motors: Mapping[str, Motor]) -> list[Parameter]:
+    """The uncertain parameters of motors."""
+    return [
+        parameter
+        for u in task.inputs
+        if (motor := motors.get(u.name)) is not None
+        for parameter in (
+            Parameter(f"{u.name}.gain", "1", 1.0, motor.gain, "log_normal"),
+            Parameter(f"{u.name}.offset", u.unit, 0.0, motor.offset, "normal"),
+            Parameter(f"{u.name}.lag", "s", 0.0, motor.lag, "half_normal"),
+            Parameter(f"{u.name}.delay", "s", 0.0, motor.delay, "half_normal"),
+            Parameter(f"{u.name}.stribeck", u.unit, 0.0, motor.stribeck, "half_normal"),
+            Parameter(f"{u.name}.load", "1", 0.0, motor.load, "half_normal"),
+        )
+        if parameter.spread
+    ]
+
+
+def _of_sensors(task: Task, sensors: Mapping[str, Sensor]) -> list[Parameter]:
+    """The uncertain parameters of sensors."""
+    return [
+        parameter
+        for x in task.states
+        if (sensor := sensors.get(x.name)) is not None
+        for parameter in (
+            Parameter(f"{x.name}.gain", "1", 1.0, sensor.gain, "log_normal"),
+            Parameter(f"{x.name}.offset", x.unit, 0.0, sensor.offset, "normal"),
+        )
+        if parameter.spread
+    ]
+
+
+def _tuple(terms: Sequence[str]) -> str:
+    """Terms as a tuple's text."""
+    return f"({', '.join(terms)},)"
+
+
+def _away(n: int) -> Callable:
+    """States of a record y (n,); parameters are offsets (n,), then gains (n,)."""
+    terms = [f"(y[{i}] - p[{i}]) / p[{n + i}]" for i in range(n)]
+    return function_of(f"def away(y, p): return {_tuple(terms)}", "away")
+
+
+def _back(n: int) -> Callable:
+    """The record of states x (n,)."""
+    terms = [f"x[{i}] * p[{n + i}] + p[{i}]" for i in range(n)]
+    return function_of(f"def back(x, p): return {_tuple(terms)}", "back")
+
+
+def _braked(n: int, brakes: Sequence[int | None]) -> Callable:
+    """What acts of u (m,), less friction at the velocities of these states."""
+    m, terms = len(brakes), []
+    for j, i in enumerate(brakes):
+        if i is None:
+            terms.append(f"u[{j}]")
+            continue
+        ratio = f"(x[{i}] * {1 / STRIBECK})"
+        size = f"(p[{2 * n + j}] / (1.0 + {ratio} * {ratio}) + p[{2 * n + m + j}] * abs(u[{j}]))"
+        terms.append(f"u[{j}] - {size} * x[{i}] * (x[{i}] * x[{i}] + {SMOOTH**2}) ** -0.5")
+    return function_of(f"def braked(x, u, p): return {_tuple(terms)}", "braked")
+
+
+@lru_cache(maxsize=64)
+def _recorded(step: Callable, n: int, brakes: tuple[int | None, ...], remembers: bool) -> Callable:
+    """The kernel of what is recorded of mechanics, whose parameters stand behind the rig's."""
+    away, back, braked = _away(n), _back(n), _braked(n, brakes)
+    count = 2 * n + 2 * len(brakes)
+
+    def recorded(y, u, parameters):
+        x = away(y, parameters)
+        return back(step(x, braked(x, u, parameters), parameters[count:]), parameters)
+
+    def recorded_with_memory(y, u, parameters, memory):
+        x = away(y, parameters)
+        x_next, kept = step(x, braked(x, u, parameters), parameters[count:], memory)
+        return back(x_next, parameters), kept
+
+    return recorded_with_memory if remembers else recorded

@@ -1,0 +1,82 @@
+"""A policy that is a small network."""
+
+from __future__ import annotations
+
+from typing import Annotated, final
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Nominal, Policy, Task
+from simbias.core.records import Array
+from simbias.policy.networks import Kind, network
+from simbias.policy.observer import OBSERVERS, ObserverKind
+
+Units = Annotated[int, Field(ge=1, le=200)]
+Bound = Annotated[float, Field(gt=0, le=100)]
+
+
+@final
+class Network(Policy):
+    """u = the middle of the inputs' limits + half of their width times a network of the outputs.
+
+    Parameters
+    ----------
+    kind
+        "mlp": a hidden layer of tanh; "rbf": radial basis functions.
+    units
+        Of the hidden layer, or basis functions.
+    bound
+        Of the weights.
+    errors
+        The errors of the task's goal are inputs of the network too.
+    observer
+        "filter": a low-pass filter of rates; "derivative": rates from positions; "model": a Kalman filter of
+        the nominal model; their gains are searched. "none": the network sees what is measured.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        nominal: Nominal,
+        kind: Kind = "mlp",
+        units: Units = 10,
+        bound: Bound = 5.0,
+        errors: bool = False,
+        observer: ObserverKind = "none",
+    ) -> None:
+        self._task, self._errors = task, errors
+        q = len(task.outputs) + errors * len(task.goals)
+        self._network = network(kind, q, len(task.inputs), units, bound)
+        self._observer = OBSERVERS[observer](task, nominal)
+        parts = (self._network.bounds, self._observer.bounds)
+        lower, upper = (np.concatenate(each) for each in zip(*parts, strict=True))
+        self.bounds, self.n_parameters = (lower, upper), len(lower)
+        self._weights = len(self._network.bounds[0])
+        self.state_size = self._observer.size
+        least, most = task.input_bounds
+        self._middle, self._half = (most + least) / 2, (most - least) / 2
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n), and the observer's state."""
+        estimate = self.estimate(theta, x, t, policy_state)
+        u = self.ask(theta, estimate, t)
+        return u, self.keep(x, estimate, u)
+
+    def estimate(self, theta: Array, x: Array, t: float, kept: Array) -> Array:
+        """The state (..., n) as the observer sees it, its own state being (..., s)."""
+        return self._observer.estimate(theta[..., self._weights :], x, t, kept)
+
+    def ask(self, theta: Array, estimate: Array, t: float) -> Array:
+        """Inputs u (..., m) at an estimate (..., n) of the state."""
+        z = self.outputs(estimate)
+        z = np.concatenate([z, self._task.error(estimate, t)], axis=-1) if self._errors else z
+        return self._middle + self._half * self._network(theta[..., : self._weights], z)
+
+    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+        """The observer's state (..., s) for the next frame."""
+        return self._observer.keep(x, estimate, u)
+
+    def outputs(self, x: Array) -> Array:
+        """Outputs z (..., q) at states x (..., n)."""
+        return self._task.output(x)

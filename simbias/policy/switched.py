@@ -1,0 +1,96 @@
+"""A swing-up law, and a linear-quadratic regulator near the goal."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from simbias.core import Nominal, Policy, Task
+from simbias.core.ranges import Positive
+from simbias.core.records import Array
+from simbias.policy.network import Bound, Network, Units
+from simbias.policy.networks import Kind
+from simbias.policy.observer import ObserverKind
+from simbias.simulation.linearization import linearization
+
+LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest where the regulator is not cut off
+
+
+@final
+class Switched(Policy):
+    """The LQR of the nominal model where e^T S e is below a level, which is searched; elsewhere a network.
+
+    e is the error of the task's goal, which is about all states and a rest without input; S solves the
+    Riccati equation there. The regulator is left where e^T S e is above `hysteresis` times the level.
+
+    Parameters
+    ----------
+    kind, units, bound, observer
+        Of the network (`Network`).
+    input_weight
+        Weight of the squared inputs at their limits, that of the squared error of a state by one unit
+        being 1.
+    hysteresis
+        At least 1.
+
+    Raises
+    ------
+    ValueError
+        If the goal is not about all states, or the model has no regulator there.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        nominal: Nominal,
+        kind: Kind = "mlp",
+        units: Units = 10,
+        bound: Bound = 5.0,
+        observer: ObserverKind = "none",
+        input_weight: Positive = 10.0,
+        hysteresis: Positive = 2.0,
+    ) -> None:
+        if task.goals != task.states:
+            raise ValueError("the task's goal has to be about all states, in their order")
+        self._task, self._hysteresis = task, hysteresis
+        self._swing_up = Network(task, nominal, kind, units, bound, observer=observer)
+        self._K, self._S = _regulator(task, nominal, input_weight)
+        lower, upper = self._swing_up.bounds
+        self.bounds = np.append(lower, LEVELS[0]), np.append(upper, LEVELS[1])
+        self.n_parameters = len(lower) + 1
+        self.state_size = self._swing_up.state_size + 1
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n); the observer's state, and 1 where the regulator is on."""
+        kept, on = policy_state[..., :-1], policy_state[..., -1:]
+        estimate = self._swing_up.estimate(theta[..., :-1], x, t, kept)
+        e = self._task.error(estimate, t)
+        V = ((e @ self._S) * e).sum(axis=-1, keepdims=True)
+        near = np.exp(theta[..., -1:]) * (1.0 + (self._hysteresis - 1.0) * on) > V
+        regulated = np.clip(-(e @ self._K.T), *self._task.input_bounds)
+        u = np.where(near, regulated, self._swing_up.ask(theta[..., :-1], estimate, t))
+        kept = self._swing_up.keep(x, estimate, u)
+        return u, np.concatenate([kept, np.where(near, 1.0, 0.0)], axis=-1)
+
+    def outputs(self, x: Array) -> Array:
+        """Outputs z (..., q) at states x (..., n)."""
+        return self._task.output(x)
+
+
+def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array]:
+    """K (m, n) of u = -K e, and S (n, n), scaled to 1 on the largest ellipsoid where no input is cut off."""
+    x, limit = (
+        np.broadcast_to(task.reference(task.horizon * task.time_step), (len(task.states),)),
+        task.input_limit,
+    )
+    A, B = linearization(nominal, x, np.zeros(len(limit)), limit)
+    R = input_weight * np.diag(limit**-2.0)
+    try:
+        S = solve_discrete_are(A, B, np.eye(len(x)), R)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise ValueError(f"the nominal model has no regulator at the goal: {error}") from error
+    K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
+    largest = np.min(limit**2 / np.einsum("ij,jk,ik->i", K, np.linalg.inv(S), K))
+    return K, S / largest

@@ -1,0 +1,88 @@
+"""The page of a sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+
+from simbias.core.proportions import counted_share, wilson
+from simbias.pictures.elements.html import heading, image, page, paragraph, table
+from simbias.report.parts import made_with
+from simbias.sweep.folder import SweepFolder
+from simbias.trial.folder import TrialFolder
+from simbias.trial.summary import TrialSummary
+
+TABLE = "table.csv"
+MOST_ROWS = 1000  # of a table on the page
+
+
+def sweep_page(folder: SweepFolder) -> str:
+    """All that is known of a sweep, ended or not, as HTML in one file.
+
+    Raises
+    ------
+    ConfigError
+        If its description or a trial's outcome cannot be read.
+    """
+    description = folder.description()
+    return page(f"Sweep {description['name']}", _parts(folder, description))
+
+
+def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
+    """From how far it is to the config."""
+    summaries = list(_summaries(folder, description))
+    ended = [summary for summary in summaries if summary.outcome.final]
+    planned = len(description["trials"])
+    succeeded = sum(str(summary.outcome) == "succeeded" for summary in ended)
+    yield paragraph(
+        f"{len(ended)} of {planned} trials have ended; of these succeeded "
+        f"{counted_share(succeeded, len(ended))}."
+    )
+    yield from _claims(ended)
+    for file in folder.figures():
+        if file.suffix == ".png":
+            caption = file.with_suffix(".md")
+            words = " ".join(caption.read_text(encoding="utf-8").split()) if caption.exists() else file.stem
+            yield heading(file.stem)
+            yield image(file.read_bytes(), words)
+            yield paragraph(words)
+            yield from _table(file.with_suffix(".csv"))
+    if (folder.path / TABLE).exists():
+        yield heading("Cells")
+        yield paragraph(str(folder.state().get("legend", "")))
+        yield from _table(folder.path / TABLE)
+    yield from made_with(description)
+
+
+def _summaries(folder: SweepFolder, description: dict) -> Iterator[TrialSummary]:
+    """How its trials ended or stopped."""
+    for name in description["trials"]:
+        summary = TrialFolder(folder.trials / name).summary()
+        if summary is not None:
+            yield summary
+
+
+def _claims(ended: list[TrialSummary]) -> Iterator[str]:
+    """How many trials claim more than the test of their last policies bears out."""
+    tested = [each for each in ended if each.claim and each.test_episodes]
+    if not tested:
+        return
+    wrong = 0
+    for each in tested:
+        episodes = each.test_episodes
+        wrong += wilson(episodes.count("1"), len(episodes)).high < each.claimed_share
+    yield paragraph(
+        f"Of trials that claim a share of starts, by their own experiments at 95% confidence, the test of "
+        f"the last policy contradicts {counted_share(wrong, len(tested))}."
+    )
+
+
+def _table(path: Path) -> Iterator[str]:
+    """A table of a CSV file, if it is there and not too long to be read."""
+    if not path.exists():
+        return
+    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
+    if len(frame) <= MOST_ROWS:
+        yield table(list(frame.columns), frame.to_numpy().tolist())

@@ -1,0 +1,69 @@
+"""The page of a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from simbias.config.stored import read_folder
+from simbias.core.messages import counted
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.html import heading, items, page, paragraph, picture, table
+from simbias.pictures.trial.gallery import FIGURES
+from simbias.report.parts import made_with
+from simbias.trial.folder import TrialFolder
+from simbias.trial.run import TrialRecord
+
+COLUMNS = ("iteration", "predicted cost", "hardware cost", "experiments", "samples", "what happened")
+
+
+def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]) -> str:
+    """All that is known of a trial, ended or not, as HTML in one file; errors as of `simbias.load_trial`."""
+    record = read_folder(folder, config_dir, allow)
+    with threadpool_limits(1, user_api="blas"):  # as when the trial ran
+        return page(record.study.title, _parts(record, TrialFolder(folder)))
+
+
+def _parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
+    """From the verdict to the config."""
+    summary = record.summary
+    yield paragraph(
+        f"Outcome: {summary.outcome}, after {counted(summary.experiments, 'hardware experiment')} "
+        f"({summary.hardware_seconds:.0f} s on hardware), {counted(summary.iterations, 'iteration')} and "
+        f"{summary.seconds:.0f} s. {summary.reason}"
+    )
+    if summary.claim:
+        yield paragraph(f"By its own experiments, its last policy {summary.claim}, at 95% confidence.")
+    if summary.test_words:
+        yield paragraph(summary.test_words)
+    notes = [*summary.diagnostics, *map(str, record.withdrawn)]
+    if notes:
+        yield items(notes)
+    yield heading("Iterations")
+    yield table(COLUMNS, [_row(each) for each in folder.iterations()])
+    for name, draw in FIGURES.items() if record.iterations else ():
+        try:
+            figure = draw(record.study, record.iterations)
+        except NoPictureError:
+            continue
+        except Exception as error:  # no page is worth losing for a picture
+            yield paragraph(f"{name}: no picture ({type(error).__name__}: {error})")
+        else:
+            yield heading(name.replace("_", " ").capitalize())
+            yield picture(figure, name.replace("_", " "))
+    yield from made_with(folder.description())
+
+
+def _row(row: dict) -> list[str]:
+    """An iteration's numbers, as its file has them."""
+    predicted = row.get("predicted_cost")
+    return [
+        str(row["iteration"]),
+        "" if predicted is None else f"{predicted:.4g}",
+        f"{row['hardware_cost']:.4g}",
+        str(row["total_experiments"]),
+        str(row["samples"]),
+        "; ".join(["succeeded"] * row["succeeded"] + list(row["events"])),
+    ]

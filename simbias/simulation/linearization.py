@@ -1,0 +1,28 @@
+"""Derivatives of a model by central differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from simbias.core import Nominal
+from simbias.core.records import Array
+
+STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
+
+
+def derivatives(function: Callable[[Array], Array], points: Array, steps: Array) -> Array:
+    """Derivatives (..., k, l) of a function (..., k) at points (..., l), by differences of steps (l,)."""
+    moved = np.diag(steps)
+    ahead, behind = (function(points[..., None, :] + sign * moved) for sign in (1.0, -1.0))
+    return np.swapaxes((ahead - behind) / (2 * steps[:, None]), -1, -2)
+
+
+def linearization(nominal: Nominal, x: Array, u: Array, input_limit: Array) -> tuple[Array, Array]:
+    """A (..., n, n) and B (..., n, m) of a model's step at states x (..., n) and inputs u (..., m)."""
+    n = x.shape[-1]
+    steps = STEP * np.concatenate([np.ones(n), input_limit])
+    points = np.concatenate([x, u], axis=-1)
+    both = derivatives(lambda each: nominal.step(each[..., :n], each[..., n:]), points, steps)
+    return both[..., :n], both[..., n:]

@@ -1,0 +1,149 @@
+"""Motors and sensors whose parameters are known, identified with a robot's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mechanisms import cart_pole, mjcf
+from pendulum import NOISE, pendulum
+
+from simbias.core import Nominal
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.rig import Motor, Rig, Sensor
+from simbias.robots.mujoco.model import Mujoco
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
+from simbias.trial.study import Study
+
+MOTOR = Motor(0.2, 0.1, 0.02, 0.01, "vel1", 0.3, 0.2)
+SENSORS = {"pos1": Sensor(0.05, 0.1), "vel2": Sensor(0.1)}
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return pendulum("identification=posterior")
+
+
+def at(rig: Rig, **values: float) -> Rig:
+    """The rig with some parameters set."""
+    named = {parameter.name: parameter.value for parameter in rig.parameters}
+    return rig.with_parameters(np.array(list((named | values).values())))
+
+
+def recorded(rig: Nominal, rng: np.random.Generator, frames: int = 1000, noise: Array = NOISE) -> Rollout:
+    """A rig under smooth random torques."""
+    t = 0.002 * np.arange(frames)[:, None]
+    u = np.sum([0.7 * np.sin(rng.uniform(2, 20, 2) * t + rng.uniform(0, 6, 2)) for _ in range(4)], axis=0)
+    states, memory = [np.zeros(4)], np.zeros(rig.state_size)
+    for each in u:
+        y, memory = rig.advance(states[-1], each, memory)
+        states.append(y)
+    return Rollout(np.array(states) + noise * rng.standard_normal((frames + 1, 4)), u)
+
+
+def test_an_ideal_rig_is_the_model(study: Study) -> None:
+    rig, rng = Rig(study.task, study.nominal, {"tau1": MOTOR}, SENSORS), np.random.default_rng(0)
+    x, u = rng.standard_normal((20, 4)), rng.standard_normal((20, 2))
+    np.testing.assert_allclose(rig.step(x, u), study.nominal.step(x, u), rtol=1e-12)
+
+
+def test_the_compiled_rig_is_the_plain_one(study: Study) -> None:
+    """With all that a rig may have, and with sensors alone."""
+    rng = np.random.default_rng(0)
+    whole = at(
+        Rig(study.task, study.nominal, {"tau1": MOTOR}, SENSORS),
+        **{"tau1.gain": 0.8, "tau1.offset": 0.05, "tau1.lag": 0.01, "tau1.delay": 0.005},
+        **{"tau1.stribeck": 0.1, "tau1.load": 0.2, "pos1.offset": 0.05, "vel2.gain": 1.1},
+    )
+    seen = at(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.05, "vel2.gain": 1.1})
+    for rig in (whole, seen):
+        assert rig.kernel is not None
+        windows = Windows.of([recorded(rig, rng, 300)], 50, 5)
+        np.testing.assert_allclose(
+            predict([PredictionModel(rig)], windows),
+            plain([PredictionModel(rig)], windows),
+            rtol=1e-8,
+            atol=1e-10,
+        )
+
+
+def test_what_sensors_say_is_offset_and_scaled(study: Study) -> None:
+    rig = at(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.1, "vel2.gain": 1.2})
+    x, u = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.1, 0.2])
+    y = x * [1, 1, 1, 1.2] + [0.1, 0, 0, 0]
+    np.testing.assert_allclose(
+        rig.step(y, u), study.nominal.step(x, u) * [1, 1, 1, 1.2] + [0.1, 0, 0, 0], rtol=1e-12
+    )
+
+
+def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
+    """Never an acceleration along the velocity; Stribeck's half gone at its velocity."""
+    motors = {"tau1": Motor(velocity="vel1", stribeck=1.0, load=1.0)}
+    rig = Rig(study.task, study.nominal, motors, {})
+    x, u = np.array([0.0, 0.0, 0.2, 0.0]), np.array([0.5, 0.0])
+    changes = [
+        (at(rig, **{name: value}).step(x, u) - study.nominal.step(x, u))[2]
+        for name, value in (("tau1.stribeck", 0.1), ("tau1.stribeck", 0.2), ("tau1.load", 0.1))
+    ]
+    assert changes[0] < 0
+    assert changes[1] == pytest.approx(2 * changes[0], rel=1e-3)
+    assert changes[2] == pytest.approx(changes[0], rel=1e-3)  # half of 0.1 N m, and a tenth of 0.5 N m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("motors", "sensors", "true"),
+    [
+        ("{tau2: {gain: 0.3, delay: 0.01}}", "null", {"tau2.gain": 0.75, "tau2.delay": 0.006}),
+        ("{tau1: {offset: 0.2, lag: 0.02}}", "null", {"tau1.offset": 0.15, "tau1.lag": 0.015}),
+        ("null", "{pos1: {offset: 0.1}}", {"pos1.offset": 0.08}),
+        ("{tau2: {velocity: vel2, stribeck: 0.3}}", "null", {"tau2.stribeck": 0.2}),
+        ("{tau1: {velocity: vel1, load: 0.3}}", "null", {"tau1.load": 0.25}),
+    ],
+)
+def test_they_come_back(motors: str, sensors: str, true: dict[str, float]) -> None:
+    """Beside the pendulum's eleven parameters, from two seconds."""
+    study = pendulum(
+        *("identification=posterior", "identification.starts=4", "identification.rounds=2"),
+        f"+identification.motors={motors}",
+        f"+identification.sensors={sensors}",
+    )
+    rig, rng = study.identification.prior(study.nominal), np.random.default_rng(1)  # type: ignore[attr-defined]
+    robot = at(rig, friction_1=0.1, friction_2=0.1, damping_1=0.01, damping_2=0.01, **true)
+    fitted = study.identification.fit(study.nominal, [recorded(robot, rng)])
+    assert isinstance(fitted, Identified)
+    found = {estimate.name: estimate for estimate in fitted.estimates}
+    for name, value in true.items():
+        width = found[name].high - found[name].low
+        assert abs(found[name].value - value) < 1.5 * width
+        assert abs(found[name].value - value) < 0.25 * value
+    assert set(found) == {parameter.name for parameter in rig.parameters}
+
+
+def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
+    task = cart_pole()
+    model = Mujoco(task, mjcf(tmp_path), uncertainty={"pole.mass": 0.2})
+    rig = Rig(task, model, {"force": Motor(gain=0.2, delay=0.02)}, {"angle": Sensor(offset=0.1)})
+    half = at(rig, **{"force.gain": 0.5})
+    x, u = np.array([[0.1, 0.05, 0.3, 0.4]]), np.array([[4.0]])
+    np.testing.assert_allclose(half.step(x, u), model.step(x, 0.5 * u), rtol=1e-9)
+    rng = np.random.default_rng(0)
+    rollout = Rollout(0.1 * rng.standard_normal((31, 4)), rng.standard_normal((30, 1)))
+    windows = Windows.of([rollout], 10, 5)
+    np.testing.assert_allclose(
+        predict([PredictionModel(half)], windows), plain([PredictionModel(half)], windows), rtol=1e-8
+    )
+
+
+def test_what_the_task_has_not_is_told(study: Study) -> None:
+    for motors, sensors, words in (
+        ({"tau3": Motor(0.1)}, {}, "identification.motors: no tau3; there is tau1, tau2"),
+        ({}, {"angle": Sensor(0.1)}, "identification.sensors: no angle; there is pos1"),
+        ({"tau1": Motor(load=0.1)}, {}, "identification.motors.tau1.velocity: missing"),
+        ({"tau1": Motor(load=0.1, velocity="v")}, {}, "identification.motors: no v; there is pos1"),
+        ({"tau1": Motor(delay=1.0)}, {}, "a delay of up to 4 s is 2000 frames"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Rig(study.task, study.nominal, motors, sensors)

@@ -1,0 +1,126 @@
+"""The page of a trial and of a sweep: one file, of what the folders hold, and nothing in it runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import chdir
+from pathlib import Path
+
+import pytest
+from sweeping import FOLDERS, write_sweep
+
+import simbias
+from simbias.__main__ import main
+from simbias.core.errors import ConfigError
+from simbias.report.folder import write_report
+from simbias.report.sweep import sweep_page
+from simbias.sweep.folder import SweepFolder
+from simbias.trial.run import run_trial
+
+EVIL = "<script>alert(1)</script>"
+SWEEP = f"""
+sweep:
+  trials: 1
+  axes:
+    evil:
+      keys: method.max_iterations
+      values: [1, 2]
+      labels: ["{EVIL}", b]
+  report: {{measures: [experiments, succeeded, holds]}}
+"""
+LOADED = re.compile(r"""(src|href)=["'](?!data:image/png;base64,)|<script|<link|<iframe|url\(""")
+
+
+def self_contained(html: str) -> bool:
+    """Nothing is loaded from elsewhere, and nothing runs."""
+    return html.startswith("<!DOCTYPE html>") and not LOADED.search(html)
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    study = simbias.load(
+        ["preset=cartpole", "method=lqr", "policy_test.episodes=3", "policy_test.long_episodes=0"]
+    )
+    folder = tmp_path_factory.mktemp("trials") / study.hash
+    run_trial(study, folder)
+    return folder
+
+
+def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path) -> None:
+    (file,) = write_report(trial)
+    html, summary = file.read_text(), json.loads((trial / "outcome.json").read_text())
+    assert file == trial / "report.html"
+    assert self_contained(html)
+    assert trial.name in html
+    assert f"its last policy {summary['claim']}" in html
+    assert summary["test_words"] in html
+    assert html.count("data:image/png;base64,") >= 2
+    assert "max_iterations: 10" in html
+    assert "numpy" in html
+
+
+def test_an_unfinished_trial_has_a_page(trial: Path, tmp_path: Path) -> None:
+    copy = tmp_path / trial.name
+    copy.mkdir()
+    for name in ("trial.json", "attempts.jsonl"):
+        (copy / name).write_bytes((trial / name).read_bytes())
+    (file,) = write_report(copy)
+    assert "Outcome: interrupted, after 0 hardware experiments" in file.read_text()
+
+
+def test_what_files_say_is_text_and_never_markup(trial: Path, tmp_path: Path) -> None:
+    """Of a trial that somebody else made."""
+    copy = tmp_path / trial.name
+    copy.mkdir()
+    for file in trial.iterdir():
+        if file.is_file():
+            (copy / file.name).write_bytes(file.read_bytes().replace(b'"numpy"', b'"<script>numpy"'))
+    (copy / "outcome.json").write_text(
+        json.dumps({**json.loads((trial / "outcome.json").read_text()), "test_words": EVIL, "claim": EVIL})
+    )
+    (page,) = write_report(copy)
+    assert self_contained(page.read_text())
+    assert "&lt;script&gt;alert(1)" in page.read_text()
+
+
+@pytest.mark.slow
+def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its tables, figures and counts; labels are the user's."""
+    conf = write_sweep(tmp_path, "mine", SWEEP)
+    overrides = ["preset=cartpole", "optimizer.max_evaluations=5", "policy_test.episodes=2", *FOLDERS]
+    with chdir(tmp_path):
+        command = ["--config-dir", str(conf), "+sweep=mine", "engine=sequential", *overrides]
+        assert main(command) == 0
+        assert main(["report", "trials"]) == 0
+    out = capsys.readouterr().out
+    (file,) = tmp_path.glob("trials/sweeps/*/report.html")
+    assert f"Look at it:  {file.relative_to(tmp_path)}" in out
+    html = file.read_text()
+    assert self_contained(html)
+    assert "2 of 2 trials have ended; of these succeeded" in html
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in html
+    assert "data:image/png;base64," in html
+    assert "preset=cartpole" in html
+
+
+def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
+    trials = {"a": ("0" * 16, 0.8), "b": ("1" * 16, 0.8), "c": ("", 0.8)}
+    for name, (episodes, share) in trials.items():
+        (tmp_path / name).mkdir()
+        summary = {
+            "outcome": "succeeded",
+            "claim": "holds",
+            "claimed_share": share,
+            "test_episodes": episodes,
+        }
+        (tmp_path / name / "outcome.json").write_text(json.dumps(summary))
+    folder = SweepFolder(tmp_path / "sweeps" / "mine")
+    folder.begin({"name": "mine", "trials": dict.fromkeys(trials), "config": {}})
+    html = sweep_page(folder)
+    assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
+
+
+def test_another_folder_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is the folder of no trial or sweep"):
+        write_report(tmp_path)

@@ -1,0 +1,97 @@
+"""Methods against each other: the figure, and the sweep that makes it, on one small cell."""
+
+from __future__ import annotations
+
+from contextlib import chdir
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from simbias.__main__ import main
+from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.figures.comparison import Comparison
+from simbias.sweep.grid import Sweep, expand
+
+TINY = [  # one cell in place of eleven, of a second each
+    "+sweep.suite.tiny={cart-pole: {preset: cartpole}}",
+    "+sweep.suite.seeds.tiny=1",
+    "sweep.suite.split=tiny",
+]
+QUICK = [*TINY, "task.horizon=50", "budget.experiments=3"]
+QUICK += ["policy_test.episodes=2", "policy_test.long_seconds=3"]
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Sweep:
+    return expand(["+sweep=methods", *TINY, "sweep.trials=3"])
+
+
+def made_up(sweep: Sweep, texts: dict[str, list[str]]) -> SweptTrials:
+    """Trials whose last policies last in these test episodes; an error where there is no text."""
+    rows = [
+        {
+            "cell": trial.cell.labels[0],
+            "method": trial.cell.labels[1],
+            "hash": trial.hash,
+            "repetition": trial.repetition,
+            "experiments": 2.0 if text else np.nan,
+            "outcome": "succeeded" if text else "error",
+            "test_episodes": text,
+            "lasting_episodes": text,
+        }
+        for trial in sweep.trials
+        for text in texts.get(trial.cell.labels[1], [])[trial.repetition : trial.repetition + 1]
+    ]
+    return SweptTrials(sweep, pd.DataFrame(rows), lambda _: None)  # type: ignore[arg-type,return-value]
+
+
+def test_numbers_are_those_of_the_trials(sweep: Sweep) -> None:
+    all_of_16, half, fallen = "1" * 16, "10" * 8, "0" * 16
+    texts = {"LQI": [half, half, fallen], "ideal": [all_of_16] * 3, "LQR": [fallen, fallen, ""]}
+    picture = Comparison("method", ["LQI"]).draw(made_up(sweep, texts), ())
+    numbers = picture.numbers.set_index("method")
+    assert numbers["holds"].to_dict() == {"LQR": 0, "LQI": 0, "ideal": 3}
+    assert numbers["raised"].to_dict() == {"LQR": 1, "LQI": 0, "ideal": 0}
+    assert numbers["mean_share"].to_dict() == pytest.approx({"LQR": 0.0, "LQI": 1 / 3, "ideal": 1.0})
+    assert numbers["better LQI"].dropna().to_dict() == pytest.approx({"LQR": 1 / 6, "ideal": 1.0})
+    assert numbers.loc["ideal", "p LQI"] == pytest.approx(2 * 2 * 0.5**3)  # three pairs of two tests
+    assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
+    assert "most hold by ideal: 3 (44% to 100%)" in picture.caption
+    FigureCanvasAgg(picture.figure).draw()
+
+
+def test_without_tests_there_is_nothing_to_compare(sweep: Sweep) -> None:
+    with pytest.raises(FigureError, match=r"policy_test\.episodes=16"):
+        Comparison("method").draw(made_up(sweep, {"LQI": [""] * 3}), ())
+    with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
+        Comparison("method", ["LQX"]).draw(made_up(sweep, {"LQI": ["1"] * 3}), ())
+
+
+def test_methods_of_a_cell_meet_the_same_starts(sweep: Sweep) -> None:
+    seeds = {trial.repetition: trial.seed for trial in sweep.trials}
+    assert all(trial.seed == seeds[trial.repetition] for trial in sweep.trials)
+    assert len(sweep.cells) == len({cell.composition.group_hash for cell in sweep.cells}) == 23
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["methods"])
+def test_all_methods_run_shortened_and_are_resumed(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [f"+sweep={name}", *QUICK, "engine=sequential", "tracking=folders", "tracking.pictures=false"]
+    with chdir(tmp_path):
+        assert main([*command, "sweep.dry_run=true"]) == 0
+        assert "23" in capsys.readouterr().out
+        assert main(command) == 0
+        first = sorted(path.name for path in tmp_path.glob("trials/*/outcome.json"))
+        assert main(command) == 0
+    out = capsys.readouterr().out
+    assert "23 of them finished already" in out
+    assert len(first) == 23
+    (csv,) = tmp_path.glob("trials/sweeps/*/figures/methods.csv")
+    numbers = pd.read_csv(csv)
+    assert (numbers["trials"] == 1).all()
+    assert not numbers["raised"].any()
