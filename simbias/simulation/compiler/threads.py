@@ -4,32 +4,33 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
 from numba import get_num_threads
 
-from simbias.core.records import Indices
 from simbias.simulation.compiler.kernels import LANES
 
+SHORT = 8 * LANES  # passes that one thread makes within 2 s: 5000 frames with an exact Gaussian process
 
-def in_threads(run: Callable[[int, int, Indices], object], count: int) -> None:
-    """Call run(begin, end, interrupted) for parts of range(count), one on each thread if they fill the lanes.
+
+def in_threads(run: partial, count: int) -> None:
+    """Call a compiled loop, run(begin, end, interrupted), for parts of range(count), on all threads.
 
     An exception in this thread, as of Ctrl-C, sets `interrupted` (1,), and the loops end. This thread only
-    waits, since Python handles signals between two of its instructions.
+    waits, since Python handles signals between two of its instructions; handing over takes some 60 us.
     """
     interrupted = np.zeros(1, np.int64)
-    if count <= LANES:  # too short to wait for another thread
+    threads = max(1, min(get_num_threads(), math.ceil(count / LANES)))  # with lanes that are filled
+    if threads == 1 and count <= SHORT:
         run(0, count, interrupted)
         return
-    threads = min(get_num_threads(), math.ceil(count / LANES))
     cuts = [count * part // threads for part in range(threads + 1)]
     calls: list[Future] = []
-    run(0, 0, interrupted)  # compiles it, here where a signal is handled
+    if not run.func.signatures:  # it is compiled here, where a signal is handled
+        run(0, 0, interrupted)
     try:
         for begin, end in pairwise(cuts):
             calls.append(_pool(threads).submit(run, begin, end, interrupted))
