@@ -118,9 +118,9 @@ def tracing(robot: str) -> float:
     points, seconds = Points.of(study.task), []
     for _ in range(ROUNDS):
         model = written(study)
-        start = time.thread_time()
+        start = time.process_time()
         assert of_nominal(model, points).kernel is not None
-        seconds.append(time.thread_time() - start)
+        seconds.append(time.process_time() - start)
     return min(seconds)
 
 
@@ -150,9 +150,9 @@ def print_table(ways: Mapping[str, Callable[[], int]], reference: str) -> None:
         run()
     for _ in range(ROUNDS):
         for name, run in ways.items():
-            start = time.thread_time()
+            start = time.process_time()
             steps = run()
-            taken[name].append(1e9 * (time.thread_time() - start) / steps)
+            taken[name].append(1e9 * (time.process_time() - start) / steps)
     print(f"| | ns a step | over {reference} |\n| --- | --: | --: |")
     for name, values in taken.items():
         print(f"| {name} | {min(values):.3g} | {min(values) / min(taken[reference]):.3g} |")

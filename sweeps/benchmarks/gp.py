@@ -88,9 +88,9 @@ def microseconds(functions: dict[str, Callable[[], None]]) -> dict[str, Array]:
         function()
     for _ in range(ROUNDS):
         for name, function in functions.items():
-            start = time.thread_time()
+            start = time.process_time()
             function()
-            taken[name].append(time.thread_time() - start)
+            taken[name].append(time.process_time() - start)
     steps = {name: SLOW_STEPS if name in ("scikit-learn", "NumPy") else STEPS for name in functions}
     return {name: 1e6 * np.array(values) / steps[name] for name, values in taken.items()}
 

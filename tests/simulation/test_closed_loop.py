@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 
@@ -247,6 +249,32 @@ def test_threads_change_no_bit(study: Study) -> None:
     np.testing.assert_array_equal(*numbers)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal there does not wake who waits for a thread")
+def test_an_interrupt_ends_compiled_rollouts(study: Study) -> None:
+    """Ctrl-C, in the middle of rollouts that would take a minute; the same ones can be made afterwards."""
+    model = replace(study.model(ZeroBias(6)), task=study.task.with_horizon(100_000_000))
+    loop, k = simulator(model), 20
+    thetas, starts = np.zeros((k, 5)), np.tile(study.task.start_mean, (k, 1))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+    loop.costs(study.cost, thetas, starts)  # compiled, and they all fall
+    sent: list[float] = []
+
+    def interrupt() -> None:
+        sent.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)  # as a terminal: to the process, not to this thread
+
+    timer = threading.Timer(0.3, interrupt)
+    try:
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            loop.costs(study.cost, thetas, np.zeros((k, 6)))  # upright, at rest
+        assert time.monotonic() - sent[0] < 2
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
+    assert (loop.costs(study.cost, thetas, starts)[1] > 0).all()
+
+
 @pytest.mark.slow
 def test_plain_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None:
     """To the last bit, in one scenario and in several, with a bias that needs linear algebra."""
@@ -274,10 +302,10 @@ class Filtered(Policy):
         self.n_parameters, self.bounds = 5, study.policy.bounds
         self._task, self._linear, self._dt = study.task, study.policy, study.task.time_step
 
-    def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         z = self.outputs(x)
-        smooth = memory[..., 0] + 0.1 * (z[..., 0] - memory[..., 0])
-        total = memory[..., 1] + self._dt * smooth * (t >= 0.5)
+        smooth = policy_state[..., 0] + 0.1 * (z[..., 0] - policy_state[..., 0])
+        total = policy_state[..., 1] + self._dt * smooth * (t >= 0.5)
         u = (self._linear.gains(theta) @ z[..., None])[..., 0] + 5 * (smooth + total)[..., None]
         limit = self._task.input_limit
         return np.clip(u, -limit, limit), np.stack([smooth, total], axis=-1)
@@ -287,7 +315,7 @@ class Filtered(Policy):
 
 
 @pytest.mark.slow
-def test_a_policy_with_memory_and_time(study: Study, stable: Array) -> None:
+def test_a_policy_with_a_state_and_time(study: Study, stable: Array) -> None:
     """Compiled, in NumPy, and in a control loop written by hand: as on a robot."""
     policy, task = Filtered(study), study.task
     model = replace(study.model(ZeroBias(6)), policy=policy)
@@ -304,7 +332,7 @@ def test_a_policy_with_memory_and_time(study: Study, stable: Array) -> None:
 
 
 @pytest.mark.slow
-def test_memories_of_twenty_frames_stay_in_the_lanes() -> None:
+def test_states_of_twenty_frames_stay_in_the_lanes() -> None:
     """A model with all gaps and a policy that both remember take 2.5 times as long as neither; else, 12."""
     seconds = []
     for options in ([], ["+sweep=gaps"]):
