@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, Protocol
+from copy import copy
+from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 
@@ -64,9 +65,15 @@ class Cost(ABC):
         lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at
         return float(self.of_totals(np.array(totals), np.array(lost)))
 
-    def with_horizon(self, horizon: int) -> Cost:
-        """The cost of rollouts of at most `horizon` frames; only `evaluation.seconds` needs it."""
-        raise NotImplementedError(f"{type(self).__name__} has no `with_horizon`: evaluation.seconds needs it")
+    def with_horizon(self, horizon: int) -> Self:
+        """The cost of rollouts of at most `horizon` frames."""
+        if not self.reductions:
+            raise NotImplementedError(
+                f"{type(self).__name__} has no `with_horizon`: evaluation.seconds needs it"
+            )
+        other = copy(self)
+        other.horizon = horizon
+        return other
 
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: no failure, and Z < Z_max."""

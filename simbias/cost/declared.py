@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any, final
 
 import numpy as np
@@ -47,12 +46,6 @@ class Declared(Cost):
         names = [*quantities, "t", *(f"{goal.name}_error" for goal in task.goals)]
         texts = {"running": running, "peak": peak, "final": final}
         self._expressions = Expressions(texts, names, constants)
-
-    def with_horizon(self, horizon: int) -> Declared:
-        """The cost of rollouts that may take so many frames."""
-        other = copy(self)
-        other.horizon = horizon
-        return other
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The values (..., 3) of the expressions in frames."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from copy import copy
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -38,13 +37,13 @@ class Quadratic(Cost):
         self._R = weights_of("state_weights", state_weights, task.states)  # (n,)
         self._Q = weights_of("input_weights", input_weights, task.inputs)  # (m,)
 
-    def with_horizon(self, horizon: int) -> Quadratic:
+    def with_horizon(self, horizon: int) -> Self:
         """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
 
         Otherwise the effort would grow with the horizon, the peak would not, and another policy be the best.
         """
-        longer = copy(self)
-        longer.horizon, longer._Q = horizon, self._Q * (self.horizon / horizon)
+        longer = super().with_horizon(horizon)
+        longer._Q = self._Q * (self.horizon / horizon)
         return longer
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:

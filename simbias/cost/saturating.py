@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any, final
 
 import numpy as np
@@ -48,12 +47,6 @@ class Saturating(Cost):
             raise ValueError("widths: one has to be more than 0 at least")
         self._W = np.divide(0.5, w**2, out=np.zeros_like(w), where=w > 0)  # (g,)
         self._Q = weights_of("input_weights", input_weights or {}, task.inputs)  # (m,)
-
-    def with_horizon(self, horizon: int) -> Saturating:
-        """The cost of rollouts that may take so many frames."""
-        other = copy(self)
-        other.horizon = horizon
-        return other
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The cost (..., 1) of frames."""

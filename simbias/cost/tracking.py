@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any, final
 
 import numpy as np
@@ -47,12 +46,6 @@ class Tracking(Cost):
         self._R = weights_of("error_weights", error_weights, task.goals)  # (g,)
         self._Q = weights_of("input_weights", input_weights or {}, task.inputs)  # (m,)
         self._P = weights_of("final_weights", final_weights or {}, task.goals)  # (g,)
-
-    def with_horizon(self, horizon: int) -> Tracking:
-        """The cost of rollouts that may take so many frames."""
-        other = copy(self)
-        other.horizon = horizon
-        return other
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The cost of frames, and that of the last one (..., 2)."""

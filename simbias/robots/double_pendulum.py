@@ -81,7 +81,8 @@ _OF_DRIVES = {
 class DoublePendulum(Nominal):
     """States are both angles (rad, the second relative to the first) and their velocities.
 
-    A step is as many midpoint steps as keep below `sub_step` seconds.
+    A step is as many midpoint steps as keep below `sub_step` seconds. Its kernel is written by hand: by
+    traces of the same equations a step of a closed loop takes 32 to 41 ns in place of 28.
 
     Parameters
     ----------

@@ -36,7 +36,8 @@ class LagrangianBongoboard(Nominal):
     """f' of Eq. 1: perfect rolling, perfect joints, feet of `foot_mass` kg glued to the board.
 
     The kernel's parameters are the time step and the lumped coefficients of the robot, so that a robot with
-    other masses needs other parameters only. Slope, losses, payload and motor are as if they were not there,
+    other masses needs other parameters only. It is no faster than the trace of `step`, but rounds as the
+    published trials did. Slope, losses, payload and motor are as if they were not there,
     and cost nothing, unless they are uncertain.
 
     Parameters

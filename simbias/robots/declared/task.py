@@ -3,90 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from simbias.core import Criterion, Push, Quantity, Task
 from simbias.core.files import ConfigFile
-from simbias.core.ranges import Coordinate, Force, Frames, NonNegative, Seconds, TimeStep
+from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
+from simbias.robots.declared.declarations import Failure, Input, Named, Output, Part, Pulses
 from simbias.robots.declared.goal import Reference, Success, check_within, success_names
-from simbias.robots.declared.starts import Range, Starts, State
+from simbias.robots.declared.starts import Starts, State
 from simbias.robots.mujoco.figure import Figure, FigureFile
 from simbias.robots.mujoco.rendering import Image
 from simbias.robots.mujoco.sensors import SensorFile, Sensors
 from simbias.simulation.compiler import Expression, Expressions
-
-
-@dataclass(frozen=True)
-class Input:
-    """An input u: |u| <= limit, or lower <= u <= limit, as of a propeller that only pushes."""
-
-    unit: str
-    limit: Force
-    kind: str = ""
-    lower: Coordinate | None = None
-
-
-@dataclass(frozen=True)
-class Output:
-    """A quantity that a policy may feed back."""
-
-    value: Expression
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A failure criterion: the value is above a bound or, where it is bounded below, below it."""
-
-    value: Expression
-    unit: str = ""
-    above: Coordinate | None = None
-    below: Coordinate | None = None
-    words: str = ""  # "the pole falls"; by default its name
-
-
-@dataclass(frozen=True)
-class Pulses:
-    """Pushes on an input during an episode (`simbias.core.Push`)."""
-
-    count: Annotated[int, Field(gt=0, le=1000)]
-    amplitude: Range  # least and largest, in the input's unit; of either sign
-    seconds: Annotated[list[Seconds], Field(min_length=2, max_length=2)]  # a pulse's standard deviation
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of a drawing. One point is the centre of a disc, two are the ends of a bar, more are corners."""
-
-    points: Annotated[
-        list[Annotated[list[Expression], Field(min_length=2, max_length=2)]], Field(min_length=1)
-    ]
-    thickness: NonNegative = 0.02  # of a disc and a bar, in the points' unit
-    grey: Annotated[float, Field(ge=0, le=1)] | None = None  # 0 black, 1 white; null: as the picture's key
-
-
-_Value = TypeVar("_Value")
-
-
-def _in_order(values: dict[str, _Value]) -> tuple[tuple[str, _Value], ...]:
-    """Items of a mapping, so that their order counts in a trial's identity."""
-    return tuple(values.items())
-
-
-def _names(values: dict[str, _Value]) -> dict[str, _Value]:
-    """Names that expressions can use."""
-    for name in values:
-        if not name.isidentifier():
-            raise ValueError(f"{name!r} is no name: letters, digits and _ make one, as in d_angle")
-    return values
-
-
-Named = Annotated[dict[str, _Value], AfterValidator(_names), AfterValidator(_in_order)]
 
 
 class Declared(Task):

@@ -36,14 +36,23 @@ class Points:
 
     @staticmethod
     def of(task: Task) -> Points:
-        """Around the start, and farther away; inputs within the limits and a little beyond."""
+        """Around the start, farther away and at what criteria allow; inputs within, at and beyond limits."""
 
         def draw() -> tuple[Array, Array]:
             rng, n = np.random.default_rng(0), len(task.start_mean)
             near = task.start_deviation * rng.standard_normal((ROWS, n))
             far = rng.standard_normal((ROWS, n)) * np.repeat([0.0, 0.1, 1.0, 0.0], ROWS // 4)[:, None]
+            states = task.start_mean + near + far
+            for criterion in task.criteria:
+                for i, state in enumerate(task.states):
+                    bound = criterion.bounds.get(state.name, np.nan)
+                    if np.isfinite(bound):  # in some rows, on either side
+                        states[i % 4 :: 8, i] = bound * rng.choice([-1.0, 1.0], ROWS // 8)
             limit = np.where(np.isfinite(task.input_limit), task.input_limit, 1.0)
-            return task.start_mean + near + far, 1.2 * limit * rng.uniform(-1, 1, (ROWS, len(limit)))
+            inputs = 1.2 * limit * rng.uniform(-1, 1, (ROWS, len(limit)))
+            for rows, limits in zip((slice(1, None, 8), slice(5, None, 8)), task.input_bounds, strict=True):
+                inputs[rows] = np.where(np.isfinite(limits), limits, inputs[rows])
+            return states, inputs
 
         return Points(draw)
 
