@@ -7,6 +7,7 @@ import os
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numba import get_num_threads
@@ -29,7 +30,8 @@ def in_threads(run: partial, count: int) -> None:
         return
     cuts = [count * part // threads for part in range(threads + 1)]
     calls: list[Future] = []
-    if not run.func.signatures:  # it is compiled here, where a signal is handled
+    loop: Any = run.func
+    if not loop.signatures:  # it is compiled here, where a signal is handled
         run(0, 0, interrupted)
     try:
         for begin, end in pairwise(cuts):
