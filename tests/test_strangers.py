@@ -13,7 +13,7 @@ from simbias.trial.files import load_rollout
 
 FILES = sorted(file for file in (ROOT / "simbias").rglob("*.py") if "__pycache__" not in file.parts)
 RUNS_WHAT_IT_READS = {"pickle", "dill", "cloudpickle", "shelve", "marshal", "jsonpickle"}
-OF_YAML = {"safe_load", "dump", "SafeDumper"}  # which make plain values only,
+OF_YAML = {"safe_load", "dump", "safe_dump", "SafeDumper"}  # which make plain values only,
 OF_YAML |= {"compose", "SafeLoader", "Node", "CollectionNode", "YAMLError"}  # or none at all
 READS_OF_OWN_WORKERS = ["loky.py"]  # by joblib, which unpickles too
 COMPILES_OWN_TEXT = {

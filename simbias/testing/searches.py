@@ -20,7 +20,7 @@ from simbias.trial.run import run_trial
 from simbias.trial.study import Observer, Study
 from simbias.trial.summary import Outcome
 
-EVALUATIONS, EXPERIMENTS = 30, 3  # of each search of a trial, and of all of it
+EVALUATIONS, EXPERIMENTS = 30, 4  # of each search of a trial, and of all of it
 
 
 @check("optimizer", "a known minimum in the box, within the evaluations, the same each time")

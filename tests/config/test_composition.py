@@ -18,7 +18,7 @@ from simbias.trial.study import Study
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
 
-PROVIDED = {"task", "hardware_from"}  # to constructors, by whoever builds a study
+PROVIDED = {"task", "nominal", "hardware_from"}  # to constructors, by whoever builds a study
 
 BAD = {  # by override: its key, and what is said of it
     "bias.d=abc": ("bias.d", "must be a valid number"),
