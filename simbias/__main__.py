@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _trace_of_own_code(error: ConfigError) -> str:
-    """Where the traceback is of an error that came from the user's own code."""
+    """The place of the traceback of an error from the user's own code."""
     from simbias.core.error_origin import has_own_code
     from simbias.core.messages import with_trace
     from simbias.terminal.lines import temporary_traceback
@@ -237,7 +237,7 @@ def _excite(parsed: argparse.Namespace) -> int:
 
 
 def _of_recordings(parsed: argparse.Namespace) -> Request:
-    """What is asked of recordings."""
+    """Recordings, overrides and folders, as the command line names them."""
     from simbias.recordings.reading import columns
     from simbias.terminal.identify import Request
 

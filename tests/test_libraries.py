@@ -1,4 +1,4 @@
-"""Of other packages simbias uses what these promise to keep, and what pyproject declares."""
+"""The package as text: it uses what others promise to keep and pyproject declares; docstrings are plain."""
 
 from __future__ import annotations
 
@@ -78,3 +78,15 @@ def test_what_is_imported_is_declared() -> None:
 def name_of(requirement: str) -> str:
     """The name of a package, as registries compare it."""
     return re.split(r"[\[<>=;, ]", requirement)[0].lower().replace("_", "-")
+
+
+def test_no_docstring_begins_with_what() -> None:
+    """A docstring names its object, so that it stands by itself."""
+    found = [
+        f"{file}: {text}"
+        for file, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        and (text := ast.get_docstring(node) or "").startswith("What")
+    ]
+    assert not found

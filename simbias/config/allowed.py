@@ -1,4 +1,4 @@
-"""Whose modules a config may name: what `_target_` names is imported, and what is imported may do anything.
+"""Modules that a config may name: what `_target_` names is imported, and what is imported may do anything.
 
 A config may come from somebody else. So besides simbias's own modules it may name only those that lie in, or
 directly beside, a folder of configs that the user named (`--config-dir`), and those whose prefix the user
@@ -100,7 +100,7 @@ def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
 
 
 def targets(config: Any) -> Iterator[Any]:
-    """All classes that a config names, anywhere in it."""
+    """Classes that a config names, anywhere in it."""
     if isinstance(config, Mapping):
         for key, value in config.items():
             if key == TARGET:

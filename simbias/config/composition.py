@@ -240,7 +240,7 @@ def overridden(overrides: Sequence[str]) -> list[str]:
 
 
 def _quoted(text: str) -> str:
-    """Text as a value of an override, whatever is in it."""
+    """Text quoted as a value of an override, whichever characters it has."""
     escaped = text.replace("'", "\\'")
     return f"'{escaped}'"
 

@@ -1,4 +1,4 @@
-"""Identity of a trial: whatever of its config is no constructor's default and affects its result.
+"""Identity of a trial: all of its config that differs from constructors' defaults and affects its result.
 
 A value that equals its constructor's default is left out. So an option that is added, its default the old
 behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,

@@ -81,7 +81,7 @@ def _home(module: str) -> Path | None:
 
 
 def _digest(module: str) -> str:
-    """Of a module's text."""
+    """A hash of a module's text."""
     file = _file(module)
     assert file is not None
     return hashlib.sha256(file.read_bytes()).hexdigest()[:DIGITS]

@@ -66,7 +66,7 @@ def check_attributes(component: object, key: str) -> None:
 
 
 def new_name(old: str) -> str | None:
-    """Where an old name is now, by its own entry or that of a name above it; None if it has none."""
+    """The new name of an old one, by its own entry or that of a name above it; None if it has none."""
     parts = old.split(".")
     for length in range(len(parts), 0, -1):
         head = ".".join(parts[:length])

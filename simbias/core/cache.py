@@ -1,4 +1,4 @@
-"""Where things are kept that take long to make and may be deleted at any time."""
+"""Folders for results that take long to make and may be deleted at any time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def cache_folder(name: str, *first: str) -> Path:
 
 
 def _parents(first: tuple[str, ...]) -> Iterator[Path]:
-    """Where such folders may be, the best place first."""
+    """Possible parents of a cache folder, the best first."""
     yield from map(Path, first)
     yield Path(__file__).parent.parent / "__pycache__"
     yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "simbias"

@@ -1,4 +1,4 @@
-"""In whose code an error arose: told by class and method, so that its author knows where to look."""
+"""The component in which an error arose, by class and method, so that its author knows where to look."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def raised_by(error: BaseException) -> str:
 
 
 def told(error: BaseException, longest: int = LONGEST_REASON) -> str:
-    """What an error says, and in which component it arose if that is the user's."""
+    """The message of an error, with the component in which it arose if that is the user's."""
     source = raised_by(error)
     if not source or isinstance(error, interfaces.HardwareError):
         return with_type(error, longest)

@@ -1,4 +1,4 @@
-"""What is wrong with an override, a key or a value, in one line."""
+"""Errors about an override, a key or a value, in one line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ConfigError(ValueError):
 
 
 def reason(error: Exception) -> str:
-    """What is wrong with a file or a value, in words."""
+    """The fault of a file or a value, in words."""
     if isinstance(error, RecursionError):
         return "a defaults list that leads back to itself, or values nested too deeply"
     return (

@@ -1,4 +1,4 @@
-"""What every optimizer does alike: evaluate inside the box, count, remember the best point, and stop."""
+"""Evaluations in an optimizer's search: inside the box, counted, up to a limit, the best point kept."""
 
 # No `from __future__ import annotations`: constructors in other modules inherit the types of Budget's fields.
 
@@ -102,7 +102,7 @@ class Evaluations:
 
     @property
     def remaining(self) -> int:
-        """How many more evaluations are allowed."""
+        """The number of evaluations that are left."""
         return self._limit - self.count
 
     @property
@@ -117,12 +117,12 @@ class Evaluations:
 
     @property
     def start(self) -> Array:
-        """Where to start (p,): at the best point so far, or at the box's centre."""
+        """The starting point (p,): the best one so far, or the box's centre."""
         return 0.5 * (self.lower + self.upper) if self._best_point is None else self._best_point.copy()
 
     @property
     def together(self) -> Callable[[Array], Array] | None:
-        """What costs points (k, p) together, if the objective offers it; neither counted nor judged."""
+        """The objective's costs (k,) of points (k, p) at once, if it has them; neither counted nor judged."""
         return getattr(self._objective, "together", None)
 
     def evaluate(self, point: Array) -> float:

@@ -1,4 +1,4 @@
-"""What a component offers to compiled simulations, and what is said where it offers nothing."""
+"""Kernels of components for compiled simulations, and the warning where a slower path is taken."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 
 class Kernel(NamedTuple):
-    """What a component offers to the compiled closed loop: see `simbias.simulation.compiler.kernels`.
+    """A component's function in the compiled closed loop: see `simbias.simulation.compiler.kernels`.
 
     Without one, its method is traced if it is ordinary vectorised NumPy.
     """
@@ -17,4 +17,4 @@ class Kernel(NamedTuple):
 
 
 class SlowWarning(UserWarning):
-    """What was asked for works, but slowly; the message says how slowly, and what would be faster."""
+    """A request works, but slowly; the message says how slowly, and what would be faster."""

@@ -1,4 +1,4 @@
-"""What is said of errors and values: text that can be shown, stored and sent, whatever they are."""
+"""Messages about errors and any values: text that can be shown, stored and sent."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def words(error: BaseException, longest: int = LONGEST_REASON) -> str:
-    """What an error says, not too long, or else its type; some errors cannot even say what they are."""
+    """The message of an error, shortened, or its type if it has none; some messages cannot even be read."""
     try:
         return brief(str(error), longest) or type(error).__name__
     except (Exception, SystemExit):

@@ -1,4 +1,4 @@
-"""What is known of a robot: the simulation model, its parameters, the data, and the bias learned from it."""
+"""The simulation model of a robot, its parameters, the data, and the bias learned from them."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ class Nominal(ABC):
         return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
 
     def narrowed(self, scale: float) -> Nominal:
-        """The same model, whose draws deviate `scale` times as much; itself if it cannot narrow them."""
+        """The model, its draws deviating `scale` times as much; itself if it cannot narrow them."""
         return self
 
 
 class Identification(ABC):
-    """What is learned of the nominal model's parameters, before a bias is learned of what they leave."""
+    """Identification of the nominal model's parameters, before a bias is learned of the residuals."""
 
     @abstractmethod
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
@@ -116,7 +116,7 @@ class FittedBias(ABC):
 
     @abstractmethod
     def correction(self, x: Array, u: Array) -> Array:
-        """What is added to the nominal step at x (..., n), u (..., m): the last term (..., n) of Eq. 7."""
+        """The correction of the nominal step at x (..., n), u (..., m): the last term (..., n) of Eq. 7."""
 
     def draw(self, rng: np.random.Generator) -> FittedBias:
         """A bias that might be the right one, as far as the data tells; this one if it does not say."""

@@ -53,7 +53,7 @@ def values_at(parameters: Sequence[Parameter], coordinates: Array) -> Array:
 
 
 class Estimate(NamedTuple):
-    """What is known of a parameter once it has been identified."""
+    """The identified value of a parameter, and its uncertainty."""
 
     name: str
     unit: str

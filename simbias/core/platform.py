@@ -1,4 +1,4 @@
-"""What the last bits of a result depend on beside its config and the code: processor and linear algebra."""
+"""The platform on which the last bits of a result depend: processor and linear algebra."""
 
 from __future__ import annotations
 

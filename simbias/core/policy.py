@@ -1,4 +1,4 @@
-"""What is searched: a feedback law, and how a control loop runs it."""
+"""Policies: feedback laws whose parameters are searched, and the controller that runs them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Policy(ABC):
 
     @abstractmethod
     def outputs(self, x: Array) -> Array:
-        """What the policy feeds back: z (..., q) at states x (..., n)."""
+        """The feedback quantities z (..., q) of the policy at states x (..., n)."""
 
     def imitating(self, states: Array, inputs: Array) -> Array | None:
         """The parameters (p,) that come nearest to inputs (k, T, m) at states (k, T, n); None: not known.
@@ -48,7 +48,7 @@ class Policy(ABC):
         return None
 
     def integrated(self, x: Array) -> Array:
-        """What the policy integrates over time: (..., i) at states x (..., n); nothing, if not overridden."""
+        """Quantities (..., i) at states x (..., n) that the policy integrates over time; none by default."""
         return x[..., :0]
 
     def law(self, theta: Array) -> Law:

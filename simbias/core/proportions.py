@@ -32,9 +32,9 @@ def wilson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
 
 
 def clopper_pearson(k: int, n: int, confidence: float = CONFIDENCE) -> Interval:
-    """The exact interval of such a share (C. Clopper and E. Pearson, Biometrika 26, 1934); nan if n is 0.
+    """The exact interval of a share k / n (C. Clopper and E. Pearson, Biometrika 26, 1934); nan if n is 0.
 
-    Its coverage is at least the confidence, whatever the share.
+    Its coverage is at least the confidence, for any true share.
     """
     if not n:
         return Interval(np.nan, np.nan)

@@ -33,7 +33,7 @@ class Rollout:
 
     @property
     def frames(self) -> int:
-        """How many frames k the robot was controlled."""
+        """The number k of frames in which the robot was controlled."""
         return len(self.inputs)
 
     def part(self, begin: int, end: int) -> Rollout:
@@ -82,7 +82,7 @@ class Transitions:
 
 @dataclass(frozen=True)
 class Selection:
-    """What became training data of some rollouts, and what did not, and why (Section IV-C)."""
+    """Training data selected from rollouts, and counts of rejected samples by criterion (Section IV-C)."""
 
     transitions: Transitions
     frames: int  # transitions that the rollouts hold
@@ -93,7 +93,7 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What a policy search found."""
+    """The result of a policy search."""
 
     parameters: Array  # (p,)
     cost: float
@@ -112,7 +112,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """What was learned from an iteration's experiments (lines 6-8 and 13)."""
+    """Learning from an iteration's experiments (lines 6-8 and 13)."""
 
     selection: Selection  # D_i
     data: Transitions  # D afterwards

@@ -1,4 +1,4 @@
-"""What a robot is asked and answers: the task, and the hardware that makes experiments."""
+"""The task of a robot, and the hardware that makes experiments."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Quantity(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What it can be called by, its own name first."""
+        """Names by which the quantity can be given, its own first."""
         return (self.name, self.kind) if self.kind else (self.name,)
 
 
@@ -71,7 +71,7 @@ def failure_name(criteria: Sequence[Criterion], index: int) -> str:
 
 
 class Task(ABC):
-    """What is to be done: quantities, time, limits, starts, goal, success and failure; no dynamics.
+    """A task: quantities, time, limits, starts, goal, success and failure; no dynamics.
 
     The goal is where `aim` is to be at each time, `reference`: by default all states, at zero.
     """
@@ -102,11 +102,11 @@ class Task(ABC):
         return x
 
     def reference(self, t: Any) -> Array:
-        """Where they are to be, (..., g) or (g,), at times t (...) in s."""
+        """Reference values (..., g) or (g,) of the goal's quantities at times t (...) in s."""
         return np.zeros(len(self.goals))
 
     def error(self, x: Array, t: Any) -> Array:
-        """How far (..., g) states x (..., n) are from the goal at times t (...) in s."""
+        """The deviation (..., g) of states x (..., n) from the goal at times t (...) in s."""
         return wrapped(self.aim(x) - self.reference(t), self.goals)
 
     def succeeds(self, states: Array) -> bool | None:
@@ -141,13 +141,13 @@ class Task(ABC):
         return words.get(failure, failure.replace("_", " "))
 
     def with_horizon(self, horizon: int) -> Task:
-        """The task, which now takes so many frames."""
+        """The task with another horizon in frames."""
         longer = copy(self)
         longer.horizon = horizon
         return longer
 
     def frames(self, seconds: float) -> int:
-        """How many frames so many seconds take, at least one."""
+        """The number of frames in a duration in s, at least one."""
         return max(1, round(seconds / self.time_step))
 
     def draw_start(self, rng: np.random.Generator) -> Array:
@@ -165,9 +165,9 @@ class Hardware(ABC):
         """One experiment with theta (p,); cost and parameters of the rollout are not set.
 
         It begins at the start (n,), or as near to it as the robot can: the rollout's first state says where.
-        `policy.controller(theta, time_step)` computes the input of each frame. Whatever else than the errors
-        below it raises, and whatever it returns that is no rollout of the task, ends the trial in one line,
-        and what it returned is kept; the same command goes on once it is mended
+        `policy.controller(theta, time_step)` computes the input of each frame. Any error but those listed
+        below, and any result that is no rollout of the task, ends the trial in one line,
+        and the result is kept; the same command goes on once the hardware is mended
         (`simbias.lab.checked_hardware`).
 
         Raises

@@ -1,4 +1,4 @@
-"""How a policy is searched in simulation: what it costs there, and what minimises that."""
+"""Policy search in simulation: costs, objectives, and the optimizers that minimise them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Simulator(Protocol):
 
 
 class Cost(ABC):
-    """What a rollout costs, and above which cost a policy has failed.
+    """The cost of a rollout, and the limit above which a policy has failed.
 
     Most costs add up terms of single frames, or take their maximum: these say `reductions`, `terms` and
     `of_totals`, and rollouts are summed up as they are simulated. A cost of another kind overrides `of`; then
@@ -47,7 +47,7 @@ class Cost(ABC):
         raise NotImplementedError(f"{type(self).__name__} has neither `terms` nor an `of` of its own")
 
     def of_totals(self, totals: Array, lost: Indices) -> Array:
-        """Z (...) of rollouts with these totals (..., s) that lost so many frames (...) by failure: finite.
+        """Z (...) of rollouts with these totals (..., s) and numbers of frames (...) lost by failure: finite.
 
         Totals are zero at the start, so that no maximum is below zero.
         """
@@ -81,7 +81,7 @@ class Cost(ABC):
 
 
 class Objective(Protocol):
-    """What a policy search minimises; deterministic. A plain function will do, `together` is faster."""
+    """The deterministic objective of a policy search. A plain function will do, `together` is faster."""
 
     steps: int  # simulated so far, for searches that are limited by them
 
@@ -93,7 +93,7 @@ class Objective(Protocol):
 
 
 class Evaluation(ABC):
-    """How the cost of a policy is predicted in simulation."""
+    """Prediction of a policy's cost in simulation."""
 
     rollouts: int = 1  # of each policy
     noisy_rollouts: int = 0  # those whose noise is kept as long as a search goes on

@@ -38,7 +38,7 @@ class Quadratic(Cost):
         self._Q = weights_of("input_weights", input_weights, task.inputs)  # (m,)
 
     def with_horizon(self, horizon: int) -> Self:
-        """The cost of rollouts that may take so many frames; an input weighs as much as in the old horizon.
+        """The cost for another horizon in frames; an input weighs as much as in the old one.
 
         Otherwise the effort would grow with the horizon, the peak would not, and another policy be the best.
         """

@@ -1,1 +1,1 @@
-"""Where the trials of a sweep run."""
+"""Engines that run the trials of a sweep."""

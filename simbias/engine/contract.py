@@ -20,7 +20,7 @@ Results = Generator[tuple[int, R | WorkerLostError], None, None]  # a task's ind
 
 
 class Engine(ABC):
-    """Where the trials of a sweep run."""
+    """Runs the trials of a sweep."""
 
     shares_disk: bool = True  # whether all workers see the files of this process
 

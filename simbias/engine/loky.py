@@ -82,7 +82,7 @@ class Loky(Engine):
 
 
 def run_rounds(run_round: Round, tasks: Sequence[T]) -> Results[Any]:
-    """Yield (index, result) of every task once, round after round, whatever becomes of workers.
+    """Yield (index, result) of every task once, round after round, even if workers die.
 
     `run_round(calls, alone)` yields the results of (index, task) calls and raises RoundBrokenError when
     workers died; it takes a call only when it is about to run it, if `alone` only when none else runs.
@@ -132,7 +132,7 @@ def _call(function: Callable[[T], R], index: int, task: T, folder: Path) -> tupl
 
 
 def _follow(parent: int) -> None:
-    """In a worker: leave Ctrl-C to the parent, and end with it, whatever components started here."""
+    """In a worker: leave Ctrl-C to the parent, and end with it, even if components started threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _in_background(_end_with, parent)
     if sys.platform != "win32":  # which knows no forks

@@ -1,4 +1,4 @@
-"""No workers."""
+"""The engine without workers."""
 
 from __future__ import annotations
 

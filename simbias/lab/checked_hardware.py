@@ -1,4 +1,4 @@
-"""Experiments that end in a checked rollout or one clear line, whatever the hardware does."""
+"""Experiments that end in a checked rollout or in one clear line, even if the hardware misbehaves."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ MakeExperiment = Callable[[np.random.Generator], Rollout]
 
 
 def place_of(rng: np.random.Generator) -> tuple[int, ...]:
-    """Where in its trial an experiment is made: how its generator was spawned, () if it was not."""
+    """The place of an experiment in its trial: the spawn key of its generator, () if it was not spawned."""
     return tuple(getattr(rng.bit_generator.seed_seq, "spawn_key", ()))
 
 
@@ -118,7 +118,7 @@ class CheckedHardware(Hardware):
         self.sets_start = hardware.sets_start
 
     def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
-        """The same conditions and record, for a task of another horizon; the timeout grows with it."""
+        """A copy for a task of another horizon, its conditions and record the same; the timeout grows too."""
         other = copy(self)
         other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
         if self._timeout is not None:
@@ -131,7 +131,7 @@ class CheckedHardware(Hardware):
         Raises
         ------
         HardwareError
-            If it could not be carried out, whatever the hardware raised; did not end in time; or its rollout
+            If it could not be carried out, for any error of the hardware; did not end in time; or its rollout
             is not what the contract asks for.
         Waiting
             If its result is not there yet.
@@ -252,7 +252,7 @@ class _Call:
             self._ended.set()
 
     def ended(self, seconds: float) -> bool:
-        """Whether it has ended, after `seconds` or sooner."""
+        """Wait for the experiment at most `seconds`, starting it if need be; return whether it has ended."""
         if not self._started:
             self._started = True
             self._thread.start()

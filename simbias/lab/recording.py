@@ -181,7 +181,7 @@ class Reader:
                 )
 
     def _still(self, pieces: list[Rollout]) -> list[str]:
-        """What never changes, and what cannot be learned for that."""
+        """Notes on quantities that never change, from which nothing can be learned."""
         notes = []
         for quantities, values in (
             (self._task.states, np.concatenate([piece.states for piece in pieces])),

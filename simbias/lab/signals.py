@@ -26,7 +26,7 @@ RESET = 1e4  # usual intervals between samples that a reset of the clock counts 
 
 
 class Signal(NamedTuple):
-    """What a file says of one quantity."""
+    """The samples of one quantity in a file."""
 
     times: Array  # (k,) s, or in the unit of the file's own time
     values: Array  # (k,)
@@ -49,7 +49,7 @@ class Signals:
         raise NotImplementedError
 
     def has(self, name: str) -> bool:
-        """Whether there is a signal of that name."""
+        """Whether the file has a signal of that name."""
         raise NotImplementedError
 
     def unit(self, name: str) -> str:
@@ -57,14 +57,14 @@ class Signals:
         return ""
 
     def missing(self, names: list[str], known: list[str], where: str = "") -> HardwareError:
-        """What to say of names that a file has not."""
+        """The error for names that a file lacks; it suggests the nearest known ones."""
         near = [match for name in names for match in get_close_matches(name, known, 1)]
         hint = f"; did you mean {', '.join(near)}?" if near else ""
         return HardwareError(f"{self.path}: {where}expected a column {', '.join(names)}, got none{hint}")
 
 
 class Columns(Signals):
-    """Those of a CSV file; a blank cell is no sample, as where columns have rates of their own."""
+    """The signals of a CSV file; a blank cell is no sample, as where columns have rates of their own."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -78,11 +78,11 @@ class Columns(Signals):
             self._known[name] = (index, match["unit"] if match else "")
 
     def has(self, name: str) -> bool:
-        """Whether there is a column of that name, or with a unit behind it."""
+        """Whether the file has a column of that name, or with a unit behind it."""
         return name in self._known
 
     def unit(self, name: str) -> str:
-        """What stands in brackets behind a column's name."""
+        """The unit in brackets behind a column's name; "" if there is none."""
         return self._known[name][1] if name in self._known else ""
 
     def signal(self, name: str, time: str) -> Signal:
@@ -112,7 +112,7 @@ class Columns(Signals):
 
 
 class Messages(Signals):
-    """Those of a ROS bag or an MCAP file: `/topic.field`, of a list `/topic.field[0]`, or [name] by `name`.
+    """Signals of a ROS bag or MCAP file: `/topic.field`, of a list `/topic.field[0]`, or [name] by `name`.
 
     Times are those of the messages' headers, or of their arrival where they have none; in s.
     """
@@ -136,7 +136,7 @@ class Messages(Signals):
             self._topics[topic] = np.array([time for time, _ in pairs]), [message for _, message in pairs]
 
     def has(self, name: str) -> bool:
-        """Whether there is such a topic."""
+        """Whether the file has the topic of a signal's name."""
         match = FIELD.match(name)
         return match is not None and match["topic"] in self._topics
 

@@ -18,7 +18,7 @@ KINDS = (_ANGLE, _LENGTH, _TIME, _TORQUE, _FORCE, _OTHERS, _VOLTAGE, _RATES, _SP
 
 
 def factor(unit: str, wanted: str) -> float:
-    """How many of the wanted unit one of a unit is.
+    """The factor that converts a value from a unit to the wanted one.
 
     Raises
     ------

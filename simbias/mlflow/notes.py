@@ -50,7 +50,7 @@ def _table(rows: Sequence[Row]) -> str:
 
 
 def _line(row: Row) -> str:
-    """An iteration."""
+    """An iteration as a line of the table in Markdown."""
     predicted = row.get("predicted_cost")
     events = ["**succeeded**"] * row["succeeded"] + [markdown.text(event) for event in row["events"]]
     return (

@@ -74,7 +74,7 @@ class Runs:
         return self._client
 
     def address(self, identity: str, run_id: str) -> str:
-        """How a person looks at the run of a hash: a command, or the page of a server."""
+        """The way to look at the run of a hash: a command, or the page of a server."""
         uri = redact(self.uri, self.uri)
         if is_server(self.uri):
             return f"{uri.rstrip('/')}/{pages.run_page(self.experiment_id, run_id)}"
@@ -194,7 +194,7 @@ class RunExport(Export):
 
     @property
     def where(self) -> str:
-        """How a person looks at the run, or at the folder where the store is away."""
+        """The way to look at the run, or its folder while the store is away."""
         identity = self.path.name.rpartition("_")[2]  # a sweep's name comes before its hash
         return self.runs.address(identity, self.run_id) if self.run_id else str(self.path)
 

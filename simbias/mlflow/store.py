@@ -136,7 +136,7 @@ def _probe_database(uri: str) -> str | None:
 
 
 def _is_made(path: Path) -> bool:
-    """Whether there is a database."""
+    """Whether the file of a database exists and is not empty."""
     return path.exists() and path.stat().st_size > 0
 
 

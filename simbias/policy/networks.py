@@ -55,7 +55,7 @@ class RadialBasis:
 
 
 def network(kind: Kind, q: int, m: int, units: int, bound: float) -> NetworkFunction:
-    """A function of z (q,) with m values and so many units, its weights within the bound."""
+    """A network from z (q,) to m values with this number of units, its weights within the bound."""
     return (Perceptron if kind == "mlp" else RadialBasis)(q, m, units, bound)
 
 

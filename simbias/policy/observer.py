@@ -1,4 +1,4 @@
-"""What a policy makes of measured states whose rates are noisy, late or missing."""
+"""Estimates of the state for a policy, from measurements whose rates are noisy, late or missing."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ class Observer(ABC):
 
     @abstractmethod
     def keep(self, x: Array, estimate: Array, u: Array) -> Array:
-        """Its state (..., s) for the next frame, u (..., m) being sent."""
+        """The observer's state (..., s) for the next frame, given the input u (..., m) that is sent."""
 
     def _first(self, t: Any) -> Any:
-        """Whether it is the first frame."""
+        """Whether time t is in the first frame."""
         return t < 0.5 * self._task.time_step
 
 
 class Measured(Observer):
-    """No observer."""
+    """The measured state as the estimate: no observer."""
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
-        """What is measured."""
+        """The measured state (..., n), unchanged."""
         return x
 
     def keep(self, x: Array, estimate: Array, u: Array) -> Array:
-        """Nothing."""
+        """An empty state (..., 0): measurements need no memory."""
         return x[..., :0]
 
 
@@ -64,7 +64,7 @@ class RateFilter(Observer):
         return np.where(self._first(t), x, kept + np.where(self._is_rate, gains, 1.0) * (x - kept))
 
     def keep(self, x: Array, estimate: Array, u: Array) -> Array:
-        """The estimate."""
+        """The estimate (..., n)."""
         return estimate
 
 
@@ -96,7 +96,7 @@ class RatesOfPositions(Observer):
         return np.where(self._first(t) | ~self._is_rate, x, rates + gains * (moved - rates))
 
     def keep(self, x: Array, estimate: Array, u: Array) -> Array:
-        """What is measured, and the estimate."""
+        """The measured state and the estimate, concatenated (..., 2n)."""
         return np.concatenate([x, estimate], axis=-1)
 
 

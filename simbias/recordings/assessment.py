@@ -45,7 +45,7 @@ class Assessment:
 
     @cached_property
     def ratios(self) -> dict[str, float]:
-        """The same of each part."""
+        """Error over the nominal model's, by the name of each part."""
         return {part.name: overall(self.predictions, i) for i, part in enumerate(self.judged)}
 
     @property
@@ -55,7 +55,7 @@ class Assessment:
 
     @property
     def undetermined(self) -> list[Direction]:
-        """What the data do not determine."""
+        """Combinations of parameters that the data do not determine."""
         return undetermined(self.identified)
 
 

@@ -69,7 +69,7 @@ class Designer:
         self._noise = noise
 
     def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation | None:
-        """The best of so many trajectories; None if none keeps the limits."""
+        """The best of a number of trajectories of this duration in s; None if none keeps the limits."""
         best: tuple[float, Array, Excitation] | None = None
         shape = (len(self._study.task.inputs), 2, HARMONICS)
         for index in range(trajectories):
@@ -104,7 +104,7 @@ class Designer:
         return u * limit / np.maximum(np.abs(u).max(axis=0), 1e-12)
 
     def _simulated(self, inputs: Array) -> list[Rollout]:
-        """What each model does under inputs (T, m) from the task's mean start."""
+        """The rollout of each model under inputs (T, m) from the task's mean start."""
         start = self._study.task.start_mean
         states = np.broadcast_to(start, (len(inputs) + 1, len(start)))
         windows = Windows.of([Rollout(states, inputs)], len(inputs), 1)
@@ -121,7 +121,7 @@ class Designer:
         )
 
     def _judged(self, rollouts: Sequence[Rollout]) -> Excitation:
-        """What the trajectories of all models are expected to tell, on average."""
+        """Expected deviations and information of a trajectory, averaged over its rollouts on all models."""
         errors = self._errors or self._of_noise(rollouts[0])
         covariances, gains = [], []
         for z, rollout in zip(self._z, rollouts, strict=True):

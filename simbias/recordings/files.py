@@ -1,4 +1,4 @@
-"""What an assessment leaves in a folder: page, tables, draws, and the model as config and MJCF."""
+"""Files of an assessment: page, tables, draws, and the model as config and MJCF."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which parameters may be trusted: what the data say of each, and of their combinations."""
+"""Trust in identified parameters: findings about each, and about their combinations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DISAGREEMENT = 3.0  # standard deviations between estimates of two parts
 
 @dataclass(frozen=True)
 class Finding:
-    """A parameter."""
+    """An identified parameter, the share of knowledge that the data added, and doubts about its value."""
 
     prior: Parameter
     estimate: Estimate
@@ -32,7 +32,7 @@ class Finding:
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether there is no doubt about the parameter."""
         return not self.doubts
 
     @property
@@ -50,7 +50,7 @@ class Finding:
 def findings(
     fitted: Identified, by_part: Sequence[Identified], by_window: Sequence[Identified]
 ) -> list[Finding]:
-    """Those of every parameter."""
+    """A finding for each parameter, with its doubts."""
     deviations, R = np.sqrt(np.diag(fitted.covariance)), correlations(fitted)
     names = [parameter.name for parameter in fitted.parameters]
     found = []
@@ -95,7 +95,7 @@ def at_bound(parameter: Parameter, value: float) -> bool:
 
 
 def _of_shrinkage(shrinkage: float) -> str:
-    """What to doubt of a parameter of which so much has been learned."""
+    """The doubt about a parameter whose prior deviation has shrunk by this share; "" if there is none."""
     if shrinkage < UNKNOWN:
         return "the data do not tell"
     return "told in part" if shrinkage < DETERMINED else ""

@@ -68,7 +68,7 @@ class Prediction:
 def predictions(
     task: Task, nominal: Nominal, identified: Sequence[Nominal], parts: Sequence[Sequence[Rollout]]
 ) -> list[Prediction]:
-    """Of each part, predictions by the nominal model and by its identified one, as far as parts last."""
+    """Predictions of each part by the nominal and by the part's identified model, as far as parts last."""
     longest = min(max(rollout.frames for rollout in part) for part in parts)
     frames = {seconds: task.frames(seconds) for seconds in HORIZONS}
     return [
@@ -86,7 +86,7 @@ def predictions(
 def errors(
     nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
 ) -> Array:
-    """Errors (w, n) of predictions so many frames ahead; infinite where a model has blown up."""
+    """Errors (w, n) of predictions this number of frames ahead; infinite where a model has blown up."""
     windows = _windows(rollouts, frames)
     if not windows:
         return np.empty((0, rollouts[0].states.shape[1]))
@@ -107,7 +107,7 @@ def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
 
 
 def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
-    """Windows of so many frames, and the same shifted by a half; None where no rollout lasts as long."""
+    """Windows of this number of frames, also shifted by half of it; None if no rollout lasts as long."""
     shifts = sorted({round(share * frames) for share in SHIFTS})
     cut = [
         Rollout(r.states[: len(r.states) - shift], r.inputs[: len(r.inputs) - shift])

@@ -12,7 +12,7 @@ PIECES = 3  # of a single recording
 
 
 class Part(NamedTuple):
-    """What is held out at once."""
+    """Recordings that are held out together."""
 
     name: str
     rollouts: tuple[Rollout, ...]

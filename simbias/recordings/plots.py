@@ -30,7 +30,7 @@ CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not d
 
 
 def parameters(assessment: Assessment) -> Figure:
-    """Of each parameter: prior and posterior from 5% to 95%, and what each part alone says."""
+    """Prior and posterior of each parameter, from 5% to 95%, and its estimates from each part alone."""
     found = assessment.findings
     figure, (grid,) = panels(len(found), 0.8, COLUMNS)
     for axes, finding in zip(grid, found, strict=True):

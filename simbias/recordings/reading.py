@@ -18,7 +18,7 @@ ENDS = (".csv", ".csv.gz", *BAGS)
 
 
 class Recordings(NamedTuple):
-    """What files hold."""
+    """Rollouts read from files, with their measurement times and notes."""
 
     rollouts: dict[str, Rollout]  # by name: a file's, with a number behind it where gaps cut it
     times: dict[str, Array]  # (k,) when each was measured, in s from its start

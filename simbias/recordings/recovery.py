@@ -37,7 +37,7 @@ class Recovery(NamedTuple):
 
 
 class Take(NamedTuple):
-    """What is repeated with every robot."""
+    """An experiment that is repeated with every robot."""
 
     start: Array  # (n,)
     inputs: Array  # (T, m)
@@ -92,7 +92,7 @@ def recover(
 def record(
     study: Study, model: PredictionModel, take: Take, noise: Array, rng: np.random.Generator
 ) -> Rollout:
-    """What a robot does in a take until it fails, measured with noise (n,) at the take's times."""
+    """The rollout of a robot in a take until it fails, measured with noise (n,) at the take's times."""
     states = np.broadcast_to(take.start, (len(take.inputs) + 1, len(take.start)))
     windows = Windows.of([Rollout(states, take.inputs)], len(take.inputs), 1)
     x = np.vstack([take.start, predict([model], windows)[0, 0]])

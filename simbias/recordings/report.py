@@ -13,7 +13,7 @@ MOST = 5  # parts that are drawn
 
 
 def report(assessment: Assessment, title: str, excitation: Excitation | None) -> str:
-    """All that is known, as HTML in one file."""
+    """The report of an assessment, as HTML in one file."""
     return page(title, _parts(assessment, excitation))
 
 

@@ -84,7 +84,7 @@ def undetermined_lines(assessment: Assessment) -> Iterator[str]:
 
 
 def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:
-    """What to record next."""
+    """Sentences about the trajectory to record next, and the parameters it should narrow."""
     before = np.sqrt(np.diag(assessment.identified.covariance))
     names = [finding.estimate.name for finding in assessment.findings]
     if excitation is None:

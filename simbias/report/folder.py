@@ -1,4 +1,4 @@
-"""The page of whatever a folder holds."""
+"""Report pages of trials' and sweeps' folders."""
 
 from __future__ import annotations
 

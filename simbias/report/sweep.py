@@ -19,7 +19,7 @@ MOST_ROWS = 1000  # of a table on the page
 
 
 def sweep_page(folder: SweepFolder) -> str:
-    """All that is known of a sweep, ended or not, as HTML in one file.
+    """The report of a sweep, ended or not, as HTML in one file.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
 
 
 def _summaries(folder: SweepFolder, description: dict) -> Iterator[TrialSummary]:
-    """How its trials ended or stopped."""
+    """Summaries of the sweep's trials that ended or stopped."""
     for name in description["trials"]:
         summary = TrialFolder(folder.trials / name).summary()
         if summary is not None:

@@ -20,7 +20,7 @@ COLUMNS = ("iteration", "predicted cost", "hardware cost", "experiments", "sampl
 
 
 def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]) -> str:
-    """All that is known of a trial, ended or not, as HTML in one file; errors as of `simbias.load_trial`."""
+    """The report of a trial, ended or not, as HTML in one file; errors as of `simbias.load_trial`."""
     record = read_folder(folder, config_dir, allow)
     with threadpool_limits(1, user_api="blas"):  # as when the trial ran
         return page(record.study.title, _parts(record, TrialFolder(folder)))

@@ -33,7 +33,7 @@ def _rates(x, u, parameters):
 
 
 def _moved(x, rates, seconds):
-    """The state after so many seconds at these rates."""
+    """The state after a duration in s at these rates."""
     return (
         x[0] + seconds * rates[0],
         x[1] + seconds * rates[1],

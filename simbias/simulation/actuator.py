@@ -1,4 +1,4 @@
-"""What lies between an input as it is commanded and as it acts: gain, limit, lag, delay and offset.
+"""Actuators, from the commanded input to the one that acts: gain, limit, lag, delay and offset.
 
     u_acts = offset + lag(limited(gain u(t - delay)))
 
@@ -23,7 +23,7 @@ MOST_TAPS = 100  # frames of delay that a model may remember
 
 
 class Actuator(NamedTuple):
-    """How an input acts; by default as commanded."""
+    """Parameters of an input's actuator; by default, the input acts as commanded."""
 
     gain: float = 1.0
     offset: float = 0.0  # in the input's unit, as the limit is
@@ -33,7 +33,7 @@ class Actuator(NamedTuple):
 
 
 def taps_of(delay: float, time_step: float) -> int:
-    """How many earlier inputs a delay of up to so many seconds needs.
+    """The number of earlier inputs that a delay of up to `delay` s needs.
 
     Raises
     ------
@@ -72,12 +72,12 @@ class Actuators:
         return Kernel(function, np.concatenate([act.parameters, mechanics.parameters]))
 
     def settled(self, u: Array) -> Array:
-        """What acts (..., m) once inputs u (..., m) have been commanded for long."""
+        """The steady-state input (..., m) that acts when u (..., m) is commanded for long."""
         gain, offset, limit = self._parameters[:, :3].T
         return limited(gain * u, limit) + offset
 
     def acting(self, u: Array, memory: Array) -> tuple[Array, Array]:
-        """What acts (..., m) of inputs u (..., m), and the memory (..., s) for the next frame."""
+        """Input (..., m) that acts when u (..., m) is commanded, and memory (..., s) for the next frame."""
         m, act = len(self._parameters), self.kernel.function
 
         def both(u, memory, parameters):
@@ -109,7 +109,7 @@ class Drive:
         self._memory: tuple[float, ...] = (0.0,) * actuators.state_size
 
     def __call__(self, u: Sequence[float]) -> tuple[float, ...]:
-        """What acts in this frame."""
+        """The input (m,) that acts in this frame when u (m,) is commanded."""
         if self._ideal:
             return tuple(u)
         acting, self._memory = self._act(tuple(u), self._parameters, self._memory)
@@ -130,13 +130,13 @@ def limited(x: Any, limit: Any) -> Any:
 
 
 def _earlier(values: Array, frames: int) -> Array:
-    """Each value (k,) so many frames before, zero before the first."""
+    """Values (k,) shifted later by this number of frames, zero before the first."""
     return np.concatenate([np.zeros(frames), values])[: len(values)]
 
 
 @lru_cache(maxsize=64)
 def _act(inputs: int, taps: int, first: int = 0) -> Callable:
-    """The kernel for so many inputs, from the first of them on.
+    """The kernel of the inputs from number `first` on.
 
     Of each input, its parameters are gain, offset, limit, what is kept of the lag's state in a frame, and the
     weights of this frame's input and of those before; its memory is the lag's state and these earlier inputs.
@@ -150,7 +150,7 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
     weighted = function_of(f"def weighted(parameters, memory): return {sum_of(terms)}", "weighted")
 
     def act(u, parameters, memory):
-        """What acts, and the memory for the next frame."""
+        """The inputs that act, and the memory for the next frame."""
         delayed = parameters[p + 4] * u[first] + weighted(parameters, memory)
         keep = parameters[p + 3]
         target = limited(parameters[p] * delayed, parameters[p + 2])
@@ -164,7 +164,7 @@ def _act(inputs: int, taps: int, first: int = 0) -> Callable:
 
 @lru_cache(maxsize=64)
 def _composed(act: Callable, count: int, step: Callable) -> Callable:
-    """The kernel of actuators before a robot's; the first so many parameters are theirs."""
+    """The kernel of actuators before a robot's; the first `count` parameters are the actuators'."""
 
     def advance(x, u, parameters, memory):
         """x_next, and the memory for the next frame."""

@@ -138,7 +138,7 @@ class CompiledSimulator:
         return batch
 
     def _composition(self, terms: Kernel | None, cost: Cost | None) -> Composition:
-        """What is compiled."""
+        """The functions and sizes that the closed loop is compiled from."""
         task, policy = self.task, self.policy
         return Composition(
             measure=Function.of(self.measure),

@@ -31,7 +31,7 @@ class Robot(ABC):
         """Name of the criterion that it violates, if any."""
 
     def reading(self) -> Array:
-        """What sensors without noise say of the state (n,)."""
+        """The reading (n,) of the state by noise-free sensors."""
         return self.state()
 
 

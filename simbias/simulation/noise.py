@@ -16,7 +16,7 @@ SUFFIX = "_variance"
 
 
 def _without_zeros(variances: dict[str, float]) -> dict[str, float]:
-    """What is declared to have no noise need not be declared."""
+    """The variances that are not zero: a quantity without noise need not be declared."""
     return {key: variance for key, variance in variances.items() if variance}
 
 
@@ -55,7 +55,7 @@ class Noise:
 
     @property
     def is_silent(self) -> bool:
-        """Whether there is none, and nothing pushes."""
+        """Whether there is neither noise nor a push."""
         return not (self._pushes or self.input_variance.any() or self.sensor_variance.any())
 
     def draw(self, rng: np.random.Generator) -> Disturbance:

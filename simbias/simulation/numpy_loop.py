@@ -15,7 +15,7 @@ MOST = 256  # rollouts side by side: their records take memory
 
 
 def _in_numpy(bias: FittedBias, x: Array, u: Array) -> Array:
-    """What a bias adds (k, n) at x (k, n), u (k, m)."""
+    """The correction (k, n) of a bias at x (k, n), u (k, m)."""
     return bias.correction(x, u)
 
 
@@ -76,7 +76,7 @@ class PlainSimulator:
         return [record(task.criteria, x, u, *end) for x, u, end in zip(states, inputs, ends, strict=True)]
 
     def _noise(self, x: Array, scenarios: Indices, t: int) -> tuple[Array, Array | float]:
-        """What the policies see of x (k, n), and what acts besides their inputs: (k, m), or nothing."""
+        """Measurements (k, n) of x (k, n), and the disturbance (k, m) of the inputs, 0 without noise."""
         noise = [disturbance for disturbance in self.disturbances if disturbance is not None]
         if not noise:
             return x, 0.0
@@ -116,7 +116,7 @@ def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
-    """The record of a rollout that a criterion ended after so many frames, or the horizon if it is -1."""
+    """The record of a rollout that criterion `violated` ended after `frames` frames; by the horizon if -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
     return (
         Rollout(states, inputs)

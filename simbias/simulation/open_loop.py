@@ -66,12 +66,12 @@ class Windows:
 
     @property
     def experiments(self) -> Indices:
-        """Of each window (w,): its experiment."""
+        """The index (w,) of each window's experiment."""
         return np.repeat(np.arange(len(self.frames)), self.frames // self.window)
 
     @property
     def starts(self) -> Indices:
-        """Of each window (w,): the row in which it begins."""
+        """The row (w,) in which each window begins."""
         each = [
             first + np.arange(0, k, self.window) for first, k in zip(self.firsts, self.frames, strict=True)
         ]
@@ -136,9 +136,9 @@ def _compiled(
 
 
 def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
-    """What a bias adds (k, n) at x (k, n), u (k, m): compiled if that takes linear algebra and has a kernel.
+    """Corrections (k, n) of a bias at x (k, n), u (k, m); compiled if it has a kernel with linear algebra.
 
-    It is what a model whose steps are zero predicts, of k experiments of one frame.
+    Compiled, they are predictions of a model whose steps are zero, of k experiments of one frame.
     """
     if bias.kernel is None or not Function.of(bias.kernel).takes_all_lanes:
         return bias.correction(x, u)
@@ -151,12 +151,12 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
 
 
 def plain(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias | None = None) -> Array:
-    """The same in NumPy: for any components; the compiled loop's reference."""
+    """Predictions in NumPy, for any components: the reference of the compiled `predict`."""
     return np.array([_plain(model, windows, bias) for model in models])
 
 
 def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) -> Array:
-    """Of one model, all windows side by side."""
+    """Predictions of one model, all windows side by side."""
     nominal, starts = model.nominal, windows.starts
     x = windows.states[starts] + (0.0 if model.offset is None else model.offset)
     model_state, made = model_states(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))

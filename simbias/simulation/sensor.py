@@ -1,4 +1,4 @@
-"""What lies between a state and what a policy sees of it, besides noise: an offset and a delay."""
+"""Sensors, from the true state to the policy's measurement, before noise: an offset and a delay."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simbias.core.records import Array
 
 
 def _without_zeros(offsets: dict[str, float]) -> dict[str, float]:
-    """What is not off need not be declared."""
+    """The offsets that are not zero: a quantity without one need not be declared."""
     return {name: offset for name, offset in offsets.items() if offset}
 
 
@@ -40,5 +40,5 @@ class Sensor:
         self._delay = delay
 
     def read(self, states: Sequence[Array], t: int) -> Array:
-        """What it says (n,) in frame t of the states so far, t + 1 of (n,); at first, of the start."""
+        """The reading (n,) in frame t, of the t + 1 states (n,) so far; at first, of the start."""
         return states[max(0, t - self._delay)] + self._offset

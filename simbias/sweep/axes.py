@@ -31,12 +31,12 @@ class Axis:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """All that any point sets."""
+        """The keys that the points set."""
         return tuple(dict.fromkeys(key.lstrip("+") for point in self.points for key in point))
 
     @property
     def numeric(self) -> bool:
-        """Whether its labels are its values, and these are numbers."""
+        """Whether the labels are the points' values, and these are numbers."""
         values = [list(point.values()) for point in self.points]
         numbers = (isinstance(value, int | float) for point in values for value in point)
         own = all(label == join(value) for label, value in zip(self.labels, values, strict=True))

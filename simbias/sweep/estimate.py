@@ -44,7 +44,7 @@ def estimate(sweep: Sweep, finished: DataFrame, study: Study, n_jobs: int) -> Es
 
 
 def _search_seconds(study: Study, samples: int) -> float:
-    """A search's time with a bias that was learned from so many samples, from that of a simulated frame."""
+    """Time of a search in s, extrapolated from a frame's, with a bias learned from `samples` samples."""
     task, evaluation, rng = study.task, study.evaluation, np.random.default_rng(0)
     n, m = len(task.states), len(task.inputs)
     transitions = Transitions(rng.normal(0.0, 0.1, (samples, n + m)), np.zeros((samples, n)))

@@ -45,7 +45,7 @@ class SweptTrials:
         return rows
 
     def in_full(self) -> Iterator[tuple[Row, TrialRecord]]:
-        """The same trials in full, read back one by one, with their rows."""
+        """The trials of `rows` in full, read back one by one, each with its row."""
         for row in self.rows:
             yield row, self.load(row["hash"])
 

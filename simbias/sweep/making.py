@@ -28,7 +28,7 @@ class FigureObserver:
 
     @contextmanager
     def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:
-        """Work of so many steps goes on, some of them done before; what this gives is called after each."""
+        """Work of `total` steps, some of them done before; the function it gives is called after each."""
         yield lambda: None
 
     def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:

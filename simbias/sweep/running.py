@@ -37,7 +37,7 @@ class SweepObserver(FigureObserver):
         """A trial has ended or stopped, and is kept."""
 
     def all_ended(self) -> None:
-        """No trial runs any more, for whatever reason."""
+        """No trial runs any more, for any reason."""
 
 
 def run(

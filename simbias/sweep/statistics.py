@@ -26,13 +26,13 @@ def holds(episodes: str, bar: float = BAR) -> bool:
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean, whatever the values' order; nan for fewer than two."""
+    """Percentile bootstrap interval of the mean, independent of the values' order; nan for fewer than two."""
     return _interval(tuple(sorted(values))) if len(values) > 1 else (np.nan, np.nan)
 
 
 @lru_cache(maxsize=1000)
 def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
-    """Of values in order; notes, tables and figures of a sweep ask for the same ones."""
+    """The interval of sorted values, cached: notes, tables and figures of a sweep ask for the same ones."""
     rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
     for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
         some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
@@ -70,7 +70,7 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
 def stratified_bootstrap(
     statistic: Callable[..., float | Array], *scores: Array, resamples: int = 2000
 ) -> tuple[Array, Array]:
-    """Percentile interval of a statistic of score matrices; runs are drawn anew within each cell."""
+    """Percentile interval of a statistic of score matrices; runs are resampled within each cell."""
     rng = np.random.default_rng(0)
     values = np.array([statistic(*(_resampled(each, rng) for each in scores)) for _ in range(resamples)])
     low, high = np.percentile(values, _tails(), axis=0)
@@ -83,7 +83,7 @@ def _resampled(scores: Array, rng: np.random.Generator) -> Array:
 
 
 class SuccessCurve(NamedTuple):
-    """Probability of success within so many experiments, with its 95% band."""
+    """Probability of success within numbers of experiments, with its 95% band."""
 
     experiments: Array  # (k,)
     probability: Array  # (k,)

@@ -147,7 +147,7 @@ def share(k: int, n: int) -> str:
 
 
 def _succeeded(row: Mapping[Any, Any]) -> str:
-    """How many succeeded, and what is in no number."""
+    """The share of trials that succeeded, and the number of those that raised an error."""
     text = share(row["succeeded"], row["trials"])
     return f"{text}, {row['raised']} raised" if row["raised"] else text
 

@@ -1,4 +1,4 @@
-"""Where trials are kept, and what they are exported to."""
+"""Tracking of trials: their folder, and the store to which they are exported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Export(Observer):
 
     @property
     def where(self) -> str:
-        """How a person looks at it, in one line."""
+        """One line that tells a person how to look at the kept trial."""
         return self._where
 
     def update(self, final: bool = False) -> None:
@@ -88,7 +88,7 @@ class Folders(Tracking):
 
 
 class NoTracking(Tracking):
-    """Nothing is kept."""
+    """Keeps nothing."""
 
     folder = None
 

@@ -41,7 +41,7 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
 
 
 def _trace(verdict: Verdict) -> str:
-    """Where the traceback is of what a component raised."""
+    """The place of the traceback of an error that a component raised."""
     if verdict.error is None or isinstance(verdict.error, ConformanceError):
         return ""
     file = temporary_traceback(with_trace(verdict.error))

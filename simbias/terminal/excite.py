@@ -130,7 +130,7 @@ def _share(rollout: Rollout) -> Array:
 
 
 def _extremes(study: Study, found: Excitation) -> str:
-    """How far states and inputs go."""
+    """The extreme values of states and inputs."""
     task, rollout = study.task, found.rollout
     both = ((task.states, rollout.states), (task.inputs, rollout.inputs))
     return ", ".join(

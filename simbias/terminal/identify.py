@@ -27,7 +27,7 @@ GROUP = "identification"
 
 
 class Request(NamedTuple):
-    """What is asked for."""
+    """Recordings, overrides and folders, as the command line names them."""
 
     recordings: Sequence[str]
     held_out: Sequence[str]
@@ -92,7 +92,7 @@ def identify(request: Request) -> bool:
 
 
 def next_excitation(study: Study, assessment: Assessment) -> Excitation | None:
-    """What to record next."""
+    """The trajectory to record next, which should tell most of the model; None if none keeps the limits."""
     rollouts = [rollout for part in assessment.parts for rollout in part.rollouts]
     designer = Designer(study, assessment.identified, noise_of(rollouts))
     return designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(0))

@@ -88,7 +88,7 @@ def _limit(lower: float, upper: float) -> str:
 
 
 def _first(values: np.ndarray) -> str:
-    """Where a quantity begins."""
+    """The first value of a quantity; "" if it has none."""
     return f"{values[0]:.4g}" if len(values) else ""
 
 

@@ -124,7 +124,7 @@ class SweepConsole(SweepObserver):
         return Group(_rich(arrange(self._sweep, ["done, mean"], self._cell)), self._progress)
 
     def _cell(self, labels: tuple[str, ...]) -> list[str]:
-        """How far a cell is, and its mean so far."""
+        """The number of a cell's trials that are done, of all, and the mean of their experiments."""
         counts = self._experiments.get(labels, [])
         mean = f"{sum(counts) / len(counts):.1f}" if counts else BLANK
         return [f"{len(counts)}/{self._sweep.repetitions} {mean:>5}"]
@@ -175,7 +175,7 @@ class SweepConsole(SweepObserver):
 
     @property
     def waiting(self) -> int:
-        """How many trials wait for the result of an experiment."""
+        """The number of trials that wait for the result of an experiment."""
         return self._outcomes.count(Outcome.WAITING)
 
     def stopped(self, why: str, again: str) -> None:

@@ -1,4 +1,4 @@
-"""Rollouts as files, and whatever else a hardware returns."""
+"""Rollouts as files, and any other results of a hardware."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:
 
 
 def raw_parts(returned: Any) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """The parts by name of whatever a hardware returned: those that are numbers, and the others as text.
+    """The parts by name of any result of a hardware: those that are numbers, and the others as text.
 
     Parts are the fields of an object, the items of a mapping or of a list that is no array; else there is
     one, `returned`.

@@ -148,7 +148,7 @@ def number(step: Path) -> int:
 def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
     """Withdraw the experiment in this file of a trial's folder; also a trial that ended can be resumed then.
 
-    Resumed, it makes the experiment anew. Of the experiments after it, those that are asked for again, with
+    Resumed, it makes the experiment again. Of the experiments after it, those that are asked for again, with
     the same policy in the same place, are taken as they are; searches are made again.
 
     Raises

@@ -1,7 +1,7 @@
 """The test of a trial's last policy: episodes on the hardware that nothing was learned from.
 
 A trial succeeds by a few experiments of a few seconds, which its policy may pass by luck. So after its end
-its last policy is tested, from starts that are the same in every trial of a task, whatever the seed. These
+its last policy is tested, from starts that are the same in every trial of a task, for any seed. These
 episodes are no experiments of the trial, and change nothing in it.
 """
 

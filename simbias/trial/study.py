@@ -175,7 +175,7 @@ class Study:
     method: Method
     seed: int
     composition: Origin  # what the components were built from
-    hardware_of: Callable[[Task], Hardware]  # constructs the hardware anew, for another horizon
+    hardware_of: Callable[[Task], Hardware]  # constructs the hardware again, for another horizon
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = PolicyTest()
     budget: Budget = Budget()
@@ -296,7 +296,7 @@ class Study:
         return AskTell(self.task, run)
 
     def with_horizon(self, horizon: int) -> Study:
-        """The study of a task that takes so many frames; its hardware is constructed anew for it.
+        """The study with another horizon in frames; its hardware is constructed again for it.
 
         Its costs are those of the old horizon.
         """

@@ -89,7 +89,7 @@ def own_listeners() -> list[Any]:
     return [connection.laddr for connection in connections if connection.status == psutil.CONN_LISTEN]
 
 
-def test_strangers_are_kept_out_of_the_local_cluster() -> None:
+def test_the_local_cluster_is_closed_to_outsiders() -> None:
     """Of all ports none talks Dask without the certificate or has a page, and none is for other machines."""
     before = set(own_listeners())
     results = Dask(n_jobs=1).run(double, [1, 2, 3])

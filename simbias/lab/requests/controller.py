@@ -175,7 +175,7 @@ def _limits(task: Task, bounds: Bounds) -> dict[str, Array]:
 
 
 def _words(task: Task, title: str) -> dict[str, object]:
-    """What both languages say."""
+    """Values of the template that both languages share."""
     return {
         "title": harmless(title),
         "time_step": float(task.time_step),

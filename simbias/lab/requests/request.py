@@ -41,7 +41,7 @@ class ExperimentRequest:
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:DIGITS]
 
     def controller(self) -> Controller:
-        """What computes the input of each frame."""
+        """The controller that computes the input of each frame."""
         return self.policy.controller(self.theta, self.task.time_step)
 
     @property
@@ -54,7 +54,7 @@ class ExperimentRequest:
 
     @property
     def start_tolerance(self) -> Array:
-        """How far (n,) from the start an experiment may begin; inf where starts do not vary."""
+        """Largest deviation (n,) from the start where an experiment begins; inf where starts do not vary."""
         deviation = self.task.start_deviation
         return np.where(deviation > 0, START_DEVIATIONS * deviation, np.inf)
 
@@ -87,7 +87,7 @@ class ExperimentRequest:
         return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
     def content(self) -> dict[str, Any]:
-        """Everything that it says, in plain containers."""
+        """The content of the request, in plain containers."""
         task, law, bounds = self.task, self.policy.law(self.theta), self.bounds
         states = zip(_named(task.states), self.start, self.start_tolerance, bounds.states, strict=True)
         inputs = zip(_named(task.inputs), *bounds.input_bounds, bounds.input_rates, strict=True)

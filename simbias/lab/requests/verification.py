@@ -45,7 +45,7 @@ int main(void)
 
 
 def difference(policy: Policy, task: Task, theta: Array, bounds: Bounds, header: str, module: str) -> str:
-    """How the controllers in C and in Python differ from the policy theta (p,), in a line; "" if they agree.
+    """Difference of the controllers in C and Python from the policy theta (p,), in a line; "" if none.
 
     C is tried where there is a compiler, `cc`.
     """
@@ -100,7 +100,7 @@ def _run(controller: Any, states: Array, task: Task) -> Array:
 
 
 def _in_c(compiler: str, header: str, task: Task, sequences: Sequence[Array]) -> list[Array]:
-    """What `_run` gives, of the controller in C."""
+    """Abort flags and inputs (k, 1 + m) of each sequence of states (k, n), by the compiled C controller."""
     n, m = len(task.states), len(task.inputs)
     with TemporaryDirectory(prefix="simbias-") as folder:
         program = Path(folder, "main")

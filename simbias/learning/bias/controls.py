@@ -38,7 +38,7 @@ class MeanBias(Bias):
 
 
 class ConstantBias(FittedBias):
-    """The same mean (n,) and variance (n,) everywhere."""
+    """A bias with constant mean (n,) and variance (n,)."""
 
     def __init__(self, mean: Array, variance: Array) -> None:
         self._mean, self._variance = mean, variance

@@ -29,5 +29,5 @@ class NoBias(Bias):
     """Trusts the nominal model: the baseline that learns nothing."""
 
     def fit(self, transitions: Transitions) -> FittedBias:
-        """g = 0, whatever the data."""
+        """g = 0, for any data."""
         return ZeroBias(transitions.residuals.shape[1])

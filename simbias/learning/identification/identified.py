@@ -1,4 +1,4 @@
-"""What has been identified of a nominal model's parameters, and what was known of them before."""
+"""The identified parameters of a nominal model, and the prior knowledge of them."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class KnownPrior(Nominal):
         return self._nominal.with_parameters(values_at(self._nominal.parameters, self._coordinates(values)))
 
     def posterior(self, fitted: Identified | None) -> Identified:
-        """What is known of the model: from the earlier posterior alone, or from experiments too."""
+        """The posterior of the model, from the earlier one alone or, with a fit, from experiments too."""
         if fitted is None:
             return Identified(self._nominal, self._mode, self._spread, {})
         mode, spread = self._coordinates(fitted.mode), self._spread @ fitted.spread

@@ -99,7 +99,7 @@ class Posterior(Identification):
         return self._window * self._time_step
 
     def with_window(self, window: float) -> Posterior:
-        """The same with predictions of another duration in s."""
+        """A copy whose predictions last `window` s."""
         other = copy(self)
         other._set_window(window)
         return other

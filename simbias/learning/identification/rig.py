@@ -1,4 +1,4 @@
-"""What lies between a robot's mechanics and its record: motors and sensors that are not quite as declared.
+"""Motors and sensors between a robot's mechanics and its record, which are not quite as declared.
 
     y = offset + gain x,    x' = f'(x, acting - friction),    acting = motor(u)
 
@@ -31,7 +31,7 @@ MOST_DELAY = 4.0  # prior deviations that a delay may have
 
 @dataclass(frozen=True)
 class Motor:
-    """How uncertain a motor is: standard deviations, of half-normals but for gain and offset."""
+    """The uncertainty of a motor: standard deviations, of half-normals but for gain and offset."""
 
     gain: Spread = 0.0  # of its logarithm
     offset: NonNegative = 0.0  # in the input's unit
@@ -44,7 +44,7 @@ class Motor:
 
 @dataclass(frozen=True)
 class Sensor:
-    """How uncertain a sensor is: standard deviations."""
+    """The uncertainty of a sensor: standard deviations."""
 
     gain: Spread = 0.0  # of its logarithm
     offset: NonNegative = 0.0  # in the state's unit
@@ -218,7 +218,7 @@ def _back(n: int) -> Callable:
 
 
 def _braked(n: int, brakes: Sequence[int | None]) -> Callable:
-    """What acts of u (m,), less friction at the velocities of these states."""
+    """Code of the input (m,) that acts: u (m,) less friction at the velocities of these states."""
     m, terms = len(brakes), []
     for j, i in enumerate(brakes):
         if i is None:

@@ -1,4 +1,4 @@
-"""HTML pages in one file: headings, sentences, tables and pictures; whatever they say is escaped."""
+"""HTML pages in one file: headings, sentences, tables and pictures; all text is escaped."""
 
 from __future__ import annotations
 

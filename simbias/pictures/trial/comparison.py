@@ -120,7 +120,7 @@ def simulation_words(study: Study, model: Model, samples: int) -> str:
 
 
 def hardware_words(study: Study) -> str:
-    """The hardware."""
+    """The hardware's name, in words."""
     return f"hardware: {study.choices['hardware']}"
 
 

@@ -33,9 +33,9 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """All experiments of the first and of the last policy, in the planes of a state and its rate.
 
     With each comes the simulation that its policy was searched in, if it was, from the same start (a dot). A
-    cross is where a rollout failed. Shaded is what a criterion forbids to a state or rate whatever the other
-    states are (`Criterion.bounds`). Failures also lie elsewhere, as a criterion may weigh several states
-    against each other.
+    cross is where a rollout failed. Shaded is what a criterion forbids to a state or rate by itself
+    (`Criterion.bounds`). Failures also lie elsewhere, as a criterion may weigh several states against each
+    other.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
 
 def state_bounds(task: Task) -> Array:
-    """How large (n,) each state may be, whatever the others are; infinite where no criterion says."""
+    """The largest |x| (n,) that criteria allow each state by itself; infinite where none limits it."""
     return np.array(
         [
             min((criterion.bounds.get(state.name, np.inf) for criterion in task.criteria), default=np.inf)

@@ -1,4 +1,4 @@
-"""Which samples were learned from, and why others were not (Section IV-C)."""
+"""Samples that were learned from, and the reasons why others were not (Section IV-C)."""
 
 from __future__ import annotations
 
@@ -69,6 +69,6 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
 
 def _readable_on(color: str) -> str:
-    """Black or white."""
+    """Black or white, whichever is readable on this color."""
     red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
     return "white" if 0.3 * red + 0.59 * green + 0.11 * blue < 140 else "black"

@@ -43,7 +43,7 @@ class Reference:
         self._check(np.linspace(0.0, seconds, 1000))
 
     def __call__(self, t: Any) -> Array:
-        """Its values (..., g) at times t (...) in s."""
+        """Reference values (..., g) at times t (...) in s."""
         times = np.stack([t], axis=-1)  # (..., 1); a number may be a symbol
         if self._expressions is not None:
             values = self._expressions(times[None])

@@ -130,7 +130,7 @@ class Declared(Task):
         )
 
     def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
-        """Where which quantities are to be."""
+        """Set the goal's quantities and their reference."""
         if goal and file:
             raise ValueError("one of goal and reference is to be given")
         self._reference, self._goals = None, self.states
@@ -196,7 +196,7 @@ class Declared(Task):
         return np.concatenate([x, self.output(x)], axis=-1)[..., self._aimed]
 
     def reference(self, t: Any) -> Array:
-        """Where they are to be, (..., g) or (g,), at times t (...) in s."""
+        """Reference values (..., g) or (g,) of the goal's quantities at times t (...) in s."""
         return super().reference(t) if self._reference is None else self._reference(t)
 
     def succeeds(self, states: Array) -> bool | None:
@@ -253,7 +253,7 @@ def _push(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
 
 
 def _criterion(name: str, failure: Failure, states: Collection[str]) -> Criterion:
-    """The criterion; of |state| it is known what it allows to the state, whatever the others are."""
+    """The failure criterion; a limit of |state| also bounds the state by itself."""
     limit = failure.above if failure.above is not None else -(failure.below or 0.0)
     value = failure.value.replace(" ", "")
     bounds = {state: limit for state in states if value == f"abs({state})"}

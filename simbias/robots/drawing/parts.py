@@ -39,7 +39,7 @@ def draw_parts(axes: Axes, parts: Parts, colors: Mapping[str, str], muted: bool)
 
 
 def move_parts(artists: Mapping[str, Artist], parts: Parts, muted: bool) -> None:
-    """Move what `draw_parts` has drawn; much faster than drawing anew."""
+    """Move what `draw_parts` has drawn; much faster than drawing again."""
     for name, part in parts.items():
         artist = artists[name]
         if isinstance(artist, Circle) and isinstance(part, Disc):

@@ -140,7 +140,7 @@ def _check_size(path: Path, copies: int = 1) -> None:
 
 
 def _check_element(element: Any, path: Path, copies: int) -> None:
-    """Refuse what an element of a file makes, itself in so many copies."""
+    """Refuse an element of a file that makes too much, in `copies` copies of itself."""
     if element.tag in ("hfield", "texture"):
         _limit(element, _product(element, "nrow", "ncol", "width", "height"), MOST_CELLS, "cells")
     if element.tag in ("replicate", "composite", "flexcomp"):

@@ -126,7 +126,7 @@ def _frame(robot: Mechanism) -> Callable:
 
 
 def _advance_in_place(state, parameters, before, after, steps):
-    """The state after so many steps, in the first free place."""
+    """Advance the state by this number of steps, in the first free place."""
     model, table, count = int(parameters[0]), int(parameters[1]), int(parameters[2])
     i = 0
     while not _exchanged(table + i * WORDS * WORD, FREE, TAKEN):
@@ -142,7 +142,7 @@ def _advance_in_place(state, parameters, before, after, steps):
 
 @compiled_as(_advance_in_place)
 def _advance(state: Array, parameters: Array, before: int, after: int, steps: int) -> None:
-    """The state after so many steps, in a place of its own: as Python does it, to compare."""
+    """Advance the state by this number of steps in Python, in a place of its own, to compare."""
     engine, model = _library(), ctypes.c_void_p(int(parameters[0]))
     data, numbers = ctypes.c_void_p(engine.mj_makeData(model)), state.ctypes.data_as(ctypes.c_void_p)
     engine.mj_setState(model, data, numbers, before)

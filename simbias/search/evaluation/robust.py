@@ -86,7 +86,7 @@ class Robust(Evaluation):
     aggregate
         The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
     screening
-        After so many rollouts, a policy that failed in all of them is not simulated any further.
+        Rollouts after which a policy that failed in all of them is not simulated any further.
     seconds
         That the rollouts take at most, so that policies are found that last; None is the task's horizon.
     """

@@ -37,7 +37,7 @@ class Hybrid(Optimizer):
     resolution
         CMA-ES gives up when it fails and all its deviations are below it, in units of the box's width.
     candidate_deviation
-        Standard deviation of CMA-ES's first generation around the best of the candidates, whatever it costs,
+        Standard deviation of CMA-ES's first generation around the best candidate, even above the target,
         in units of the box's width; None is `initial_deviation`, around one below the target.
     """
 

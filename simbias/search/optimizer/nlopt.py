@@ -22,7 +22,7 @@ Algorithm = Literal["GN_DIRECT", "GN_DIRECT_L", "GN_DIRECT_L_RAND", "GN_ORIG_DIR
 class Nlopt(Optimizer):
     """A global, derivative-free search by NLopt; GN_DIRECT is the DIRECT of Section V.
 
-    DIRECT without RAND is deterministic: it evaluates the same points whatever the random generator. NLopt's
+    DIRECT without RAND is deterministic: it evaluates the same points for any random generator. NLopt's
     own ftol_rel is not used: GN_ORIG_DIRECT ignores it.
 
     Parameters

@@ -150,7 +150,7 @@ class Compilation:
         return copy, digest.hexdigest()
 
     def _value(self, value: Any, inline: bool, digest: _Digest) -> Any:
-        """What a name stands for in compiled code."""
+        """The object that a name stands for in compiled code, noted in the digest."""
         if isinstance(value, FunctionType) or is_jitted(value):
             hashed, value, _ = self._hashed(value, inline)
             _note(digest, hashed)
@@ -181,14 +181,14 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _description(code: CodeType) -> Iterator[Any]:
-    """What code does, wherever it stands."""
+    """Bytecode, names and constants of code, independent of its place in a file."""
     yield from (code.co_code, code.co_names, code.co_varnames, code.co_freevars)
     for constant in code.co_consts:
         yield tuple(_description(constant)) if isinstance(constant, CodeType) else constant
 
 
 def _folder() -> Path:
-    """Where compiled code is kept: where Numba is told to, else where caches are."""
+    """The folder of compiled code: Numba's own if it is set, else among the caches."""
     settings: Any = numba.config  # whose attributes no type checker knows
     return cache_folder("closed_loops", *filter(None, [settings.CACHE_DIR]))
 

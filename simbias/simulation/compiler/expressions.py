@@ -109,7 +109,7 @@ class _Parser:
         return value
 
     def parse(self, name: str, text: str) -> Value:
-        """An expression."""
+        """The parsed value of an expression."""
         try:
             parsed = ast.parse(text.strip(), mode="eval").body
             if _depth(parsed) > DEPTH:
@@ -168,7 +168,7 @@ class _Parser:
 
 
 def _number(value: float) -> Value:
-    """A number."""
+    """A finite number, as a value of no variables."""
     number = np.float64(value)
     if not math.isfinite(number):
         raise _NotAllowedError("numbers have to be finite")
@@ -181,9 +181,9 @@ def _applied(function: Callable, *operands: Value) -> Value:
 
 
 def _depth(node: ast.AST) -> int:
-    """How many parts lie within each other."""
+    """The depth to which parts are nested."""
     return 1 + max(map(_depth, ast.iter_child_nodes(node)), default=0)
 
 
 class _NotAllowedError(Exception):
-    """What an expression may not use; the message says what it may."""
+    """An expression uses a part that is not allowed; the message says what is."""

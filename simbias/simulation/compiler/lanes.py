@@ -29,7 +29,7 @@ _UNALIGNED = 4  # bytes; NumPy's arrays are aligned to 16 at least, which gains 
 
 
 class Lanes(types.Type):
-    """The type of them."""
+    """Numba's type of a vector register with one float in each lane."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Lanes({LANES})")
@@ -79,7 +79,7 @@ for _function, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
 
 
 def _address(context, builder, array_type, array, index):
-    """Of the first element of a row of LANES, or of the elements from an index on."""
+    """The address of the first element of a row of LANES, or of the elements from an index on."""
     data = context.make_array(array_type)(context, builder, array).data
     elements = LANES if array_type.ndim == 2 else 1
     offset = builder.mul(index, ir.Constant(ir.IntType(64), elements))

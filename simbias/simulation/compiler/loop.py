@@ -87,7 +87,7 @@ class Function(NamedTuple):
 
     @property
     def takes_all_lanes(self) -> bool:
-        """Whether it is the kernel of a bias that works on all lanes."""
+        """Whether the function is the kernel of a bias that works on all lanes."""
         return len(inspect.signature(self.function).parameters) == len(("x", "u", "data", "correction"))
 
     def read(self, name: str, array: str = "") -> str:
@@ -147,7 +147,7 @@ class Loop:
 
     @property
     def source(self) -> str:
-        """Its text."""
+        """The Python source of the loop."""
         step, correct = self.functions["step"], self.functions["correct"]
         advance = [*self.advance, *self._stepped(step)]
         constants, settle = [*self.constants], []
@@ -189,7 +189,7 @@ class Loop:
         ]
 
     def _settled(self, x_new: str) -> list[str]:
-        """The next state."""
+        """Lines that set the next state."""
         return [f"x_new = {tuple_of(x_new, self.n)}", *assign("x", "x_new", self.n), *self.settle]
 
     def _layout(self) -> list[str]:

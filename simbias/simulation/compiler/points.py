@@ -14,14 +14,14 @@ ROWS = 32
 
 
 class Points:
-    """Drawn when they are first looked at, which components with kernels of their own never do."""
+    """States and inputs, drawn on first use; components with kernels of their own never use them."""
 
     def __init__(self, draw: Callable[[], tuple[Array, Array]]) -> None:
         self._draw = draw
 
     @cached_property
     def _drawn(self) -> tuple[Array, Array]:
-        """All of them."""
+        """States (ROWS, n) and inputs (ROWS, m), drawn on first use."""
         return self._draw()
 
     @property

@@ -18,7 +18,7 @@ MOST = 3000  # operations and numbers: to compile 2,500 of them takes LLVM a min
 
 
 class TraceError(TypeError):
-    """What was asked of a symbol cannot be written down; the message says what."""
+    """An operation on a symbol cannot be written down; the message names it."""
 
 
 class Trace:
@@ -100,7 +100,7 @@ class Symbol(NDArrayOperatorsMixin):
         return arrays().array(self)[index]
 
     def __getattr__(self, name: str) -> Any:
-        """What a number of NumPy's has too; NumPy asks elements of plain arrays for functions by name."""
+        """An attribute that NumPy's numbers have too; NumPy looks up functions on elements by name."""
         if name.startswith("__"):
             raise AttributeError(name)
         if name in _BY_NAME:

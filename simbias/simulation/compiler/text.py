@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 
 def tuple_of(element: str, size: int, offset: int = 0) -> str:
-    """A tuple of so many elements, written with their index, and their index after an offset."""
+    """The text of a tuple of `size` elements, each written with its index and its index after an offset."""
     return f"({''.join(element.format(i, offset + i) + ', ' for i in range(size))})"
 
 

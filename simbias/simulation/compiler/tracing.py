@@ -150,7 +150,7 @@ class PolicyKernel(NamedTuple):
         return self.control.numbers
 
     def parameters(self, thetas: Array) -> Array:
-        """Those (k, r) of thetas (k, p)."""
+        """Parameters (k, r) of the kernel for thetas (k, p)."""
         return _rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
 
 
@@ -202,7 +202,7 @@ def _compare_frames(act: Callable, traced: PolicyKernel, thetas: Array, points: 
 
 
 def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
-    """What the policy theta (p,) computes in each frame, or why that cannot be written down."""
+    """Formulas of the policy theta (p,) in each frame, or the reason why they cannot be written down."""
 
     def trace(subject: Callable) -> Formulas:
         return _formulas(Trace(), subject, policy, task, theta[None])
@@ -212,14 +212,14 @@ def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
 
 
 def _formulas(trace: Trace, act: Callable, policy: Policy, task: Task, theta: Array) -> Formulas:
-    """What a policy's `act` computes of theta (1, p)."""
+    """Formulas of a policy's `act` at theta (1, p)."""
     x, state = row(trace, "x", len(task.states)), row(trace, "policy_state", policy.state_size)
     made = act(theta, x, trace.given("t"), state)
     return Formulas(trace, *_vectors(made, (len(task.inputs), policy.state_size), trace))
 
 
 def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[Symbol]:
-    """What is computed of thetas, and used together with what changes in a rollout."""
+    """Symbols that depend on thetas alone and are used with symbols that change in a rollout."""
     changing: set[int] = set()
     for symbol in trace.symbols:
         own = symbol.name == "given" and not symbol.value.startswith("theta[")
@@ -234,7 +234,7 @@ def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[
 
 
 def _vectors(made: Any, sizes: Sequence[int], trace: Trace) -> list[list[Symbol]]:
-    """What a method gave for one row, as vectors of these sizes."""
+    """The results of a method for one row, as vectors of these sizes."""
     if len(made) != len(sizes):
         raise TraceError(f"it gives {len(made)} values, not {len(sizes)}")
     vectors = [symbols_in(each, trace) for each in made]
@@ -325,7 +325,7 @@ _FOUND: dict[int, dict[str, KernelOrReason]] = {}  # by the component's identity
 
 
 def _once(component: Any, method: str, find: Callable[[], KernelOrReason]) -> KernelOrReason:
-    """What was found of the component's method before, or is found now."""
+    """The kernel of a component's method, or the reason why there is none; looked for once."""
     key = id(component)
     if key not in _FOUND:
         weakref.finalize(component, _FOUND.pop, key, None).atexit = False

@@ -1,4 +1,4 @@
-"""What a trace computes, as text: in Python for Numba and for NumPy's numbers, and in C."""
+"""Text of a trace's operations: in Python for Numba and for NumPy's numbers, and in C."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ _IN_C = {
 
 @dataclass(frozen=True)
 class Language:
-    """How operations, numbers and statements are written."""
+    """The notation of operations, numbers and statements in a language."""
 
     operations: Mapping[str, str]
     infinity: str = "np.inf"
@@ -155,7 +155,7 @@ def statements(
 
 
 class Formulas(NamedTuple):
-    """What is computed of x (n,), the time t and the policy state (s,) in a frame."""
+    """Symbols of a frame's u (m,) and next policy state (s,), from x (n,), time t and policy state."""
 
     trace: Trace
     u: list[Symbol]
@@ -172,7 +172,7 @@ class Formulas(NamedTuple):
 
     @property
     def time_dependent(self) -> bool:
-        """Whether they take the time."""
+        """Whether the formulas depend on the time."""
         return any(symbol.value == "t" for symbol in needed(self.trace, [self.u, self.policy_state]))
 
 
@@ -208,7 +208,7 @@ def written(
 
 
 def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[int] = ()) -> list[Symbol]:
-    """What is needed for these vectors, besides what is known, in the order in which it was asked for."""
+    """Symbols that these vectors depend on, except the known ones, in the order of the trace."""
     wanted = {symbol.index for vector in results for symbol in vector} - set(known)
     for symbol in reversed(trace.symbols):
         if symbol.index in wanted:
@@ -217,7 +217,7 @@ def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[
 
 
 def columns(function: Callable, *arguments: Any) -> tuple[Any, ...]:
-    """What the function gives (..., r) for rows of vectors (k, n), numbers of each row (k,) and others."""
+    """The r results of a one-row function, for all rows of vectors (k, n) and of numbers (k,) at once."""
     given = [tuple(each.T) if isinstance(each, np.ndarray) and each.ndim > 1 else each for each in arguments]
     with np.errstate(all="ignore"):
         return function(*given)

@@ -148,7 +148,7 @@ def _caption(numbers: pd.DataFrame, bar: float) -> str:
 
 
 def _figure(methods: dict[str, _Method], numbers: pd.DataFrame) -> Figure:
-    """Three panels."""
+    """The figure of three panels."""
     figure = Figure(figsize=(WIDTH, ROW * len(methods) + REST), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     y = np.arange(len(numbers))

@@ -100,6 +100,6 @@ class _Corrected:
         return self._predicted.together(thetas) * self._factors(thetas)
 
     def _factors(self, thetas: Array) -> Array:
-        """What each of the policies (k, p) costs more than predicted, at least: (k,)."""
+        """Factors (k,) by which policies (k, p) cost more than predicted: one deviation below the mean."""
         mean, variance = self._residual.predict(thetas)
         return np.exp(mean[:, 0] - np.sqrt(variance[:, 0]))

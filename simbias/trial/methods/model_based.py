@@ -48,7 +48,7 @@ class ModelBased(Method):
         those beyond are made only as long as all are passed.
     confidence
         Share of starts that a trial has to know that its policy holds: success takes as many passes as bound
-        it by that (`simbias.trial.claim`), whatever `passes` says. None: it does not ask.
+        it by that (`simbias.trial.claim`), regardless of `passes`. None: it does not ask.
     model_selection
         Search on the model that predicts experiments best which it did not learn from: the nominal one as
         declared, with identified parameters, or with a bias too (`simbias.trial.model_selection`); else on

@@ -1,4 +1,4 @@
-"""What is read is data, never code."""
+"""Untrusted input is read as data, never run as code."""
 
 from __future__ import annotations
 
