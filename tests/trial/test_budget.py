@@ -58,8 +58,6 @@ def test_a_method_that_goes_its_own_way_is_stopped_too(point_mass: Study, tmp_pa
     study = replace(point_mass, method=Direct(), budget=Budget(experiments=3))
     run_trial(study, tmp_path)
     assert len(TrialFolder(tmp_path).steps()) == 3
-        f"{i:04}_experiment.npz" for i in range(3)
-    ]
 
 
 def test_no_budget_changes_no_identity() -> None:
