@@ -26,7 +26,7 @@ class Scenario:
     start: Array  # (n,)
 
 
-class CostOfScenarios:
+class CostOfScenarios(Objective):
     """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
 
     A policy that failed in each of the first `screening` scenarios is judged by these alone.
@@ -39,12 +39,7 @@ class CostOfScenarios:
         self._cost = cost
         self._worst = worst  # number of the worst costs, which are averaged
         self._screening = screening
-        self.steps = 0
         self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
-
-    def __call__(self, theta: Array) -> float:
-        """The cost of theta (p,)."""
-        return float(self.together(theta[None])[0])
 
     def together(self, thetas: Array) -> Array:
         """The costs (k,) of thetas (k, p); all policies in all scenarios run in lockstep."""
@@ -110,7 +105,6 @@ class Robust(Evaluation):
         self._task = task
         self.rollouts = rollouts
         self._noise = Noise(task, noise)
-        self.noisy_rollouts = 0 if self._noise.is_silent else rollouts
         self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
         self._sample_starts = sample_starts
         self._sample_nominal = sample_nominal
