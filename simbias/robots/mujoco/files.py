@@ -5,19 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib.util import find_spec
-from math import prod
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from simbias.core.messages import quote, words
+from simbias.core.messages import words
 from simbias.robots.mujoco.parameters import mujoco
-
-# Limits within which a file is read in seconds.
-MOST_COPIES = 10_000  # of an element, by replicate, composite and flexcomp
-MOST_CELLS = 10**8  # of a height field or a texture
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes that name folders,
 NAMING = (
@@ -98,7 +93,6 @@ def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
 def _spec(path: Path, actuators: Sequence[str]) -> Any:
     """Specification of a file, elements without a name named, with motors at joints named as actuators."""
     engine = mujoco()
-    _check_size(path)
     spec = engine.MjSpec.from_file(str(path))
     _name(spec.joints, "joint", [joint.parent.name for joint in spec.joints])
     _name(spec.actuators, "actuator", [actuator.target for actuator in spec.actuators])
@@ -127,39 +121,3 @@ def _name(elements: Sequence[Any], kind: str, names: Sequence[str]) -> None:
         if not element.name:
             element.name = name if name and name not in known else f"{kind}_{index}"
             known.add(element.name)
-
-
-def _check_size(path: Path, copies: int = 1) -> None:
-    """Refuse a file that MuJoCo would read for hours, or that would fill the memory."""
-    if path.is_file():
-        try:
-            root = ElementTree.parse(path).getroot()
-        except ElementTree.ParseError:  # MuJoCo says where
-            return
-        _check_element(root, path, copies)
-
-
-def _check_element(element: Any, path: Path, copies: int) -> None:
-    """Refuse an element of a file that makes too much, in `copies` copies of itself."""
-    if element.tag in ("hfield", "texture"):
-        _limit(element, _product(element, "nrow", "ncol", "width", "height"), MOST_CELLS, "cells")
-    if element.tag in ("replicate", "composite", "flexcomp"):
-        copies *= _product(element, "count")
-        _limit(element, copies, MOST_COPIES, "copies")
-    if element.tag in ("include", "model") and element.get("file") not in (None, path.name):
-        _check_size(path.parent / element.attrib["file"], copies)
-    for child in element:
-        _check_element(child, path, copies)
-
-
-def _product(element: Any, *attributes: str) -> int:
-    """The product of the whole numbers that an element's attributes list; those that are none count as 1."""
-    listed = [number for name in attributes for number in element.get(name, "").split()]
-    return prod(int(number) for number in listed if number.isdecimal())
-
-
-def _limit(element: Any, number: int, most: int, things: str) -> None:
-    """Refuse an element that makes too many things."""
-    if number > most:
-        name = f" {quote(element.attrib['name'])}" if "name" in element.attrib else ""
-        raise ValueError(f"{element.tag}{name} makes {number:.3g} {things}, more than {most:.0e}")
