@@ -151,6 +151,24 @@ class Evaluations:
             raise SearchEnded(EVALUATION_LIMIT)
         return judged
 
+    @property
+    def draws_anew(self) -> bool:
+        """Whether the objective ranks generations in scenarios of their own."""
+        return hasattr(self._objective, "anew")
+
+    def rank(self, points: Sequence[Array]) -> list[float]:
+        """Costs by which the points (p,) of a generation are ranked, in its own scenarios if it has such.
+
+        Those are counted, but not judged: they tell nothing of other generations.
+        """
+        if not self.draws_anew:
+            return self.evaluate_all(points)
+        self.check_budget()
+        if self.remaining <= len(points):  # one is left for the generation's mean
+            raise SearchEnded(EVALUATION_LIMIT)
+        self.count += len(points)
+        return self._objective.anew(np.array([self.inside(point) for point in points])).tolist()
+
     def inside(self, point: Array) -> Array:
         """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
         return np.minimum(np.maximum(point, self.lower), self.upper)

@@ -81,7 +81,11 @@ class Cost(ABC):
 
 
 class Objective(Protocol):
-    """The deterministic objective of a policy search. A plain function will do, `together` is faster."""
+    """The deterministic objective of a policy search. A plain function will do, `together` is faster.
+
+    One whose scenarios are drawn anew for each generation of a search offers `anew` beside `together`, with
+    the same arguments: its costs rank the policies of one call, and do not compare with those of another.
+    """
 
     steps: int  # simulated so far, for searches that are limited by them
 

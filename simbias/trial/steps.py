@@ -86,6 +86,8 @@ class _Watched:
         self._evaluations, self._best = 0, np.inf
         if hasattr(objective, "together"):
             self.together = self._together
+        if hasattr(objective, "anew"):  # of which no cost is the search's
+            self.anew = objective.anew
 
     @property
     def steps(self) -> int:

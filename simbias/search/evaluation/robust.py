@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -29,18 +30,40 @@ class Scenario:
 class CostOfScenarios:
     """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
 
-    A policy that failed in each of the first `screening` scenarios is judged by these alone.
+    A policy that failed in each of the first `screening` scenarios is judged by these alone. If `draw` is
+    given, `anew` offers the same in scenarios of its own for each call.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], cost: Cost, worst: int, screening: int) -> None:
-        self.scenarios = scenarios
-        self._simulators = join([scenario.simulator for scenario in scenarios])
-        self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        cost: Cost,
+        worst: int,
+        screening: int,
+        draw: Callable[[], Sequence[Scenario]] | None = None,
+    ) -> None:
+        self._meet(scenarios)
         self._cost = cost
         self._worst = worst  # number of the worst costs, which are averaged
         self._screening = screening
         self.steps = 0
         self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
+        if draw is not None:
+            self._draw, self.anew = draw, self._anew
+
+    def _meet(self, scenarios: Sequence[Scenario]) -> None:
+        """Let policies run in these scenarios."""
+        self.scenarios = scenarios
+        self._simulators = join([scenario.simulator for scenario in scenarios])
+        self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
+
+    def _anew(self, thetas: Array) -> Array:
+        """The costs (k,) of thetas (k, p) in scenarios that are drawn for this call."""
+        other = copy(self)
+        other._meet(self._draw())
+        costs = other.together(thetas)
+        self.steps, self._share_promising = other.steps, other._share_promising
+        return costs
 
     def __call__(self, theta: Array) -> float:
         """The cost of theta (p,)."""
@@ -87,6 +110,9 @@ class Robust(Evaluation):
         The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
     screening
         Rollouts after which a policy that failed in all of them is not simulated any further.
+    fresh
+        CMA-ES ranks each generation in scenarios of its own, so that no search fits its policies to a few. The
+        generations' means are judged in those that are common, and the best of them is found.
     seconds
         That the rollouts take at most, so that policies are found that last; None is the task's horizon.
     """
@@ -103,6 +129,7 @@ class Robust(Evaluation):
         sample_bias: bool = False,
         screening: Count = 2,
         seconds: RolloutSeconds | None = None,
+        fresh: bool = False,
     ) -> None:
         if seconds is not None:
             task = task.with_horizon(task.frames(seconds))
@@ -116,13 +143,18 @@ class Robust(Evaluation):
         self._sample_nominal = sample_nominal
         self._sample_bias = sample_bias
         self._screening = screening
+        self._fresh = fresh
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
-        """The aggregated cost in scenarios that are drawn here, once."""
+        """The aggregated cost in scenarios that are drawn here, once; fresh ones are drawn when they are met."""
         if self.horizon is not None:
             model, cost = replace(model, task=self._task), cost.with_horizon(self.horizon)
-        scenarios = [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self.rollouts)]
-        return CostOfScenarios(scenarios, cost, self._worst, self._screening)
+
+        def draw() -> list[Scenario]:
+            return [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self.rollouts)]
+
+        fresh = draw if self._fresh else None
+        return CostOfScenarios(draw(), cost, self._worst, self._screening, fresh)
 
     def _scenario(self, model: Model, rng: np.random.Generator) -> Scenario:
         """Draw what is uncertain; what is not asked for changes nothing in the rest."""

@@ -51,15 +51,18 @@ def evolve(
 
     It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
     keeps it inside. It gives up where no cost of a generation is below the target and all deviations are
-    below the resolution. Pycma's own tests on costs are off: they are absolute, or relative to what the cost
+    below the resolution. Where generations are ranked in scenarios of their own, their means are what is
+    judged. Pycma's own tests on costs are off: they are absolute, or relative to what the cost
     of a failure in Eq. 8 inflates.
     """
     width = evaluations.upper - evaluations.lower
     evolution = strategy(evaluations.lower, evaluations.upper, rng, start, deviation, population)
     while not (stop := evolution.stop()):
         points = evolution.ask()
-        costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
+        costs = evaluations.rank([evaluations.lower + width * point for point in points])
         evolution.tell(points, costs)
+        if evaluations.draws_anew:
+            costs = [evaluations.evaluate(evaluations.lower + width * evolution.result.xfavorite)]
         if max(evolution.stds) < resolution and min(costs) >= evaluations.target_cost:
             return RESOLUTION
     return f"pycma's {' and '.join(stop)}"
