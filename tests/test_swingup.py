@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import simbias
+from simbias.trial.observer import Observer
 from simbias.trial.steps import search
-from simbias.trial.study import Observer
 
 QUICK = ["evaluation=nominal_start", "optimizer.max_evaluations=3000"]
 

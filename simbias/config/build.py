@@ -17,9 +17,10 @@ from simbias.config.renamed import unknown
 from simbias.core import Hardware, Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
-from simbias.trial.study import Budget, PolicyTest, Study
+from simbias.trial.budget import Budget
+from simbias.trial.study import PolicyTest, Study
 
-NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "composition", "hardware_of")
+NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "spending", "composition", "hardware_of")
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],

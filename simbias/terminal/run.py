@@ -14,8 +14,9 @@ from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.folder import TrialFolder
+from simbias.trial.observer import Observers
 from simbias.trial.run import run_trial
-from simbias.trial.study import Observers, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 

@@ -17,9 +17,9 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
     """Run what is missing of a sweep, or tell what that is; `again` is the command that does."""
     trials_engine, store = engine(composition), tracking(composition)
     with preparing(), slowness_in_one_line():
-        sweep, study, finished = running.prepare(store, variations)
+        sweep, finished = running.prepare(store, variations)
     if sweep.dry_run:
-        dry_run(sweep, study, finished, trials_engine)
+        dry_run(sweep, finished, trials_engine)
         return SUCCEEDED
     console = SweepConsole()
     if changed := running.changed_trials(sweep, store):

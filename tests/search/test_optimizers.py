@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from simbias.config import compose
 from simbias.config.build import construct
-from simbias.core import Optimizer
+from simbias.core import Objective, Optimizer
 from simbias.core.evaluations import EVALUATION_LIMIT, RELATIVE_TOLERANCE, Evaluations
 from simbias.core.records import Array, Optimum
 from simbias.search.optimizer.nlopt import Algorithm
@@ -331,11 +331,8 @@ def test_cma_starts_at_the_centre() -> None:
     assert np.mean(watched.points, axis=0) == pytest.approx(np.zeros(5), abs=0.02)
 
 
-class Together:
+class Together(Objective):
     """A sphere whose points may be asked for at once; it is looked ahead."""
-
-    def __call__(self, theta: Array) -> float:
-        return float(np.sum(theta**2))
 
     def together(self, thetas: Array) -> Array:
         return np.sum(thetas**2, axis=1)

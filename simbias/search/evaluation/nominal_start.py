@@ -12,17 +12,13 @@ from simbias.simulation.closed_loop import Scenarios, join, simulator
 
 
 @dataclass(eq=False)
-class CostOfOneRollout:
+class CostOfOneRollout(Objective):
     """Z (Eq. 8) of a policy's rollout from one start."""
 
     simulator: Scenarios
     cost: Cost
     start: Array  # (n,)
     steps: int = 0  # simulated so far
-
-    def __call__(self, theta: Array) -> float:
-        """Z of theta (p,)."""
-        return float(self.together(theta[None])[0])
 
     def together(self, thetas: Array) -> Array:
         """Z (k,) of thetas (k, p)."""

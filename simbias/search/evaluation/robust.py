@@ -27,11 +27,11 @@ class Scenario:
     start: Array  # (n,)
 
 
-class CostOfScenarios:
+class CostOfScenarios(Objective):
     """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
 
     A policy that failed in each of the first `screening` scenarios is judged by these alone. If `draw` is
-    given, `anew` offers the same in scenarios of its own for each call.
+    given, it ranks policies in scenarios that it draws for each call.
     """
 
     def __init__(
@@ -46,10 +46,9 @@ class CostOfScenarios:
         self._cost = cost
         self._worst = worst  # number of the worst costs, which are averaged
         self._screening = screening
-        self.steps = 0
         self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
-        if draw is not None:
-            self._draw, self.anew = draw, self._anew
+        self._draw = draw
+        self.fresh = draw is not None
 
     def _meet(self, scenarios: Sequence[Scenario]) -> None:
         """Let policies run in these scenarios."""
@@ -57,17 +56,15 @@ class CostOfScenarios:
         self._simulators = join([scenario.simulator for scenario in scenarios])
         self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
 
-    def _anew(self, thetas: Array) -> Array:
-        """The costs (k,) of thetas (k, p) in scenarios that are drawn for this call."""
+    def rank(self, thetas: Array) -> Array:
+        """Costs (k,) of thetas (k, p) in the same scenarios or, if they are fresh, in some of this call alone."""
+        if self._draw is None:
+            return self.together(thetas)
         other = copy(self)
         other._meet(self._draw())
         costs = other.together(thetas)
         self.steps, self._share_promising = other.steps, other._share_promising
         return costs
-
-    def __call__(self, theta: Array) -> float:
-        """The cost of theta (p,)."""
-        return float(self.together(theta[None])[0])
 
     def together(self, thetas: Array) -> Array:
         """The costs (k,) of thetas (k, p); all policies in all scenarios run in lockstep."""
@@ -137,7 +134,6 @@ class Robust(Evaluation):
         self._task = task
         self.rollouts = rollouts
         self._noise = Noise(task, noise)
-        self.noisy_rollouts = 0 if self._noise.is_silent else rollouts
         self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
         self._sample_starts = sample_starts
         self._sample_nominal = sample_nominal

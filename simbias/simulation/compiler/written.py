@@ -16,11 +16,8 @@ from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.symbols import OF_NUMPY, Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
-NAMES = {
-    **{"np": np, "sincos": sincos, "arctan": arctan, "tanh": tanh},
-    **{"lesser": lesser, "greater": greater, "chosen": chosen},
-}
-NAMES |= {"at_most": at_most, "at_least": at_least}
+NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
+NAMES |= {"at_most": at_most, "at_least": at_least, "sincos": sincos, "arctan": arctan, "tanh": tanh}
 SHORT = 70  # characters of what is written within the line that uses it
 
 _IN_ALL = {
