@@ -57,7 +57,7 @@ class CostOfScenarios(Objective):
         self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
 
     def rank(self, thetas: Array) -> Array:
-        """Costs (k,) of thetas (k, p) in the same scenarios or, if they are fresh, in some of this call alone."""
+        """Costs (k,) of thetas (k, p): in the same scenarios or, if fresh, in those of this call alone."""
         if self._draw is None:
             return self.together(thetas)
         other = copy(self)
@@ -108,8 +108,8 @@ class Robust(Evaluation):
     screening
         Rollouts after which a policy that failed in all of them is not simulated any further.
     fresh
-        CMA-ES ranks each generation in scenarios of its own, so that no search fits its policies to a few. The
-        generations' means are judged in those that are common, and the best of them is found.
+        CMA-ES ranks each generation in scenarios of its own, so that no search fits its policies to a few.
+        The generations' means are judged in those that are common, and the best of them is found.
     seconds
         That the rollouts take at most, so that policies are found that last; None is the task's horizon.
     """
@@ -142,7 +142,7 @@ class Robust(Evaluation):
         self._fresh = fresh
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
-        """The aggregated cost in scenarios that are drawn here, once; fresh ones are drawn when they are met."""
+        """The aggregated cost in scenarios that are drawn here, once; fresh ones when they are met."""
         if self.horizon is not None:
             model, cost = replace(model, task=self._task), cost.with_horizon(self.horizon)
 

@@ -1,4 +1,4 @@
-"""Sine, cosine, arctangent and hyperbolic tangent that compiled code computes in the lanes of vector registers.
+"""Sine, cosine, arctangent and hyperbolic tangent of compiled code, in the lanes of vector registers.
 
 The mathematics library takes one number at a time, which would keep a whole closed loop out of the lanes.
 """
