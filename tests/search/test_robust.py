@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 import simbias
 from simbias.core import Cost
 from simbias.core.records import Array, Indices, Rollout
-from simbias.search.evaluation.robust import CostOfScenarios, Robust, Scenario
+from simbias.search.evaluation.robust import Robust
+from simbias.search.evaluation.scenarios import CostOfScenarios, Scenario
 from simbias.simulation.numpy_loop import costs_of
 from simbias.trial.steps import search
 from simbias.trial.study import Observer, Study
