@@ -1,7 +1,8 @@
-"""Files of others: joints of all kinds, inputs with limits on either side, missing names."""
+"""Files of others: joints of all kinds, inputs with limits on either side, missing names, no end."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -92,11 +93,41 @@ def test_what_has_no_name_in_a_file_is_called_by_what_it_moves(tmp_path: Path) -
     assert [robot.model.actuator(index).name for index in range(2)] == ["slider", "actuator_1"]
 
 
-def test_a_frame_of_too_many_steps_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('<option timestep="1e-12"/>', r"a frame of 0.02 s would take 2e\+10 steps of 1e-12 s"),
+        (
+            '<worldbody><replicate count="1000"><replicate count="1000"><geom size="1"/></replicate>'
+            "</replicate></worldbody>",
+            r"endless.xml: replicate makes 1e\+06 copies, more than 1e\+04",
+        ),
+        (
+            '<asset><hfield name="hills" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+            r"endless.xml: hfield 'hills' makes 1e\+10 cells",
+        ),
+        ('<include file="part.xml"/>', r"endless.xml: composite makes 1e\+09 copies"),
+        ('<include file="endless.xml"/>', r"endless.xml: endless.xml includes itself"),
+        (
+            '<asset><model name="m" file="copied.xml"/></asset><worldbody><replicate count="1000">'
+            '<attach model="m" body="b" prefix="p"/></replicate></worldbody>',
+            r"endless.xml: replicate makes 1e\+06 copies",
+        ),
+    ],
+)
+def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path, text: str, message: str) -> None:
     cart = Path(mjcf(tmp_path)).read_text()
-    (tmp_path / "fine.xml").write_text(cart.replace("</mujoco>", '<option timestep="1e-12"/></mujoco>'))
-    with pytest.raises(ValueError, match=r"a frame of 0.02 s would take 2e\+10 steps of 1e-12 s"):
-        Mechanism(cart_pole(), str(tmp_path / "fine.xml"))
+    (tmp_path / "endless.xml").write_text(cart.replace("</mujoco>", f"{text}</mujoco>"))
+    (tmp_path / "part.xml").write_text('<mujoco><composite count="1000 1000 1000"/></mujoco>')
+    copied = '<replicate count="1000"><geom size="1"/></replicate>'
+    (tmp_path / "copied.xml").write_text(
+        f'<mujoco><worldbody><body name="b">{copied}</body></worldbody></mujoco>'
+    )
+    begin = time.monotonic()
+    with pytest.raises(ValueError, match=message) as error:
+        Mechanism(cart_pole(), str(tmp_path / "endless.xml"))
+    assert "\n" not in str(error.value)
+    assert time.monotonic() - begin < 2.0
 
 
 def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:

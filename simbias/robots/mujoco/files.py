@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib.util import find_spec
+from math import prod
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from simbias.core.messages import words
+from simbias.core.messages import quote, words
 from simbias.robots.mujoco.parameters import mujoco
+
+# Limits within which a file is read in seconds.
+MOST_COPIES = 10_000  # of an element, by replicate, composite and flexcomp
+MOST_CELLS = 10**8  # of a height field or a texture
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes that name folders,
 NAMING = (
@@ -93,6 +98,7 @@ def mjcf(file: str, actuators: Sequence[str], model: Any) -> str:
 def _spec(path: Path, actuators: Sequence[str]) -> Any:
     """Specification of a file, elements without a name named, with motors at joints named as actuators."""
     engine = mujoco()
+    _check_size(path)
     spec = engine.MjSpec.from_file(str(path))
     _name(spec.joints, "joint", [joint.parent.name for joint in spec.joints])
     _name(spec.actuators, "actuator", [actuator.target for actuator in spec.actuators])
@@ -121,3 +127,69 @@ def _name(elements: Sequence[Any], kind: str, names: Sequence[str]) -> None:
         if not element.name:
             element.name = name if name and name not in known else f"{kind}_{index}"
             known.add(element.name)
+
+
+def _check_size(path: Path, copies: int = 1, within: tuple[Path, ...] = ()) -> None:
+    """Refuse a file that MuJoCo would read for hours, or that would fill the memory.
+
+    It stands in `copies` copies of itself within other files, from the whole model's on.
+    """
+    if path in within:
+        raise ValueError(f"{path.name} includes itself")
+    if (root := _root(path)) is not None:
+        _check_element(root, (*within, path), copies)
+
+
+def _check_element(element: Any, within: tuple[Path, ...], copies: int) -> None:
+    """Refuse an element that makes too much, in `copies` copies of itself."""
+    if element.tag in ("hfield", "texture"):
+        _limit(element, _product(element, "nrow", "ncol", "width", "height"), MOST_CELLS, "cells")
+    if element.tag in ("replicate", "composite", "flexcomp"):
+        copies *= _product(element, "count")
+        _limit(element, copies, MOST_COPIES, "copies")
+    if element.tag == "include" and "file" in element.attrib:
+        _check_size(within[-1].parent / element.attrib["file"], copies, within)
+    if element.tag == "attach":
+        for file in _attached(element.get("model"), within) - set(within):  # a model may attach itself
+            _check_size(file, copies, within)
+    for child in element:
+        _check_element(child, within, copies)
+
+
+def _attached(name: str | None, within: tuple[Path, ...]) -> set[Path]:
+    """The files of models of a name, as files say that include each other."""
+    homes = {*within, *source_files(str(within[-1]))}
+    models = [(home.parent / each.get("file", ""), each) for home in homes for each in _models(home)]
+    return {path for path, each in models if name in (each.get("name"), _title(path))}
+
+
+def _models(path: Path) -> list[Any]:
+    """Elements of a file that name other models."""
+    root = _root(path)
+    return [] if root is None else [each for each in root.iter("model") if "file" in each.attrib]
+
+
+def _title(path: Path) -> str | None:
+    """A model's own name, as its file says."""
+    root = _root(path)
+    return None if root is None else root.get("model")
+
+
+def _root(path: Path) -> Any:
+    """The root of an XML file; None if it is none, as MuJoCo says better."""
+    with suppress(ElementTree.ParseError, OSError):
+        return ElementTree.parse(path).getroot()
+    return None
+
+
+def _product(element: Any, *attributes: str) -> int:
+    """The product of the whole numbers that an element's attributes list; those that are none count as 1."""
+    listed = [number for name in attributes for number in element.get(name, "").split()]
+    return prod(int(number) for number in listed if number.isdecimal())
+
+
+def _limit(element: Any, number: int, most: int, things: str) -> None:
+    """Refuse an element that makes too many things."""
+    if number > most:
+        name = f" {quote(element.attrib['name'])}" if "name" in element.attrib else ""
+        raise ValueError(f"{element.tag}{name} makes {number:.3g} {things}, more than {most:.0e}")
