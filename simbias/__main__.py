@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
 from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
+from simbias.terminal.interrupts import kept_interrupts
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
@@ -66,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(GARBAGE)
     parsed = _parsed(arguments)
     try:
-        status: int = parsed.command(parsed)
+        with kept_interrupts():
+            status: int = parsed.command(parsed)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # who reads our output, `head` say, has seen enough
@@ -308,10 +310,12 @@ def _ui(parsed: argparse.Namespace) -> int:
 
 def _mlflow(parsed: argparse.Namespace) -> Mlflow:
     """The store that the overrides name."""
+    from simbias.config.build import service
     from simbias.mlflow.tracking import Mlflow
-    from simbias.sweep.services import tracking
+    from simbias.sweep.tracking import Tracking
 
-    store = tracking(Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({}))
+    composition = Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({})
+    store: Tracking = service(composition, "tracking", Tracking)
     if not isinstance(store, Mlflow):
         raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
     return store

@@ -74,6 +74,13 @@ def build(composition: Composition) -> Study:
     )
 
 
+def service(composition: Composition, group: str, contract: type) -> Any:
+    """Construct what studies run with, as an engine or a store of trials; errors as of `build`."""
+    if group not in composition.config:
+        raise ConfigError(group, "missing")
+    return construct(composition.config[group], contract, group, composition.own)
+
+
 def _hardware(config: Any, own: Own, task: Task) -> Hardware:
     """The hardware for a task; errors as of `construct`."""
     hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task)

@@ -10,13 +10,12 @@ from pathlib import Path
 from pandas import DataFrame
 
 from simbias.config import ConfigError, Variations
-from simbias.config.build import build
+from simbias.config.build import build, service
 from simbias.config.sent_code import packed
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.interruption import Interruption
 from simbias.sweep.making import FigureObserver, make_figures
-from simbias.sweep.services import engine, tracking
 from simbias.sweep.state import SweepState, finished
 from simbias.sweep.tracking import Tracking
 from simbias.sweep.worker import Result, lost, run_plan
@@ -57,7 +56,8 @@ def run(
     composition = variations.composition({})
     if "sweep" not in composition.config:
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
-    trials_engine, store = engine(composition), tracking(composition)
+    trials_engine: Engine = service(composition, "engine", Engine)
+    store: Tracking = service(composition, "tracking", Tracking)
     sweep, _ = prepare(store, variations)
     return run_sweep(sweep, trials_engine, store, f"simbias.run_sweep({list(overrides)!r})", observer)[0]
 

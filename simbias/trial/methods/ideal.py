@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class Ideal(Method):
         Starts of which a policy costs the mean.
     """
 
-    max_iterations: ClassVar[int] = 1
+    max_iterations = 1
     experiments: Count = 2
     rollouts: Count = 8
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -29,7 +28,7 @@ class OneShot(Method):
         Hardware experiments with the policy that is found then.
     """
 
-    max_iterations: ClassVar[int] = 2
+    max_iterations = 2
     batch: Count = 8
     experiments: Count = 2
 
