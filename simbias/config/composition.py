@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
 JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
-WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # Hydra runs none here; to compose these takes a fourth
+WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # which Hydra runs none of here: a fourth of its time
 NOT_HASHED = ("tracking", "experiment_timeout", "policy_test", *OF_SWEEPS)  # do not affect a trial's result
 
 
