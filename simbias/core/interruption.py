@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+AGAIN = 0.01  # seconds until code that must not raise has ended
+COMPILER = "llvmlite"  # LLVM calls some of its functions, and ignores what they raise
 
 
 class Interruption:
     """Turns SIGINT and SIGTERM into KeyboardInterrupt, later where that would tear something apart.
 
-    Without a handler SIGTERM ends a process without its `finally`, and leaves workers behind.
+    Without a handler SIGTERM ends a process without its `finally`, and leaves workers behind. Python ignores
+    what is raised in finalizers and in functions that C calls; the interruption is then made again.
     """
 
     def __init__(self) -> None:
@@ -25,18 +30,30 @@ class Interruption:
     def __enter__(self) -> Interruption:
         if threading.current_thread() is threading.main_thread():  # no other hears of signals
             self._before = [signal.signal(number, self._handle) for number in SIGNALS]
+            self._report, sys.unraisablehook = sys.unraisablehook, self._ignored
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in zip(SIGNALS, self._before, strict=False):
             signal.signal(number, handler)
+        if self._before:
+            sys.unraisablehook = self._report
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         """Interrupt now, or note it for later."""
         if self._deferring:
             self._pending = True
+        elif _compiles(frame):
+            _interrupt_soon()
         else:
             raise KeyboardInterrupt
+
+    def _ignored(self, raised: sys.UnraisableHookArgs) -> None:
+        """Interrupt again if that was ignored."""
+        if raised.exc_type is KeyboardInterrupt:
+            _interrupt_soon()
+        else:
+            self._report(raised)
 
     @contextmanager
     def defer(self) -> Iterator[None]:
@@ -49,3 +66,17 @@ class Interruption:
         if self._pending:
             self._pending = False
             raise KeyboardInterrupt
+
+
+def _compiles(frame: FrameType | None) -> bool:
+    """Whether the compiler is at work; it returns every few milliseconds."""
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] != COMPILER:
+        frame = frame.f_back
+    return frame is not None
+
+
+def _interrupt_soon() -> None:
+    """Send the main thread a SIGINT."""
+    again = threading.Timer(AGAIN, _thread.interrupt_main)
+    again.daemon = True  # the end of the program does not wait for it
+    again.start()
