@@ -24,6 +24,7 @@ PYTHONPATH = os.pathsep.join(
 POINT_MASS = [f"{group.name}=point_mass" for group in sorted(OWN_CONF.iterdir())]
 ALL_SLOW = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.slow\b", re.MULTILINE)
 
+os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = "1"  # colouring what nobody reads takes a tenth
 _writes_no_bytecode = sys.dont_write_bytecode
 
 

@@ -16,6 +16,8 @@ from conftest import OWN_CONF, ROOT
 from hatchling.builders.wheel import WheelBuilder
 from pendulum import COLUMNS
 
+from simbias.core.cache import cache_folder
+
 LARGEST_WHEEL = 1_000_000  # bytes
 README = (ROOT / "README.md").read_text()
 PAGES = [
@@ -106,13 +108,14 @@ def test_the_wheel_carries_what_commands_read_and_no_pictures(wheel: Path) -> No
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """An environment whose simbias is the wheel's."""
+    """An environment whose simbias is the wheel's; what other tests compiled is there."""
     target = tmp_path_factory.mktemp("installed")
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target"]
     subprocess.run([*pip, str(target), str(wheel)], check=True)
-    compiled = ROOT / "simbias" / "__pycache__"  # by other tests
+    (target / "simbias" / "__pycache__").mkdir(exist_ok=True)
+    (target / "simbias" / "__pycache__" / "closed_loops").symlink_to(cache_folder("closed_loops"))
     path = os.pathsep.join((str(target), str(OWN_CONF.parent)))
-    return os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(compiled)}
+    return os.environ | {"PYTHONPATH": path}
 
 
 @pytest.mark.slow

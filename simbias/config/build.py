@@ -17,9 +17,10 @@ from simbias.config.renamed import unknown
 from simbias.core import Hardware, Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
-from simbias.trial.study import Budget, PolicyTest, Study
+from simbias.trial.budget import Budget
+from simbias.trial.study import PolicyTest, Study
 
-NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "composition", "hardware_of")
+NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "spending", "composition", "hardware_of")
 VALUES = {
     "seed": Required[Seed],
     "experiment_timeout": NotRequired[PositiveFloat | None],
@@ -71,6 +72,13 @@ def build(composition: Composition) -> Study:
         hardware_of=partial(_hardware, config[HARDWARE], own),
         conditions=conditions(whole, task, timeout),
     )
+
+
+def service(composition: Composition, group: str, contract: type) -> Any:
+    """Construct what studies run with, as an engine or a store of trials; errors as of `build`."""
+    if group not in composition.config:
+        raise ConfigError(group, "missing")
+    return construct(composition.config[group], contract, group, composition.own)
 
 
 def _hardware(config: Any, own: Own, task: Task) -> Hardware:

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
-from simbias.config.renamed import check_attributes, unknown
+from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
 from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
@@ -43,13 +43,11 @@ def construct(config: Any, contract: type, key: str, own: Own = NOTHING, **provi
             raise ConfigError(f"{key}.{name}", "is provided, not configured")
     arguments = constructor_arguments(component, config, key, frozenset(provided), own.folders)
     try:
-        made = component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
+        return component(**arguments, **{k: v for k, v in provided.items() if k in parameters})
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
         raise ConfigError(key, words(error)) from error
-    check_attributes(made, key)
-    return made
 
 
 def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
@@ -73,9 +71,9 @@ def component_class(config: Any, key: str, allowed: Sequence[str] = ()) -> Any:
         raise
     except BaseException as error:  # a module of one's own may raise anything, and may exit
         kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
-        names = [str(target), str(getattr(error, "name", ""))]  # of a missing module
-        problem = f"cannot import {quote(target)} ({kind}{words(error)})"
-        raise unknown(names, f"{key}.{TARGET}", problem) from error
+        raise ConfigError(
+            f"{key}.{TARGET}", f"cannot import {quote(target)} ({kind}{words(error)})"
+        ) from error
     if not inspect.isclass(component):
         raise ConfigError(f"{key}.{TARGET}", f"{target} is not a class")
     return component

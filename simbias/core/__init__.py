@@ -5,7 +5,7 @@
 | a task, hardware | `robot.py` |
 | a policy | `policy.py` |
 | a nominal model, identification, samples, a bias | `model.py` |
-| a cost, an evaluation, an optimizer | `search.py` |
+| a cost, an evaluation, an optimizer | `search.py`, `objective.py` |
 | what runs compiled | `speed.py`, and `simbias.simulation.compiler.kernels` |
 | a method | `simbias.trial.study`, beside the study that it runs |
 
@@ -25,6 +25,7 @@ same numbers but for rounding; a component may offer a `kernel` in their place
 
 from simbias.core.kernel import Kernel, SlowWarning
 from simbias.core.model import Bias, FittedBias, Identification, Model, Nominal, Samples
+from simbias.core.objective import Objective
 from simbias.core.policy import Controller, Law, Policy
 from simbias.core.robot import (
     NOT_A_NUMBER,
@@ -38,7 +39,7 @@ from simbias.core.robot import (
     failure_name,
     wrapped,
 )
-from simbias.core.search import Cost, Evaluation, Objective, Optimizer, Simulator
+from simbias.core.search import Cost, Evaluation, Optimizer, Simulator
 
 __all__ = [
     "NOT_A_NUMBER",

@@ -12,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from simbias.core.objective import as_objective
 from simbias.core.ranges import EvaluationCount, Seconds, Share, Steps
 from simbias.core.records import Array, Optimum
 
@@ -89,10 +90,10 @@ class Evaluations:
             raise ValueError(
                 f"lower {self.lower.tolist()} is not below upper {self.upper.tolist()}, or not finite"
             )
-        self._objective = objective
+        self._objective = as_objective(objective)
         self.target_cost = target_cost
         self._limit, self._relative_tolerance = budget.max_evaluations, budget.relative_tolerance
-        self._last_step = np.inf if budget.max_steps is None else self._steps + budget.max_steps
+        self._last_step = np.inf if budget.max_steps is None else self._objective.steps + budget.max_steps
         self._deadline = np.inf if budget.max_seconds is None else time.monotonic() + budget.max_seconds
         self._ends_at_target = False
         self._best_point: Array | None = None
@@ -106,11 +107,6 @@ class Evaluations:
         return self._limit - self.count
 
     @property
-    def _steps(self) -> int:
-        """Steps that the objective has simulated, if it counts them."""
-        return getattr(self._objective, "steps", 0)
-
-    @property
     def below_target(self) -> bool:
         """Whether the best cost is below the target."""
         return self.best_cost < self.target_cost
@@ -122,8 +118,8 @@ class Evaluations:
 
     @property
     def together(self) -> Callable[[Array], Array] | None:
-        """The objective's costs (k,) of points (k, p) at once, if it has them; neither counted nor judged."""
-        return getattr(self._objective, "together", None)
+        """The costs (k,) of points (k, p) in lockstep, if it offers that; neither counted nor judged."""
+        return self._objective.together if self._objective.lockstep else None
 
     def evaluate(self, point: Array) -> float:
         """Cost of the point (p,), moved into the box where rounding left it outside.
@@ -137,7 +133,7 @@ class Evaluations:
         """
         self.check_budget()
         inside = self.inside(point)
-        return self.judge(inside, float(self._objective(inside.copy())))
+        return self.judge(inside, self._objective(inside.copy()))
 
     def evaluate_all(self, points: Sequence[Array]) -> list[float]:
         """Costs of points (p,), as `evaluate` gives them in turn; together, if the objective offers that."""
@@ -151,6 +147,24 @@ class Evaluations:
             raise SearchEnded(EVALUATION_LIMIT)
         return judged
 
+    @property
+    def ranks_afresh(self) -> bool:
+        """Whether each generation meets scenarios of its own."""
+        return self._objective.fresh
+
+    def rank(self, points: Sequence[Array]) -> list[float]:
+        """Costs by which the points (p,) of a generation are ranked.
+
+        In scenarios of their own, points are counted but not judged: their costs tell nothing of others.
+        """
+        if not self.ranks_afresh:
+            return self.evaluate_all(points)
+        self.check_budget()
+        if self.remaining <= len(points):  # one is left for the generation's mean
+            raise SearchEnded(EVALUATION_LIMIT)
+        self.count += len(points)
+        return self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
+
     def inside(self, point: Array) -> Array:
         """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
         return np.minimum(np.maximum(point, self.lower), self.upper)
@@ -161,7 +175,7 @@ class Evaluations:
             return
         if not self.remaining:
             raise SearchEnded(EVALUATION_LIMIT)
-        if self._steps >= self._last_step:
+        if self._objective.steps >= self._last_step:
             raise SearchEnded(STEP_LIMIT)
         if time.monotonic() >= self._deadline:
             raise SearchEnded(TIME_LIMIT)

@@ -19,12 +19,14 @@ class Interruption:
     """Turns SIGINT and SIGTERM into KeyboardInterrupt, later where that would tear something apart.
 
     Without a handler SIGTERM ends a process without its `finally`, and leaves workers behind. Python ignores
-    what is raised in finalizers and in functions that C calls; the interruption is then made again.
+    what is raised in finalizers and in functions that C calls; the interruption is then made again. Where a
+    library makes another error of it, as of an interrupted import, it is an interruption still.
     """
 
     def __init__(self) -> None:
         self._deferring = False
         self._pending = False
+        self._came = False
         self._before: list = []
 
     def __enter__(self) -> Interruption:
@@ -33,14 +35,17 @@ class Interruption:
             self._report, sys.unraisablehook = sys.unraisablehook, self._ignored
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         for number, handler in zip(SIGNALS, self._before, strict=False):
             signal.signal(number, handler)
         if self._before:
             sys.unraisablehook = self._report
+        if self._came and isinstance(error, Exception):
+            raise KeyboardInterrupt from error
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         """Interrupt now, or note it for later."""
+        self._came = True
         if self._deferring:
             self._pending = True
         elif _compiles(frame):
@@ -76,7 +81,15 @@ def _compiles(frame: FrameType | None) -> bool:
 
 
 def _interrupt_soon() -> None:
-    """Send the main thread a SIGINT."""
-    again = threading.Timer(AGAIN, _thread.interrupt_main)
+    """Interrupt the main thread after a moment."""
+    again = threading.Timer(AGAIN, _interrupt)
     again.daemon = True  # the end of the program does not wait for it
     again.start()
+
+
+def _interrupt() -> None:
+    """Interrupt the main thread, also where it waits."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)

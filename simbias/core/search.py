@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from typing import Any, Literal, Protocol, Self
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from simbias.core.evaluations import Budget, Evaluations
 from simbias.core.model import Model
+from simbias.core.objective import Objective
 from simbias.core.records import Array, Indices, Optimum, Rollout
 
 Reduction = Literal["sum", "max"]
@@ -80,23 +81,10 @@ class Cost(ABC):
         return rollout.failed_at is None and rollout.cost < self.max_cost
 
 
-class Objective(Protocol):
-    """The deterministic objective of a policy search. A plain function will do, `together` is faster."""
-
-    steps: int  # simulated so far, for searches that are limited by them
-
-    def __call__(self, theta: Array) -> float:
-        """Cost of theta (p,)."""
-
-    def together(self, thetas: Array) -> Array:
-        """Costs (k,) of thetas (k, p)."""
-
-
 class Evaluation(ABC):
     """Prediction of a policy's cost in simulation."""
 
     rollouts: int = 1  # of each policy
-    noisy_rollouts: int = 0  # those whose noise is kept as long as a search goes on
     horizon: int | None = None  # frames of its rollouts; None is the task's
 
     @abstractmethod
@@ -124,7 +112,7 @@ class Optimizer(Budget, ABC):
         upper: Array,
         rng: np.random.Generator,
         target_cost: float = np.inf,
-        candidates: Sequence[Array] = (),
+        candidates: Iterable[Array] = (),
     ) -> Optimum:
         """Best point found in lower (p,) <= theta <= upper (p,); the objective's exceptions pass through.
 

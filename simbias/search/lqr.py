@@ -8,10 +8,9 @@ sees less imitates it.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, solve_discrete_are
@@ -42,32 +41,18 @@ class Linear(NamedTuple):
     steady: float = 0.0  # share of the inputs' limits of a steady disturbance in its records
 
 
-class LqrCandidates(Sequence[Array]):
+def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     """LQR policies (p,) of `count` models to try first: the most probable one, and draws of its parameters.
 
-    They are designed when they are first looked at, which a search that is recalled does not do.
+    They are designed once the first is asked for, which a search that is replayed does not do.
     """
-
-    def __init__(self, model: Model, count: int) -> None:
-        self._model, self._count = model, count
-
-    @cached_property
-    def _policies(self) -> list[Array]:
-        """The designs, one model after the other."""
-        rngs = np.random.default_rng(SEED).spawn(max(self._count - 1, 0))
-        drawn = [replace(self._model, nominal=self._model.nominal.draw(rng)) for rng in rngs]
-        models = [self._model, *drawn][: self._count]
-        policies = [theta for model in models for theta in lqr_policies(model)]
-        if models and not policies:
-            message = f"searches begin without LQR: {type(self._model.policy).__name__} imitates none"
-            warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
-        return policies
-
-    def __getitem__(self, index: Any) -> Any:
-        return self._policies[index]
-
-    def __len__(self) -> int:
-        return len(self._policies)
+    rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
+    models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
+    policies = [theta for each in models for theta in lqr_policies(each)]
+    if models and not policies:
+        message = f"searches begin without LQR: {type(model.policy).__name__} imitates none"
+        warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
+    yield from policies
 
 
 def lqr_policies(

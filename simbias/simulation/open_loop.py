@@ -129,7 +129,8 @@ def _compiled(
         compile_open_loop(Function.of(step), Function.of(correct), n, m, n_model_state),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, weights, offsets),
         *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
-        *(windows.states, windows.inputs, means),
+        *map(np.ascontiguousarray, (windows.states, windows.inputs)),  # else another loop is compiled
+        means,
     )
     in_threads(loop, len(weights) * len(windows.firsts))
     return means.reshape(len(weights), len(windows), windows.window // windows.chunk, n)
@@ -144,8 +145,7 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
         return bias.correction(x, u)
     k, n = x.shape
     once, rows = np.ones(k, np.int64), np.arange(k)
-    states, inputs = np.ascontiguousarray(x), np.ascontiguousarray(u)
-    windows = Windows(states, inputs, rows, 0 * once, once, window=1, chunk=1)
+    windows = Windows(x, u, rows, 0 * once, once, window=1, chunk=1)
     step = Kernel(zero(n).function, np.zeros((1, n)))
     return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)), 0)[0, :, 0]
 

@@ -10,13 +10,12 @@ from pathlib import Path
 from pandas import DataFrame
 
 from simbias.config import ConfigError, Variations
-from simbias.config.build import build
+from simbias.config.build import build, service
 from simbias.config.sent_code import packed
 from simbias.core.interruption import Interruption
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.making import FigureObserver, make_figures
-from simbias.sweep.services import engine, tracking
 from simbias.sweep.state import SweepState, finished
 from simbias.sweep.tracking import Tracking
 from simbias.sweep.worker import Result, lost, run_plan
@@ -57,15 +56,16 @@ def run(
     composition = variations.composition({})
     if "sweep" not in composition.config:
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
-    trials_engine, store = engine(composition), tracking(composition)
-    sweep, _, _ = prepare(store, variations)
+    trials_engine: Engine = service(composition, "engine", Engine)
+    store: Tracking = service(composition, "tracking", Tracking)
+    sweep, _ = prepare(store, variations)
     return run_sweep(sweep, trials_engine, store, f"simbias.run_sweep({list(overrides)!r})", observer)[0]
 
 
-def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, DataFrame]:
-    """The sweep, the study of its first cell, and the trials that are finished.
+def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
+    """The sweep, and the trials that are finished.
 
-    The components of every cell could be built. Where trials are missing, the simulation is compiled.
+    The components of every cell could be built. Where trials are to be run, the simulation is compiled.
 
     Raises
     ------
@@ -85,10 +85,10 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, Study, Data
             raise ConfigError("", f"{error}{where}") from error
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
     ended = finished(sweep, store)
-    if len(ended) < len(sweep.trials):
+    if len(ended) < len(sweep.trials) and not sweep.dry_run:
         for study in studies.values():  # compiled here once, workers find it in the cache
             rehearse(study)
-    return sweep, next(iter(studies.values())), ended
+    return sweep, ended
 
 
 def run_sweep(

@@ -5,7 +5,6 @@ A score matrix (r, c) has a row for each repetition and a column for each cell. 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -48,9 +47,9 @@ def _tails() -> list[float]:
 
 def interquartile_mean(scores: Array) -> float:
     """The mean of the middle half of all scores (Agarwal et al., NeurIPS 2021)."""
-    from scipy.stats import trim_mean
-
-    return float(trim_mean(scores, 0.25, axis=None))
+    ordered = np.sort(scores, axis=None)
+    outside = len(ordered) // 4
+    return float(ordered[outside : len(ordered) - outside].mean())
 
 
 def probability_of_improvement(scores: Array, others: Array) -> float:
@@ -67,14 +66,11 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
     return np.mean(scores.ravel()[:, None] > thresholds, axis=0)
 
 
-def stratified_bootstrap(
-    statistic: Callable[..., float | Array], *scores: Array, resamples: int = 2000
-) -> tuple[Array, Array]:
+def stratified_bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
     """Percentile interval of a statistic of score matrices; runs are resampled within each cell."""
     rng = np.random.default_rng(0)
-    values = np.array([statistic(*(_resampled(each, rng) for each in scores)) for _ in range(resamples)])
-    low, high = np.percentile(values, _tails(), axis=0)
-    return low, high
+    values = [statistic(*(_resampled(each, rng) for each in scores)) for _ in range(resamples)]
+    return Interval(*map(float, np.percentile(values, _tails())))
 
 
 def _resampled(scores: Array, rng: np.random.Generator) -> Array:
@@ -83,29 +79,21 @@ def _resampled(scores: Array, rng: np.random.Generator) -> Array:
 
 
 class SuccessCurve(NamedTuple):
-    """Probability of success within numbers of experiments, with its 95% band."""
+    """Probability of success within numbers of experiments."""
 
     experiments: Array  # (k,)
     probability: Array  # (k,)
-    low: Array  # (k,)
-    high: Array  # (k,)
 
 
 def success_curve(experiments: Array, succeeded: Flags) -> SuccessCurve:
     """One minus Kaplan and Meier's estimate (JASA 53, 1958), of trials' experiments (k,) and success (k,).
 
-    A trial without success is censored at its experiments. The band is Greenwood's, of the logarithm of minus
-    the logarithm, so that it stays within 0 and 1.
+    A trial without success is censored at its experiments.
     """
     from scipy.stats import CensoredData, ecdf
 
-    data = CensoredData(uncensored=experiments[succeeded], right=experiments[~succeeded])
-    found = ecdf(data).cdf
-    with warnings.catch_warnings():  # the band is nan where nothing or everything has succeeded
-        warnings.simplefilter("ignore")
-        band = found.confidence_interval(CONFIDENCE, method="log-log")
-    low, high = (each.probabilities for each in band)
-    return SuccessCurve(found.quantiles, found.probabilities, low, high)
+    found = ecdf(CensoredData(uncensored=experiments[succeeded], right=experiments[~succeeded])).cdf
+    return SuccessCurve(found.quantiles, found.probabilities)
 
 
 def sign_test(differences: Sequence[float]) -> float:
@@ -143,9 +131,3 @@ def equivalent(differences: Sequence[float], margin: float) -> bool:
     above = ttest_1samp(differences, -margin, alternative="greater").pvalue
     below = ttest_1samp(differences, margin, alternative="less").pvalue
     return bool(max(above, below) < 0.05)
-
-
-def bootstrap_interval(statistic: Callable[..., float], *scores: Array) -> Interval:
-    """`stratified_bootstrap` of a number."""
-    low, high = stratified_bootstrap(statistic, *scores)
-    return Interval(float(low), float(high))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from simbias.engine.workplace import workplace
 from simbias.sweep.folder import SweepFolder
-from simbias.trial.study import Observer
+from simbias.trial.observer import Observer
 
 
 class Export(Observer):

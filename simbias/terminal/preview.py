@@ -74,10 +74,14 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
         yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{beyond}."
     seconds = expected.frames * task.time_step
     end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
-    yield f"Predicted: {seconds:.2f} s{end}, cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})."
+    cost = f"cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})"
+    success = "a success" if study.passes(expected) else "no success"
+    yield f"Predicted: {seconds:.2f} s{end}, {cost}: {success}."
     counts = Counter(map(task.words, prediction.failures))
     failed = ", ".join(f"{words} ({count})" for words, count in counts.most_common())
-    yield f"Of {DRAWS} draws of start and model, {len(prediction.failures)} fail{failed and f': {failed}'}."
+    succeed = sum(map(study.passes, prediction.draws))
+    fail = f"{len(prediction.failures)} fail{failed and f': {failed}'}"
+    yield f"Of {DRAWS} draws of start and model, {succeed} succeed, {fail}."
 
 
 def _limit(lower: float, upper: float) -> str:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import sys
 
 from simbias.config import Composition, ConfigError
-from simbias.config.build import build
+from simbias.config.build import build, service
 from simbias.core.commands import FAILED, SUCCEEDED, WAITING
 from simbias.core.messages import counted, with_type
-from simbias.sweep.services import engine, tracking
+from simbias.engine.contract import Engine
 from simbias.sweep.tracking import Export, Tracking
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.folder import TrialFolder
+from simbias.trial.observer import Observers
 from simbias.trial.run import run_trial
-from simbias.trial.study import Observers, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 
 def run(composition: Composition, again: str) -> int:
     """Run one trial, or resume it; `again` is the command that does."""
-    engine(composition)  # a single trial needs none, but a bad one is bad input
-    store = tracking(composition)
+    service(composition, "engine", Engine)  # a single trial needs none, but a bad one is bad input
+    store: Tracking = service(composition, "tracking", Tracking)
     with slowness_in_one_line():
         with preparing():
             study = build(composition)

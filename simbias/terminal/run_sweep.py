@@ -5,21 +5,24 @@ from __future__ import annotations
 import sys
 
 from simbias.config import Composition, ConfigError, Variations
+from simbias.config.build import service
 from simbias.core.commands import FAILED, INTERRUPTED, SUCCEEDED, WAITING
+from simbias.engine.contract import Engine
 from simbias.mlflow.store import cause
 from simbias.sweep import running
-from simbias.sweep.services import engine, tracking
+from simbias.sweep.tracking import Tracking
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.terminal.sweep import SweepConsole, dry_run
 
 
 def run(variations: Variations, composition: Composition, again: str) -> int:
     """Run what is missing of a sweep, or tell what that is; `again` is the command that does."""
-    trials_engine, store = engine(composition), tracking(composition)
+    trials_engine: Engine = service(composition, "engine", Engine)
+    store: Tracking = service(composition, "tracking", Tracking)
     with preparing(), slowness_in_one_line():
-        sweep, study, finished = running.prepare(store, variations)
+        sweep, finished = running.prepare(store, variations)
     if sweep.dry_run:
-        dry_run(sweep, study, finished, trials_engine)
+        dry_run(sweep, finished, trials_engine)
         return SUCCEEDED
     console = SweepConsole()
     if changed := running.changed_trials(sweep, store):

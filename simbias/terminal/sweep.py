@@ -20,14 +20,13 @@ from rich.text import Text
 
 from simbias.core.messages import brief, counted
 from simbias.engine.contract import Engine
-from simbias.sweep.estimate import estimate
+from simbias.sweep.estimate import seconds_left
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
 from simbias.sweep.worker import Result
 from simbias.terminal.lines import say
 from simbias.terminal.trial import traceback_file
-from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 SHOWN_ERRORS = 5
@@ -196,17 +195,14 @@ def _rich(arrangement: Layout) -> Table:
     return table
 
 
-def dry_run(sweep: Sweep, study: Study, finished: DataFrame, engine: Engine) -> None:
+def dry_run(sweep: Sweep, finished: DataFrame, engine: Engine) -> None:
     """Tell how many trials of each cell are finished, and how long the others may take."""
     done = frozenset(finished["hash"])
     ended = Counter(trial.cell.labels for trial in sweep.trials if trial.hash in done)
     print(plain(arrange(sweep, ["done"], lambda labels: [f"{ended[labels]}/{sweep.repetitions}"])))
     n_jobs = getattr(engine, "n_jobs", 1)
-    least, most, basis = estimate(sweep, finished, study, n_jobs)
-    how_long = f"{duration(least) if least >= 0.5 else 'less than 1 s'} on {counted(n_jobs, 'job')}"
-    if most > least:
-        how_long += f" if each first policy succeeds, {duration(most)} if none does"
-    print(
-        f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; "
-        f"the others may take {how_long} ({basis})."
-    )
+    seconds = seconds_left(sweep, finished, n_jobs)
+    how_long = "how long the others take, no finished trial tells yet"
+    if seconds is not None:
+        how_long = f"by their times the others may take {duration(seconds)} on {counted(n_jobs, 'job')}"
+    print(f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; {how_long}.")

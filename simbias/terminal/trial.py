@@ -19,10 +19,11 @@ from simbias.trial import diagnostics
 from simbias.trial.diagnostics import Remark
 from simbias.trial.folder import TRIAL, TrialFolder
 from simbias.trial.model_selection import WINDOW
+from simbias.trial.observer import Observer
 from simbias.trial.origin import changed_code
 from simbias.trial.prediction import predict
 from simbias.trial.run import TrialRecord
-from simbias.trial.study import Observer, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
 
@@ -79,6 +80,7 @@ class TrialConsole(Observer):
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Say what is odd about a policy, before hardware is spent on it."""
         self._remark(diagnostics.of_policy(theta, search, self._iterations))
+        self._remark(diagnostics.of_goal(theta, model))
         self._remark(diagnostics.of_model(theta, model))
         self._model = model
 

@@ -16,8 +16,9 @@ from simbias.testing.expectations import (
     equal,
     expect,
 )
+from simbias.trial.observer import Observer
 from simbias.trial.run import run_trial
-from simbias.trial.study import Observer, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 EVALUATIONS, EXPERIMENTS = 30, 4  # of each search of a trial, and of all of it

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import re
+import json
 import sys
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simbias.core.messages import printable, quote
+from simbias.core.messages import printable
 from simbias.core.records import Rollout
 
-TEXTS = "UST"  # kinds of NumPy's types that are no numbers
-RESERVED = ("file", "allow_pickle")  # arguments of `numpy.savez`
 SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
 
 
@@ -40,51 +36,19 @@ def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:
     return Rollout(**arrays, **scalars), place
 
 
-def raw_parts(returned: Any) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """The parts by name of any result of a hardware: those that are numbers, and the others as text.
-
-    Parts are the fields of an object, the items of a mapping or of a list that is no array; else there is
-    one, `returned`.
-    """
-    arrays: dict[str, NDArray[Any]] = {}
-    texts: dict[str, str] = {}
-    for name, part in _parts(returned).items():
-        try:
-            array = np.asarray(part)
-            if array.dtype.hasobject or array.dtype.kind in TEXTS:
-                raise TypeError("no numbers")
-        except Exception:
-            texts[name] = _text(part)
-        else:
-            arrays[name] = array
-    return arrays, texts
-
-
-def _parts(returned: Any) -> dict[str, Any]:
-    """The parts of an object, by names that a file may have."""
-    named: Iterable[tuple[Any, Any]] = [("returned", returned)]
-    if not _is_array(returned):
-        if isinstance(returned, Mapping):
-            named = returned.items()
-        elif isinstance(returned, list | tuple):
-            named = enumerate(returned)
-        elif getattr(returned, "__dict__", None):
-            named = vars(returned).items()
-    parts: dict[str, Any] = {}
-    for name, part in named:
-        key = re.sub(r"\W", "_", name if isinstance(name, str) else quote(name))
-        while key in parts or key in RESERVED:
-            key += "_"
-        parts[key] = part
-    return parts
-
-
-def _is_array(thing: Any) -> bool:
-    """Whether NumPy makes one array of numbers of it."""
+def raw_json(content: Any) -> str:
+    """Anything as JSON: arrays as lists, every number in full, objects as their fields, the rest as text."""
     try:
-        return not np.asarray(thing).dtype.hasobject
-    except Exception:
-        return False
+        return json.dumps(content, indent=1, default=_plain)
+    except (TypeError, ValueError, RecursionError):  # keys that are no names, what contains itself
+        return json.dumps(_text(content))
+
+
+def _plain(thing: Any) -> Any:
+    """A thing in JSON's types, or in parts of which this is asked again."""
+    if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in "biufO":
+        return thing.tolist()
+    return dict(vars(thing)) if getattr(thing, "__dict__", None) else _text(thing)
 
 
 def _text(thing: Any) -> str:

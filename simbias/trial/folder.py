@@ -7,7 +7,7 @@
     0002_iteration.json     iterations, with all that was measured of them in numbers
     test_episodes.csv       test of the last policy, if one was asked for
     outcome.json            how the trial ended; without it, the trial has not ended
-    refused_0000.npz, .txt  what a hardware returned that is no rollout
+    refused_0000.json       what a hardware returned that is no rollout
     error_0000.txt          the traceback of an attempt
     pictures/               drawn of all this; may be deleted
 

@@ -6,7 +6,7 @@ import itertools
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -22,7 +22,7 @@ from simbias.core.messages import with_type, words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, write_json, write_whole
-from simbias.trial.files import load_rollout, raw_parts, save_rollout
+from simbias.trial.files import load_rollout, raw_json, save_rollout
 from simbias.trial.folder import (
     ATTEMPTS,
     EPISODES,
@@ -147,23 +147,15 @@ class FolderRecord(Record):
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what is no rollout beside the steps; what could not be kept hides no error."""
         try:
-            paths = self._refused(returned, theta, start, why)
+            texts = {"why": why, "parameters": theta, "start": start, "returned": returned}
+            files = (self.folder.path / f"{REFUSED}{number:04d}.json" for number in itertools.count())
+            path = next(file for file in files if not file.exists())
+            parts = (f"{json.dumps(name)}: {raw_json(part)}" for name, part in texts.items())
+            text = "{" + ",\n".join(parts) + "}\n"
+            write_whole(path, lambda file: file.write(text.encode()))
         except Exception as error:
             return f"; it could not be kept ({words(error)})"
-        return f"; it is kept in {paths[0]} and {paths[1].suffix}"
-
-    def _refused(self, returned: Any, theta: Array, start: Array, why: str) -> Sequence[Path]:
-        """The files of what is no rollout: its numbers, and the rest as text."""
-        path = self.folder.path
-        stems = (f"{REFUSED}{number:04d}" for number in itertools.count())
-        stem = next(stem for stem in stems if not any(path.glob(f"{stem}.*")))
-        arrays, texts = raw_parts(returned)
-        asked: dict[str, Any] = {**arrays, "asked_parameters": theta, "asked_start": start}
-        numbers, text = path / f"{stem}.npz", path / f"{stem}.txt"
-        write_whole(numbers, lambda file: np.savez_compressed(file, **asked))
-        lines = [why, *(f"{name}: {said}" for name, said in texts.items())]
-        write_whole(text, lambda file: file.write("\n".join([*lines, ""]).encode()))
-        return numbers, text
+        return f"; it is kept in {path}"
 
     def traceback(self, text: str) -> str:
         """Keep an attempt's traceback; its file, or "" where it cannot be written."""

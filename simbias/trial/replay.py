@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -59,7 +59,7 @@ class ReplayedOptimizer(Optimizer):
         upper: Array,
         rng: np.random.Generator,
         target_cost: float = np.inf,
-        candidates: Sequence[Array] = (),
+        candidates: Iterable[Array] = (),
     ) -> Optimum:
         """The optimum, or the one that was found in its place before."""
         minimize = self._optimizer.minimize

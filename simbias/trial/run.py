@@ -18,10 +18,11 @@ from simbias.core.records import Iteration, Rollout
 from simbias.trial import diagnostics
 from simbias.trial.claim import claim_of
 from simbias.trial.folder import Withdrawal
+from simbias.trial.observer import Observer, Observers
 from simbias.trial.policy_test import PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.record import FolderRecord
 from simbias.trial.replay import EndOfRecord
-from simbias.trial.study import Observer, Observers, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
 

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import tee
 from typing import NamedTuple
 
 import numpy as np
 
 from simbias.core import Model, Objective
-from simbias.core.records import (
-    Array,
-    Iteration,
-    Learning,
-    Optimum,
-    Rollout,
-    Search,
-    Transitions,
-)
-from simbias.trial.study import Observer, Study
+from simbias.core.objective import Mapped
+from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
+from simbias.search import lqr
+from simbias.trial.observer import Observer
+from simbias.trial.study import Study
 
 
 def search(
@@ -28,7 +24,7 @@ def search(
     model: Model,
     rng: np.random.Generator,
     observer: Observer,
-    candidates: Sequence[Array] = (),
+    lqr_candidates: int = 0,
     retries: int = 0,
     target_cost: float | None = None,
     posterior_scale: float = 1.0,
@@ -37,16 +33,18 @@ def search(
 
     A search that ends above the target cost, by default Z_max, is made again with other random numbers, up to
     `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
-    before. The best one is returned, with the evaluations of all. Each first evaluates the candidates (p,).
+    before. The best one is returned, with the evaluations of all. Each first evaluates the LQR policies
+    of `lqr_candidates` models (`simbias.search.lqr`).
     """
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
-    drawn = model
+    drawn, candidates = model, lqr.lqr_candidates(model, lqr_candidates)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
         if searches:
             drawn = replace(drawn, nominal=drawn.nominal.narrowed(posterior_scale))
-        searches.append(_search(study, drawn, search_rng, observer, candidates, target))
+        candidates, own = tee(candidates)
+        searches.append(_search(study, drawn, search_rng, observer, own, target))
     best = min(range(len(searches)), key=lambda index: searches[index][1])
     optimum, predicted_cost = searches[best]
     if len(searches) > 1:
@@ -65,47 +63,29 @@ def _search(
     model: Model,
     rng: np.random.Generator,
     observer: Observer,
-    candidates: Sequence[Array],
+    candidates: Iterable[Array],
     target_cost: float,
 ) -> tuple[Optimum, float]:
     """The optimum of one search, and its predicted cost Z_g."""
     scenario_rng, optimizer_rng = rng.spawn(2)
     objective = study.evaluation.objective(model, study.cost, scenario_rng)
     lower, upper = study.policy.bounds
-    watched = _Watched(objective, observer)
+    watched = _watched(objective, observer)
     optimum = study.optimizer.minimize(watched, lower, upper, optimizer_rng, target_cost, candidates)
     return optimum, objective(optimum.parameters)
 
 
-class _Watched:
-    """An objective that reports its evaluations to an observer."""
+def _watched(objective: Objective, observer: Observer) -> Objective:
+    """The objective, which reports its evaluations to an observer."""
+    evaluations, best = 0, np.inf
 
-    def __init__(self, objective: Objective, observer: Observer) -> None:
-        self._objective = objective
-        self._observer = observer
-        self._evaluations, self._best = 0, np.inf
-        if hasattr(objective, "together"):
-            self.together = self._together
-
-    @property
-    def steps(self) -> int:
-        """Simulated so far."""
-        return getattr(self._objective, "steps", 0)
-
-    def __call__(self, theta: Array) -> float:
-        cost = self._objective(theta)
-        self._report(np.array([cost]))
-        return cost
-
-    def _together(self, thetas: Array) -> Array:
-        costs = self._objective.together(thetas)
-        self._report(costs)
+    def report(thetas: Array, costs: Array) -> Array:
+        nonlocal evaluations, best
+        evaluations, best = evaluations + len(costs), min(best, *costs)
+        observer.searching(evaluations, best)
         return costs
 
-    def _report(self, costs: Array) -> None:
-        self._evaluations += len(costs)
-        self._best = min(self._best, *costs)
-        self._observer.searching(self._evaluations, self._best)
+    return Mapped(objective, report)
 
 
 def experiment(
@@ -124,10 +104,7 @@ def experiment(
     before_stop = count if before_stop is None else before_stop
     rollouts: list[Rollout] = []
     for experiment_rng in rng.spawn(count):
-        start = study.task.draw_start(experiment_rng)
-        observer.experimenting(theta, start)
-        rollouts.append(study.experiment(theta, experiment_rng, start))
-        observer.experimented(rollouts[-1])
+        rollouts.append(study.experiment(theta, experiment_rng, observer=observer))
         if len(rollouts) >= before_stop and not all(map(study.passes, rollouts)):
             break
     return tuple(rollouts)

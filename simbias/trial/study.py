@@ -7,8 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from math import inf
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,51 +28,17 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.ranges import Count, CountOrZero, Seconds, Seed
-from simbias.core.records import Array, Iteration, Rollout, Search, Transitions
+from simbias.core.ranges import CountOrZero, Seconds, Seed
+from simbias.core.records import Array, Iteration, Rollout, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.ask_tell import AskTell
+from simbias.trial.budget import NO_LIMITS, Budget, BudgetSpent, Spending
+from simbias.trial.observer import Observer
 from simbias.trial.replay import Record, ReplayedOptimizer
 
 WARM_UP = 0.2  # s of a rollout that is learned from, so that what learns is compiled
-
-
-class Observer:
-    """Follows a trial; this one does nothing."""
-
-    def searching(self, evaluations: int, best_cost: float) -> None:
-        """A policy search has simulated this number of policies, a few in vain if it looks ahead."""
-
-    def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
-        """A policy theta (p,) was made: on this model, if on any, and by this search, if by one."""
-
-    def experimenting(self, theta: Array, start: Array) -> None:
-        """A hardware experiment with theta (p,) from start (n,) begins."""
-
-    def experimented(self, rollout: Rollout) -> None:
-        """A hardware experiment has ended."""
-
-    def iterated(self, iteration: Iteration) -> None:
-        """An iteration has ended."""
-
-    def trying(self, number: int, count: int) -> None:
-        """A test episode of the last policy begins, the first of which has the number 0."""
-
-
-class Observers(Observer):
-    """Several observers as one."""
-
-    def __init__(self, *observers: Observer) -> None:
-        for event in (name for name in vars(Observer) if not name.startswith("_")):
-            setattr(self, event, partial(_each, [getattr(observer, event) for observer in observers]))
-
-
-def _each(functions: Sequence[Callable[..., None]], *arguments: Any) -> None:
-    """Call each function."""
-    for function in functions:
-        function(*arguments)
 
 
 class Origin(Protocol):
@@ -109,43 +74,16 @@ class Method(ABC):
     """
 
     max_iterations: int  # N_out
-    max_experiments: int  # hardware experiments of a trial that never succeeds
+    experiments: int  # on hardware, of an iteration at most
+
+    @cached_property
+    def max_experiments(self) -> int:
+        """Hardware experiments of a trial that never succeeds, at most."""
+        return self.max_iterations * self.experiments
 
     @abstractmethod
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration as it ends."""
-
-
-@dataclass(frozen=True)
-class Budget:
-    """Experiments on hardware that a trial may make by any method, and their seconds; None: no limit."""
-
-    experiments: Count | None = None
-    seconds: Seconds | None = None  # after which no experiment begins
-
-
-class BudgetSpent(Exception):  # noqa: N818 (no error: a trial that ends so has not succeeded)
-    """A trial asks for an experiment that its budget does not allow."""
-
-
-class _Spending(Observer):
-    """Ends a trial that has spent its budget."""
-
-    def __init__(self, budget: Budget, time_step: float) -> None:
-        self._budget, self._time_step = budget, time_step
-        self._experiments, self._seconds = 0, 0.0
-
-    def experimenting(self, theta: Array, start: Array) -> None:
-        """Refuse an experiment beyond the budget."""
-        if self._experiments >= (self._budget.experiments or inf) or self._seconds >= (
-            self._budget.seconds or inf
-        ):
-            raise BudgetSpent
-
-    def experimented(self, rollout: Rollout) -> None:
-        """Count an experiment."""
-        self._experiments += 1
-        self._seconds += rollout.frames * self._time_step
 
 
 @dataclass(frozen=True)
@@ -178,7 +116,8 @@ class Study:
     hardware_of: Callable[[Task], Hardware]  # constructs the hardware again, for another horizon
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = PolicyTest()
-    budget: Budget = Budget()
+    budget: Budget = NO_LIMITS
+    spending: Spending | None = None  # of the budget, while a trial runs
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -206,11 +145,9 @@ class Study:
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
         """Run the method within the budget; the same seed gives the same records on one kind of machine."""
-        watching = observer or Observer()
-        if self.budget != Budget():
-            watching = Observers(_Spending(self.budget, self.task.time_step), watching)
+        study = replace(self, hardware=self.checked_hardware, spending=Spending(self.budget))
         with suppress(BudgetSpent):
-            yield from self.method.run(self, np.random.default_rng(self.seed), watching)
+            yield from self.method.run(study, np.random.default_rng(self.seed), observer or Observer())
 
     @property
     def max_experiments(self) -> int:
@@ -233,11 +170,19 @@ class Study:
         begin = self.task.start_mean if start is None else start
         return self._judged(self.simulator(fitted_bias, nominal).rollout(theta, begin), theta)
 
-    def experiment(self, theta: Array, rng: np.random.Generator, start: Array | None = None) -> Rollout:
+    def experiment(
+        self,
+        theta: Array,
+        rng: np.random.Generator,
+        start: Array | None = None,
+        observer: Observer | None = None,
+    ) -> Rollout:
         """Run theta (p,) on the hardware once; without a start (n,) from a random one.
 
         Raises
         ------
+        BudgetSpent
+            If a trial asks for more than its budget allows.
         HardwareError
             If the experiment could not be carried out, did not end in time, or its rollout is not what the
             contract asks for.
@@ -246,7 +191,15 @@ class Study:
         """
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
-        return self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
+        watching = observer or Observer()
+        if self.spending is not None:
+            self.spending.check()
+        watching.experimenting(theta, begin)
+        rollout = self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
+        if self.spending is not None:
+            self.spending.add(rollout.frames * self.task.time_step)
+        watching.experimented(rollout)
+        return rollout
 
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: as the task says or, where it does not, the cost."""

@@ -261,7 +261,6 @@ def main() -> None:
         *IMPORTED,
         "simbias.config.build",
         "simbias.trial.study",
-        "simbias.sweep.services",
         "simbias.testing.conformance",
     ]:
         importlib.import_module(name)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -19,7 +17,6 @@ RENAMES = {
     "bias.reach": "bias.d",
     "bias=gaussian": "bias=gp",
     "old_group": "optimizer",
-    "simbias.old": "simbias.bias",
 }
 
 
@@ -31,25 +28,14 @@ def test_new_names_exist_and_old_ones_do_not() -> None:
 
 
 def _exists(name: str) -> bool:
-    """Whether there is such an option, module, class or key."""
+    """Whether there is such an option or key."""
     group, equals, option = name.partition("=")
     if equals:
         return option in options().get(group, [])
-    if name.startswith("simbias."):
-        return _imports(name)
     group = name.partition(".")[0]
     names = options().get(group, [])
     found = [compose().config, *({group: shipped(group, each)} for each in names if group != "preset")]
     return any(_has(config, name.split(".")) for config in found)
-
-
-def _imports(name: str) -> bool:
-    """Whether there is a module or a class of this name."""
-    module, _, attribute = name.rpartition(".")
-    for each in (name, module):
-        with suppress(ImportError):
-            return bool(import_module(each)) if each == name else hasattr(import_module(each), attribute)
-    return False
 
 
 def _has(config: object, parts: list[str]) -> bool:
@@ -75,7 +61,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("bias=gaussian", "bias=gaussian: is now bias=gp"),
         ("old_group.seed=3", "old_group.seed: is now optimizer.seed"),
         ("+old_group.seed=3", "old_group.seed: is now optimizer.seed"),
-        ("bias._target_=simbias.old.gp.Gp", "simbias.old.gp.Gp: is now simbias.learning.bias.gp.Gp"),
     ],
 )
 def test_on_the_command_line(folder: Path, override: str, line: str) -> None:
@@ -87,7 +72,6 @@ def test_on_the_command_line(folder: Path, override: str, line: str) -> None:
 @pytest.mark.parametrize(
     ("file", "text", "override", "line"),
     [
-        ("bias/mine", "{_target_: simbias.old.gp.Gp}", "bias=mine", "simbias.learning.bias.gp.Gp"),
         ("preset/mine", "# @package _global_\nbias: {reach: 2}", "preset=mine", "bias.reach: is now bias.d"),
         ("preset/mine", "# @package _global_\nold_group: {a: 2}", "preset=mine", "is now optimizer.a"),
         ("preset/mine", "# @package _global_\ndefaults: [{override /bias: gaussian}]", "preset=mine", "=gp"),
@@ -104,11 +88,3 @@ def test_in_a_file(folder: Path, file: str, text: str, override: str, line: str)
         expand(overrides, folder) if "sweep" in override else simbias.load(overrides, folder)
     assert line in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_component_with_an_attribute_under_its_old_name_says_the_new_one(monkeypatch) -> None:
-    from simbias.policy.output_feedback import OutputFeedback
-
-    monkeypatch.setattr(OutputFeedback, "memory_size", 2, raising=False)
-    with pytest.raises(ConfigError, match=r"policy: OutputFeedback\.memory_size is now state_size"):
-        simbias.load(["tracking=none"])

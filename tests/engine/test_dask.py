@@ -15,9 +15,10 @@ import psutil
 import pytest
 
 from simbias.config import ConfigError, compose
+from simbias.config.build import service
 from simbias.engine import dask as module
+from simbias.engine.contract import Engine
 from simbias.engine.dask import Dask
-from simbias.sweep.services import engine
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +47,9 @@ def cluster() -> Iterator[Any]:
 
 
 def test_an_address(cluster: Any) -> None:
-    subject = engine(compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]))
+    subject = service(
+        compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]), "engine", Engine
+    )
     assert isinstance(subject, Dask)
     assert dict(subject.run(double, [1, 2, 3])) == {0: 2, 1: 4, 2: 6}
     assert os.getpid() not in dict(subject.run(where, [0])).values()
@@ -139,4 +142,4 @@ def test_what_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         ConfigError, match=r"^engine: Dask is not installed \(.*\): pip install 'simbias\[dask\]'$"
     ):
-        engine(compose(["engine=dask"]))
+        service(compose(["engine=dask"]), "engine", Engine)

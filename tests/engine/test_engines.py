@@ -20,11 +20,11 @@ from engine_tasks import Task, Trap, examine, hand_over, hand_over_a_view, set_t
 from threadpoolctl import threadpool_limits
 
 from simbias.config import compose
+from simbias.config.build import service
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky, RoundBrokenError, run_rounds
 from simbias.engine.sequential import Sequential
-from simbias.sweep.services import engine
 
 pytestmark = pytest.mark.slow
 
@@ -232,5 +232,5 @@ def test_no_innocent_is_blamed() -> None:
 
 @pytest.mark.parametrize("name", ["sequential", *NAMES])
 def test_engines_are_built_from_their_yaml(name: str) -> None:
-    subject = engine(compose([f"engine={name}"]))
+    subject = service(compose([f"engine={name}"]), "engine", Engine)
     assert type(subject).__module__ == f"simbias.engine.{name}"

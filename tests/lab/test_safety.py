@@ -199,7 +199,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     assert "velocity" in out
     assert " 0.3  m/s" in out
     assert "Predicted: 2.00 s, cost " in out
-    assert f"Of {DRAWS} draws of start and model, 0 fail." in out
+    assert f"Of {DRAWS} draws of start and model, {DRAWS} succeed, 0 fail." in out
     assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
 
 

@@ -24,8 +24,9 @@ from simbias.core.records import Iteration
 from simbias.mlflow.pages import NOTE
 from simbias.mlflow.tracking import Mlflow
 from simbias.trial.folder import TRIAL, TrialFolder, withdraw
+from simbias.trial.observer import Observer, Observers
 from simbias.trial.run import run_trial
-from simbias.trial.study import Observer, Observers, Study
+from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
 

@@ -17,8 +17,9 @@ from simbias.sweep.grid import Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.worker import Result
 from simbias.trial.folder import TrialFolder
+from simbias.trial.observer import Observer, Observers
 from simbias.trial.run import run_trial
-from simbias.trial.study import Observer, Observers, Study
+from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
 

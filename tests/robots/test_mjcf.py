@@ -107,12 +107,22 @@ def test_what_has_no_name_in_a_file_is_called_by_what_it_moves(tmp_path: Path) -
             r"endless.xml: hfield 'hills' makes 1e\+10 cells",
         ),
         ('<include file="part.xml"/>', r"endless.xml: composite makes 1e\+09 copies"),
+        ('<include file="endless.xml"/>', r"endless.xml: endless.xml includes itself"),
+        (
+            '<asset><model name="m" file="copied.xml"/></asset><worldbody><replicate count="1000">'
+            '<attach model="m" body="b" prefix="p"/></replicate></worldbody>',
+            r"endless.xml: replicate makes 1e\+06 copies",
+        ),
     ],
 )
 def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path, text: str, message: str) -> None:
     cart = Path(mjcf(tmp_path)).read_text()
     (tmp_path / "endless.xml").write_text(cart.replace("</mujoco>", f"{text}</mujoco>"))
     (tmp_path / "part.xml").write_text('<mujoco><composite count="1000 1000 1000"/></mujoco>')
+    copied = '<replicate count="1000"><geom size="1"/></replicate>'
+    (tmp_path / "copied.xml").write_text(
+        f'<mujoco><worldbody><body name="b">{copied}</body></worldbody></mujoco>'
+    )
     begin = time.monotonic()
     with pytest.raises(ValueError, match=message) as error:
         Mechanism(cart_pole(), str(tmp_path / "endless.xml"))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from simbias.config import compose
 from simbias.config.build import construct
-from simbias.core import Optimizer
+from simbias.core import Objective, Optimizer
 from simbias.core.evaluations import STEP_LIMIT, TIME_LIMIT, Budget, Evaluations
 from simbias.core.records import Array, Optimum
 from simbias.search.optimizer.lookahead import MOST, look_ahead
@@ -20,7 +20,7 @@ STEPS = 100
 SEARCHES = ["nlopt_direct", "nlopt_crs", "cma", "hybrid"]
 
 
-class Counting:
+class Counting(Objective):
     """A rugged objective that counts; `together` as an evaluation offers it."""
 
     def __init__(self, shift: float = 0.0) -> None:
@@ -38,10 +38,6 @@ class Counting:
     def together(self, points: Array) -> Array:
         self.calls.append(len(points))
         return np.array([self.cost(point) for point in points])
-
-    def __call__(self, x: Array) -> float:
-        self.calls.append(1)
-        return self.cost(x)
 
 
 def minimize(name: str, objective, limit: int, seed: int, **options: float) -> Optimum:

@@ -12,7 +12,7 @@ from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.policy.gains import signed_exponential
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.search.lqr import INPUT_WEIGHTS, LqrCandidates, linearised, lqr_gains, lqr_policies, rest
+from simbias.search.lqr import INPUT_WEIGHTS, linearised, lqr_candidates, lqr_gains, lqr_policies, rest
 from simbias.trial.study import Study
 
 SLOPE = ["nominal.uncertainty.slope=0.025", "task.outputs=states"]
@@ -106,12 +106,12 @@ def test_what_has_no_lqr_has_no_policies() -> None:
 
 def test_other_models_are_drawn_and_the_same_each_time() -> None:
     _, model = bongoboard(*DELAY)
-    once, again = (list(LqrCandidates(model, 3)) for _ in range(2))
+    once, again = (list(lqr_candidates(model, 3)) for _ in range(2))
     assert len(once) == 3 * len(INPUT_WEIGHTS)
     np.testing.assert_array_equal(once, again)
     np.testing.assert_array_equal(once[: len(INPUT_WEIGHTS)], lqr_policies(model))
     assert not np.allclose(once[0], once[len(INPUT_WEIGHTS)])
-    assert list(LqrCandidates(model, 0)) == []
+    assert list(lqr_candidates(model, 0)) == []
 
 
 @pytest.mark.slow
@@ -154,5 +154,5 @@ def test_searches_that_begin_without_lqr_say_so() -> None:
             return x
 
     with pytest.warns(SlowWarning, match="begin without LQR: Gain imitates none"):
-        assert list(LqrCandidates(point_mass(policy=Gain), 3)) == []
-    assert list(LqrCandidates(point_mass(policy=Gain), 0)) == []
+        assert list(lqr_candidates(point_mass(policy=Gain), 3)) == []
+    assert list(lqr_candidates(point_mass(policy=Gain), 0)) == []

@@ -23,7 +23,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
-IMPORTED = ["config.build", "sweep.services", "engine.loky", "pictures.trial.gallery", "sweep.running"]
+IMPORTED = ["config.build", "engine.loky", "pictures.trial.gallery", "sweep.running"]
 IMPORTED += ["sweep.worker", "terminal.sweep", "terminal.trial", "testing.rehearsal", "mlflow.tracking"]
 IMPORTED += ["mlflow.sweep", "sweep.results"]
 LIBRARIES = ["hydra", "joblib", "nlopt", "scipy.optimize", "scipy.signal", "scipy.stats"]

@@ -54,7 +54,7 @@ def test_a_sweep_continues_whatever_its_hardware_does(tmp_path: Path) -> None:
     assert out.count("(traceback in ") == len([*raised, *returned, "hangs"])
     trials = [TrialFolder(file.parent) for file in (tmp_path / "trials").glob("*/trial.json")]
     assert (len(trials), sum(trial.ended for trial in trials)) == (len(faults), len(fine))
-    assert sum((trial.path / "refused_0000.npz").exists() for trial in trials) == len(returned)
+    assert sum((trial.path / "refused_0000.json").exists() for trial in trials) == len(returned)
     (tmp_path / MENDED).touch()
     status, out, err = run(*command, "engine=sequential", folder=tmp_path)
     assert (status, err) == (0, ""), out + err

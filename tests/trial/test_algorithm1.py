@@ -16,7 +16,8 @@ from simbias.core.records import Array, Iteration, Rollout
 from simbias.learning.bias.none import NoBias
 from simbias.search.optimizer.nlopt import Nlopt
 from simbias.trial.methods.algorithm1 import Algorithm1
-from simbias.trial.study import Observer, Study
+from simbias.trial.observer import Observer
+from simbias.trial.study import Study
 
 
 class Listener(Observer):

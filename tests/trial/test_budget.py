@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simbias.config import compose
+from simbias.core.records import Iteration
+from simbias.trial.budget import Budget
+from simbias.trial.folder import TrialFolder
 from simbias.trial.methods.model_based import ModelBased
+from simbias.trial.observer import Observer
 from simbias.trial.run import read_trial, run_trial
-from simbias.trial.study import Budget, Study
+from simbias.trial.study import Method, Study
 from simbias.trial.summary import Outcome
 
 
@@ -34,6 +40,24 @@ def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path
         assert len(record.iterations) == made // 2
         again = read_trial(study, folder)
         assert (again.summary, len(again.unfinished)) == (record.summary, made % 2)
+
+
+class Direct(Method):
+    """It makes its experiments without the steps of methods."""
+
+    max_iterations, experiments = 5, 1
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Experiments, and no iteration."""
+        for experiment_rng in rng.spawn(5):
+            study.experiment(np.zeros(3), experiment_rng)
+        yield from ()
+
+
+def test_a_method_that_goes_its_own_way_is_stopped_too(point_mass: Study, tmp_path: Path) -> None:
+    study = replace(point_mass, method=Direct(), budget=Budget(experiments=3))
+    run_trial(study, tmp_path)
+    assert len(TrialFolder(tmp_path).steps()) == 3
 
 
 def test_no_budget_changes_no_identity() -> None:

@@ -22,9 +22,10 @@ from simbias.testing.conformance import verdicts
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
+from simbias.trial.observer import Observer
 from simbias.trial.run import run_trial
 from simbias.trial.steps import experiment
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 from simbias.trial.summary import Outcome, iteration_summary
 
 

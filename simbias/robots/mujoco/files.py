@@ -129,27 +129,57 @@ def _name(elements: Sequence[Any], kind: str, names: Sequence[str]) -> None:
             known.add(element.name)
 
 
-def _check_size(path: Path, copies: int = 1) -> None:
-    """Refuse a file that MuJoCo would read for hours, or that would fill the memory."""
-    if path.is_file():
-        try:
-            root = ElementTree.parse(path).getroot()
-        except ElementTree.ParseError:  # MuJoCo says where
-            return
-        _check_element(root, path, copies)
+def _check_size(path: Path, copies: int = 1, within: tuple[Path, ...] = ()) -> None:
+    """Refuse a file that MuJoCo would read for hours, or that would fill the memory.
+
+    It stands in `copies` copies of itself within other files, from the whole model's on.
+    """
+    if path in within:
+        raise ValueError(f"{path.name} includes itself")
+    if (root := _root(path)) is not None:
+        _check_element(root, (*within, path), copies)
 
 
-def _check_element(element: Any, path: Path, copies: int) -> None:
-    """Refuse an element of a file that makes too much, in `copies` copies of itself."""
+def _check_element(element: Any, within: tuple[Path, ...], copies: int) -> None:
+    """Refuse an element that makes too much, in `copies` copies of itself."""
     if element.tag in ("hfield", "texture"):
         _limit(element, _product(element, "nrow", "ncol", "width", "height"), MOST_CELLS, "cells")
     if element.tag in ("replicate", "composite", "flexcomp"):
         copies *= _product(element, "count")
         _limit(element, copies, MOST_COPIES, "copies")
-    if element.tag in ("include", "model") and element.get("file") not in (None, path.name):
-        _check_size(path.parent / element.attrib["file"], copies)
+    if element.tag == "include" and "file" in element.attrib:
+        _check_size(within[-1].parent / element.attrib["file"], copies, within)
+    if element.tag == "attach":
+        for file in _attached(element.get("model"), within) - set(within):  # a model may attach itself
+            _check_size(file, copies, within)
     for child in element:
-        _check_element(child, path, copies)
+        _check_element(child, within, copies)
+
+
+def _attached(name: str | None, within: tuple[Path, ...]) -> set[Path]:
+    """The files of models of a name, as files say that include each other."""
+    homes = {*within, *source_files(str(within[-1]))}
+    models = [(home.parent / each.get("file", ""), each) for home in homes for each in _models(home)]
+    return {path for path, each in models if name in (each.get("name"), _title(path))}
+
+
+def _models(path: Path) -> list[Any]:
+    """Elements of a file that name other models."""
+    root = _root(path)
+    return [] if root is None else [each for each in root.iter("model") if "file" in each.attrib]
+
+
+def _title(path: Path) -> str | None:
+    """A model's own name, as its file says."""
+    root = _root(path)
+    return None if root is None else root.get("model")
+
+
+def _root(path: Path) -> Any:
+    """The root of an XML file; None if it is none, as MuJoCo says better."""
+    with suppress(ElementTree.ParseError, OSError):
+        return ElementTree.parse(path).getroot()
+    return None
 
 
 def _product(element: Any, *attributes: str) -> int:

@@ -2,35 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from simbias.core import Cost, Evaluation, Model, Objective, Task
-from simbias.core.records import Array
-from simbias.simulation.closed_loop import Scenarios, join, simulator
-
-
-@dataclass(eq=False)
-class CostOfOneRollout:
-    """Z (Eq. 8) of a policy's rollout from one start."""
-
-    simulator: Scenarios
-    cost: Cost
-    start: Array  # (n,)
-    steps: int = 0  # simulated so far
-
-    def __call__(self, theta: Array) -> float:
-        """Z of theta (p,)."""
-        return float(self.together(theta[None])[0])
-
-    def together(self, thetas: Array) -> Array:
-        """Z (k,) of thetas (k, p)."""
-        k = len(thetas)
-        starts, scenarios = np.tile(self.start, (k, 1)), np.zeros(k, np.int64)
-        costs, frames = self.simulator.costs(self.cost, thetas, starts, scenarios)
-        self.steps += int(frames.sum())
-        return costs
+from simbias.search.evaluation.scenarios import CostOfScenarios, Scenario
+from simbias.simulation.closed_loop import simulator
 
 
 class NominalStart(Evaluation):
@@ -41,4 +17,4 @@ class NominalStart(Evaluation):
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
         """Z (Eq. 8) of a policy's rollout in simulation."""
-        return CostOfOneRollout(join([simulator(model)]), cost, self._start)
+        return CostOfScenarios([Scenario(simulator(model), self._start)], cost)

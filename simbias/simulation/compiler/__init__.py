@@ -30,7 +30,7 @@ from simbias.simulation.compiler.tracing import (
     of_nominal,
     parts_of,
 )
-from simbias.simulation.compiler.trigonometry import arctan, sincos
+from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 from simbias.simulation.compiler.written import NUMPY, C, Formulas
 
 __all__ = [
@@ -64,5 +64,6 @@ __all__ = [
     "sincos",
     "store",
     "sum_of",
+    "tanh",
     "zero",
 ]

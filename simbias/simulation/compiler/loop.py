@@ -159,17 +159,15 @@ class Loop:
         else:
             constants.append(correct.read("bias"))
             advance += ["d = correct(x_, u_, bias_data)", *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]")]
-        take = [
-            self.take,
-            *(f"nominal[{i}, lane] = nominal_parameters[model, {i}]" for i in range(step.parameters)),
-        ]
-        take += [f"model_state[{i}, lane] = 0.0" for i in range(self.n_model_state)]
+        take = [self.take, f"for i in range({step.parameters}):"]
+        take += ["    nominal[i, lane] = nominal_parameters[model, i]"]
+        take += [f"for i in range({self.n_model_state}):", "    model_state[i, lane] = 0.0"]
         return fill(
             TEMPLATE,
             arguments=[self.arguments],
             rows=self._layout(),
             constants=constants,
-            take=[self.take, *take],
+            take=take,
             gather=[self.gather],
             advance=advance,
             judge=[self.judge],

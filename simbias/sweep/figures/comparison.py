@@ -18,13 +18,13 @@ from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
 from simbias.sweep.statistics import (
-    bootstrap_interval,
     holds,
     holm,
     interquartile_mean,
     performance_profile,
     probability_of_improvement,
     sign_test,
+    stratified_bootstrap,
     success_curve,
 )
 
@@ -103,7 +103,7 @@ class _Method:
     def row(self, name: str) -> dict[str, Any]:
         """The method in numbers."""
         held, count = int(self.trials["holds"].sum()), len(self.trials)
-        low, high = bootstrap_interval(interquartile_mean, self.scores)
+        low, high = stratified_bootstrap(interquartile_mean, self.scores)
         least, most = wilson(held, count)
         return {
             "method": name,
@@ -127,7 +127,7 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
         if method is reference or method.scores.shape[1] != reference.scores.shape[1]:
             continue
         both = method.scores, reference.scores
-        low, high = bootstrap_interval(probability_of_improvement, *both)
+        low, high = stratified_bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
         pairs = method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)
         p[name] = sign_test(pairs.dropna().tolist())

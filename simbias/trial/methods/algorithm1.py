@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Learning, Rollout
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 
+@dataclass(eq=False)
 class Algorithm1(Method):
     """Alternate policy search in simulation with hardware experiments and learning from them.
 
@@ -26,10 +29,8 @@ class Algorithm1(Method):
         Hardware experiments of an iteration.
     """
 
-    def __init__(self, max_iterations: Count = 10, experiments: Count = 2) -> None:
-        self.max_iterations = max_iterations
-        self.max_experiments = max_iterations * experiments
-        self._experiments = experiments
+    max_iterations: Count = 10
+    experiments: Count = 2
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration; comments give the listing's lines."""
@@ -46,7 +47,7 @@ class Algorithm1(Method):
             if reset:
                 data, learned_from = study.no_data, []  # 7
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments)  # 9
+                rollouts = experiment(study, theta, hardware_rng, observer, self.experiments)  # 9
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))  # 10
             with clock("learning"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,14 +14,16 @@ from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
 from simbias.search.optimizer.cma import strategy
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 Proposals = Generator[Array, float, None]  # policies (p,) to try, each answered by its cost
 BOX = 4.0  # half width of Bayesian optimisation's box around a policy, in deviations
 FIRST = 2  # policies by chance for each parameter, before Bayesian optimisation has a model
 
 
+@dataclass(eq=False)
 class DirectSearch(Method):
     """Try policies on hardware, each chosen by the costs of those before.
 
@@ -40,18 +43,11 @@ class DirectSearch(Method):
         Passes in a row by which a policy succeeds; experiments with it end with the first that fails.
     """
 
-    def __init__(
-        self,
-        strategy: Literal["cma", "bayesian"] = "cma",
-        begin: Literal["cold", "lqr"] = "cold",
-        deviation: Deviation = 0.25,
-        max_iterations: Count = 20,
-        experiments: Count = 2,
-    ) -> None:
-        self.max_iterations = max_iterations
-        self.max_experiments = max_iterations * experiments
-        self._propose = PROPOSALS[strategy]
-        self._begin, self._deviation, self._experiments = begin, deviation, experiments
+    strategy: Literal["cma", "bayesian"] = "cma"
+    begin: Literal["cold", "lqr"] = "cold"
+    deviation: Deviation = 0.25
+    max_iterations: Count = 20
+    experiments: Count = 2
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every policy that is tried.
@@ -63,19 +59,19 @@ class DirectSearch(Method):
         """
         proposal_rng, hardware_rng = rng.spawn(2)
         lower, upper = study.policy.bounds
-        model = None if self._begin == "cold" else study.first_model()
+        model = None if self.begin == "cold" else study.first_model()
         policies = [0.5 * (lower + upper)] if model is None else lqr_policies(model, INPUT_WEIGHTS[1:2])
         if not policies:
             problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
             raise ConfigError("method.begin", problem)
-        proposals = self._propose(lower, upper, policies[0], self._deviation, proposal_rng)
+        proposals = PROPOSALS[self.strategy](lower, upper, policies[0], self.deviation, proposal_rng)
         theta, made = next(proposals), 0
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments, 1)
+                rollouts = experiment(study, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
-            succeeded = all(map(study.cost.passes, rollouts))
+            succeeded = all(map(study.passes, rollouts))
             record = iteration_record(index, theta, rollouts, succeeded, made, clock, model)
             yield record
             if succeeded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Search
 from simbias.search.lqr import lqr_policies
 from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 
+@dataclass(eq=False)
 class Ideal(Method):
     """Search on the engine of a simulated hardware, with its gaps and noise, then experiment once.
 
@@ -29,10 +32,8 @@ class Ideal(Method):
     """
 
     max_iterations = 1
-
-    def __init__(self, experiments: Count = 2, rollouts: Count = 8) -> None:
-        self.max_experiments = self._experiments = experiments
-        self._rollouts = rollouts
+    experiments: Count = 2
+    rollouts: Count = 8
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield the record of the only iteration.
@@ -45,12 +46,12 @@ class Ideal(Method):
         scenario_rng, search_rng, hardware_rng = rng.spawn(3)
         clock, model = Stopwatch(), study.first_model()
         with clock("search"):
-            cost = CostOnHardware(study, study.hardware_of(study.task), scenario_rng, self._rollouts)
+            cost = CostOnHardware(study, study.hardware_of(study.task), scenario_rng, self.rollouts)
             box, candidates = study.policy.bounds, lqr_policies(model)
             optimum = study.optimizer.minimize(cost, *box, search_rng, study.cost.max_cost, candidates)
         found, theta = Search(optimum, optimum.cost), optimum.parameters
         observer.designed(theta, model, found)
         with clock("experiments"):
-            rollouts = experiment(study, theta, hardware_rng, observer, self._experiments)
-        succeeded = all(map(study.cost.passes, rollouts))
+            rollouts = experiment(study, theta, hardware_rng, observer, self.experiments)
+        succeeded = all(map(study.passes, rollouts))
         yield iteration_record(0, theta, rollouts, succeeded, len(rollouts), clock, model, found)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from simbias.core import failure_name
 from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, search
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 NEAR = 1e-3  # of the box's width, to both sides of a policy, for derivatives
 
 
+@dataclass(eq=False)
 class InaccurateModel(Method):
     """Improve a policy along the gradient of a model that is made exact along the last experiment.
 
@@ -33,10 +35,9 @@ class InaccurateModel(Method):
         Hardware experiments of an iteration, which end with the first that fails.
     """
 
-    def __init__(self, step: Deviation = 0.02, max_iterations: Count = 10, experiments: Count = 2) -> None:
-        self.max_iterations = max_iterations
-        self.max_experiments = max_iterations * experiments
-        self._step, self._experiments = step, experiments
+    step: Deviation = 0.02
+    max_iterations: Count = 10
+    experiments: Count = 2
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every policy that is tried."""
@@ -46,12 +47,12 @@ class InaccurateModel(Method):
         with clock("search"):
             found = search(study, model, search_rng, observer)
         theta, made = found.optimum.parameters, 0
-        best, least, direction, step = theta, np.inf, np.zeros_like(theta), self._step
+        best, least, direction, step = theta, np.inf, np.zeros_like(theta), self.step
         for index in range(self.max_iterations):
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments, 1)
+                rollouts = experiment(study, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
-            succeeded = all(map(study.cost.passes, rollouts))
+            succeeded = all(map(study.passes, rollouts))
             record = iteration_record(index, theta, rollouts, succeeded, made, clock, model, found)
             yield record
             if succeeded:
@@ -59,7 +60,7 @@ class InaccurateModel(Method):
             clock, found = Stopwatch(), None
             with clock("search"):
                 if record.hardware_cost < least:
-                    best, least, step = theta, record.hardware_cost, self._step
+                    best, least, step = theta, record.hardware_cost, self.step
                     worst = max(rollouts, key=lambda rollout: rollout.cost)
                     direction = -gradient(study, theta, worst)
                 else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from simbias.core.errors import ConfigError
 from simbias.core.ranges import Count, NonNegative, Scale
 from simbias.core.records import Iteration, Rollout
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 
+@dataclass(eq=False)
 class Lqr(Method):
     """Try the policy that imitates the LQR of the nominal model; if asked for, of the identified one then.
 
@@ -34,19 +37,15 @@ class Lqr(Method):
         Designs, with identification; without, there is one.
     """
 
-    def __init__(
-        self,
-        input_weight: Scale = INPUT_WEIGHTS[1],
-        experiments: Count = 2,
-        identified: bool = False,
-        max_iterations: Count = 10,
-        integral_weight: NonNegative = 0.0,
-    ) -> None:
-        self.max_iterations = max_iterations if identified else 1
-        self.max_experiments = self.max_iterations * experiments
-        self._input_weight = input_weight
-        self._experiments = experiments
-        self._integral_weight = integral_weight
+    input_weight: Scale = INPUT_WEIGHTS[1]
+    experiments: Count = 2
+    identified: bool = False
+    max_iterations: Count = 10
+    integral_weight: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.identified:
+            self.max_iterations = 1
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration.
@@ -63,15 +62,15 @@ class Lqr(Method):
                 if experiments:
                     model = study.model(None, study.identification.fit(study.nominal, experiments))
             with clock("design"):
-                policies = lqr_policies(model, (self._input_weight,), self._integral_weight)
+                policies = lqr_policies(model, (self.input_weight,), self.integral_weight)
             if not policies:
-                kind = "LQI" if self._integral_weight else "LQR"
+                kind = "LQI" if self.integral_weight else "LQR"
                 problem = f"{type(study.policy).__name__} imitates no {kind}, or the model has none"
                 raise ConfigError("method", problem)
             (theta,) = policies
             observer.designed(theta, model)
             with clock("experiments"):
-                rollouts = experiment(study, theta, rng, observer, self._experiments)
+                rollouts = experiment(study, theta, rng, observer, self.experiments)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
             yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock, model)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -10,15 +12,16 @@ from pydantic import Field
 
 from simbias.core.ranges import Count, CountOrZero, Positive, Share
 from simbias.core.records import Iteration, Learning, Rollout
-from simbias.search.lqr import LqrCandidates
 from simbias.trial.claim import passes_for
 from simbias.trial.model_selection import log_likelihoods, most_likely
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 Confidence = Annotated[float, Field(gt=0, lt=1)]
 
 
+@dataclass(eq=False)
 class ModelBased(Method):
     """Alternate policy search in simulation with hardware experiments and learning, as Algorithm 1 does.
 
@@ -58,34 +61,33 @@ class ModelBased(Method):
         evaluates first.
     """
 
-    def __init__(
-        self,
-        max_iterations: Count = 10,
-        experiments: Count = 2,
-        keep_data: bool = False,
-        stop_at_failure: bool = False,
-        retry_search: CountOrZero = 0,
-        target_cost: Positive | None = None,
-        posterior_scale: Share = 1.0,
-        passes: Count | None = None,
-        model_selection: bool = False,
-        lqr_candidates: CountOrZero = 0,
-        confidence: Confidence | None = None,
-    ) -> None:
-        if passes is not None and passes < experiments:
-            raise ValueError(f"passes: {passes} are fewer than the {experiments} experiments of an iteration")
-        self.max_iterations = max_iterations
-        self._passes = [passes or experiments] * max_iterations
-        if confidence is not None:
-            self._passes = [max(experiments, passes_for(confidence, i)) for i in range(max_iterations)]
-        self.max_experiments = sum(self._passes)
-        self._before_stop = 1 if stop_at_failure else experiments
-        self._keep_data = keep_data
-        self._retry_search = retry_search
-        self._target_cost = target_cost
-        self._posterior_scale = posterior_scale
-        self._model_selection = model_selection
-        self._lqr_candidates = lqr_candidates
+    max_iterations: Count = 10
+    experiments: Count = 2
+    keep_data: bool = False
+    stop_at_failure: bool = False
+    retry_search: CountOrZero = 0
+    target_cost: Positive | None = None
+    posterior_scale: Share = 1.0
+    passes: Count | None = None
+    model_selection: bool = False
+    lqr_candidates: CountOrZero = 0
+    confidence: Confidence | None = None
+
+    def __post_init__(self) -> None:
+        if self.passes is not None and self.passes < self.experiments:
+            problem = f"{self.passes} are fewer than the {self.experiments} experiments of an iteration"
+            raise ValueError(f"passes: {problem}")
+
+    @cached_property
+    def max_experiments(self) -> int:
+        """Hardware experiments of a trial that never succeeds."""
+        return sum(map(self._passes_of, range(self.max_iterations)))
+
+    def _passes_of(self, policy: int) -> int:
+        """Experiments that the policy of this number has to pass."""
+        if self.confidence is None:
+            return self.passes or self.experiments
+        return max(self.experiments, passes_for(self.confidence, policy))
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""
@@ -96,23 +98,23 @@ class ModelBased(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                candidates = LqrCandidates(model, self._lqr_candidates)
-                retries = self._retry_search, self._target_cost, self._posterior_scale
-                found = search(study, model, search_rng, observer, candidates, *retries)
+                retries = self.retry_search, self.target_cost, self.posterior_scale
+                found = search(study, model, search_rng, observer, self.lqr_candidates, *retries)
             theta, simulation = found.optimum.parameters, model
-            reset = found.predicted_cost > study.cost.max_cost and not self._keep_data
+            reset = found.predicted_cost > study.cost.max_cost and not self.keep_data
             if reset:
                 data, learned_from = study.no_data, []
             with clock("experiments"):
-                limits = self._passes[index], self._before_stop
-                rollouts = experiment(study, theta, hardware_rng, observer, *limits)
+                before_stop = 1 if self.stop_at_failure else self.experiments
+                passes = self._passes_of(index)
+                rollouts = experiment(study, theta, hardware_rng, observer, passes, before_stop)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
             likelihoods: dict[str, float] = {}
             with clock("learning"):
                 if not succeeded:
                     learned_from.append(rollouts)
-                    likelihoods = log_likelihoods(study, experiments) if self._model_selection else {}
+                    likelihoods = log_likelihoods(study, experiments) if self.model_selection else {}
                     model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
                 selection = study.samples.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset, likelihoods)

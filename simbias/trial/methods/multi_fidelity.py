@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,13 @@ import numpy as np
 from simbias.core import Hardware
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Learning, Rollout
-from simbias.search.lqr import LqrCandidates
 from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 
+@dataclass(eq=False)
 class MultiFidelity(Method):
     """Search on the nominal model, go on from there on a better simulator, end on the hardware.
 
@@ -40,20 +42,15 @@ class MultiFidelity(Method):
         Models whose LQR policies a search on the model evaluates first.
     """
 
-    def __init__(
-        self,
-        hardware_from: Callable[[Mapping[str, Any]], Hardware],
-        middle: dict[str, Any] | None = None,
-        rollouts: Count = 4,
-        max_iterations: Count = 10,
-        experiments: Count = 2,
-        lqr_candidates: Count = 1,
-    ) -> None:
-        self.max_iterations = max_iterations
-        self.max_experiments = max_iterations * experiments
-        self._middle = None if middle is None else hardware_from(middle)
-        self._rollouts, self._experiments = rollouts, experiments
-        self._lqr_candidates = lqr_candidates
+    hardware_from: Callable[[Mapping[str, Any]], Hardware]
+    middle: dict[str, Any] | None = None
+    rollouts: Count = 4
+    max_iterations: Count = 10
+    experiments: Count = 2
+    lqr_candidates: Count = 1
+
+    def __post_init__(self) -> None:
+        self._middle = None if self.middle is None else self.hardware_from(self.middle)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration, each of which ends on the hardware."""
@@ -64,19 +61,19 @@ class MultiFidelity(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                found = search(study, model, search_rng, observer, LqrCandidates(model, self._lqr_candidates))
+                found = search(study, model, search_rng, observer, self.lqr_candidates)
                 theta, simulation = found.optimum.parameters, model
                 if middle is not None:
                     scenario_rng, own_rng = middle_rng.spawn(2)
-                    cost = CostOnHardware(study, middle, scenario_rng, self._rollouts)
+                    cost = CostOnHardware(study, middle, scenario_rng, self.rollouts)
                     box, target = study.policy.bounds, study.cost.max_cost
                     theta = study.optimizer.minimize(cost, *box, own_rng, target, [theta]).parameters
                     observer.designed(theta, model)
                     middle = None  # it has said what it knows
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, self._experiments, 1)
+                rollouts = experiment(study, theta, hardware_rng, observer, self.experiments, 1)
             experiments += rollouts
-            succeeded = all(map(study.cost.passes, rollouts))
+            succeeded = all(map(study.passes, rollouts))
             with clock("learning"):
                 if not succeeded:
                     learned_from.append(rollouts)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Learning
+from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
-from simbias.trial.study import Method, Observer, Study
+from simbias.trial.study import Method, Study
 
 
+@dataclass(eq=False)
 class OneShot(Method):
     """Learn once, from a batch of experiments with the nominal model's policy (Ko et al., ICRA 2007).
 
@@ -26,16 +29,17 @@ class OneShot(Method):
     """
 
     max_iterations = 2
+    batch: Count = 8
+    experiments: Count = 2
 
-    def __init__(self, batch: Count = 8, experiments: Count = 2) -> None:
-        self._counts = batch, experiments
-        self.max_experiments = batch + experiments
+    def __post_init__(self) -> None:
+        self.max_experiments = self.batch + self.experiments
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield the records of the batch, which ends the trial if all of it succeeds, and of what follows."""
         search_rng, hardware_rng = rng.spawn(2)
         data, model, made = study.no_data, study.first_model(), 0
-        for index, count in enumerate(self._counts):
+        for index, count in enumerate((self.batch, self.experiments)):
             clock = Stopwatch()
             with clock("search"):
                 found = search(study, model, search_rng, observer)
@@ -43,7 +47,7 @@ class OneShot(Method):
             with clock("experiments"):
                 rollouts = experiment(study, theta, hardware_rng, observer, count)
             made += count
-            succeeded = all(map(study.cost.passes, rollouts))
+            succeeded = all(map(study.passes, rollouts))
             with clock("learning"):
                 selection = study.samples.select(rollouts, model.nominal)
                 if not index and not succeeded:

@@ -1,0 +1,87 @@
+"""The cost of a policy in scenarios: models that might be right, each with its noise and start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from simbias.core import Cost, Objective, Simulator
+from simbias.core.records import Array, Indices
+from simbias.simulation.closed_loop import join
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A model that might be right, its noise, and a start."""
+
+    simulator: Simulator
+    start: Array  # (n,)
+
+
+class CostOfScenarios(Objective):
+    """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
+
+    A policy that failed in each of the first `screening` scenarios is judged by these alone. If `draw` is
+    given, it ranks policies in scenarios that it draws for each call.
+    """
+
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        cost: Cost,
+        worst: int = 1,
+        screening: int = 1,
+        draw: Callable[[], Sequence[Scenario]] | None = None,
+    ) -> None:
+        self._meet(scenarios)
+        self._draw, self.fresh = draw, draw is not None
+        self._cost = cost
+        self._worst = worst  # number of the worst costs, which are averaged
+        self._screening = screening
+        self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
+
+    def _meet(self, scenarios: Sequence[Scenario]) -> None:
+        """Let policies run in these scenarios."""
+        self.scenarios = scenarios
+        self._simulators = join([scenario.simulator for scenario in scenarios])
+        self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
+
+    def rank(self, thetas: Array) -> Array:
+        """Costs (k,) of thetas (k, p): in the same scenarios or, if fresh, in those of this call alone."""
+        if self._draw is None:
+            return self.together(thetas)
+        other = copy(self)
+        other._meet(self._draw())
+        costs = other.together(thetas)
+        self.steps, self._share_promising = other.steps, other._share_promising
+        return costs
+
+    def together(self, thetas: Array) -> Array:
+        """The costs (k,) of thetas (k, p); all policies in all scenarios run in lockstep."""
+        costs = np.zeros((len(thetas), len(self.scenarios)))
+        every = np.arange(len(self.scenarios))
+        first, others = every[: self._screening], every[self._screening :]
+        if self._share_promising > 0.5 or not len(others):  # it pays to simulate some in vain, in lockstep
+            costs = self._costs(thetas, every)
+            hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
+        else:
+            costs[:, first] = self._costs(thetas, first)
+            hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
+            costs[np.ix_(~hopeless, others)] = self._costs(thetas[~hopeless], others)
+        self._share_promising = 1 - np.mean(hopeless)
+        return np.where(hopeless, self._aggregated(costs[:, first]), self._aggregated(costs))
+
+    def _costs(self, thetas: Array, scenarios: Indices) -> Array:
+        """The cost of each theta of (k, p) in each of the scenarios."""
+        each = np.tile(scenarios, len(thetas))
+        repeated = np.repeat(thetas, len(scenarios), axis=0)
+        costs, frames = self._simulators.costs(self._cost, repeated, self._starts[each], each)
+        self.steps += int(frames.sum())
+        return costs.reshape(len(thetas), len(scenarios))
+
+    def _aggregated(self, costs: Array) -> Array:
+        """The means (k,) of the worst of the costs (k, .)."""
+        return np.mean(np.sort(costs)[:, -self._worst :], axis=1)
