@@ -310,10 +310,12 @@ def _ui(parsed: argparse.Namespace) -> int:
 
 def _mlflow(parsed: argparse.Namespace) -> Mlflow:
     """The store that the overrides name."""
+    from simbias.config.build import service
     from simbias.mlflow.tracking import Mlflow
-    from simbias.sweep.services import tracking
+    from simbias.sweep.tracking import Tracking
 
-    store = tracking(Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({}))
+    composition = Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({})
+    store: Tracking = service(composition, "tracking", Tracking)
     if not isinstance(store, Mlflow):
         raise ConfigError("tracking", "exports to no store; tracking=mlflow does")
     return store
