@@ -24,7 +24,6 @@ from simbias.search.optimizer.nlopt import Algorithm
 SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "optimizer").glob("*.yaml"))
 CONFIGS = {name: compose(["tracking=none", f"optimizer={name}"]).config["optimizer"] for name in SHIPPED}
 CONFIGS |= {name: {**CONFIGS["nlopt_direct"], "algorithm": name} for name in get_args(Algorithm)}
-REFINING = [name for name in SHIPPED if name != "sobol"]  # whose improvements get ever smaller
 DIRECT = [name for name in CONFIGS if "DIRECT" in name and "RAND" not in name]  # deterministic
 BOX = np.full(5, -10.0), np.full(5, 10.0)
 
@@ -216,7 +215,7 @@ def test_exception_reaches_the_caller(name: str) -> None:
             assert len(calls) == evaluation
 
 
-@pytest.mark.parametrize("name", REFINING)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_relative_tolerance_stops(name: str) -> None:
     """After an improvement that is small, and the finer it is, the later."""
     box, optima = ([-5.0, 0.0], [10.0, 15.0]), []
