@@ -149,14 +149,6 @@ class DoublePendulum(Nominal):
         """x_next (..., 4), one time step after x (..., 4) under torques u (..., m) in N m."""
         return elementwise(self.kernel.function, x, u, parameters=self.kernel.parameters)
 
-    def energy(self, x: Array) -> Array:
-        """Kinetic and potential energy (...) in J at x (..., 4), heights counted from the first joint."""
-        q_1, q_2, v_1, v_2 = np.moveaxis(x, -1, 0)
-        _, a_1, a_2, a_3, rotor, gear, g_1, g_2, *_ = self.kernel.parameters
-        m_11, m_12, m_22 = _inertia(np.cos(q_2), a_1, a_2, a_3, rotor, gear)
-        kinetic = 0.5 * m_11 * v_1**2 + m_12 * v_1 * v_2 + 0.5 * m_22 * v_2**2
-        return kinetic - g_1 * np.cos(q_1) - g_2 * np.cos(q_1 + q_2)
-
 
 def _of_links(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
     """Parameters of the links that may be uncertain."""

@@ -149,6 +149,7 @@ def test_a_drawn_model_has_masses_as_uncertain_as_declared() -> None:
     assert study.nominal.draw(rng).accelerations(study.task.start_mean, np.zeros(1)).shape == (3,)
 
 
+@pytest.mark.slow
 def test_rollouts_may_take_longer_than_experiments(study: Study) -> None:
     """Costs are those of rollouts of so many seconds; the experiments stay as long as they are."""
     made = objective(study, rollouts=3, seconds=0.05)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import rest_slow
 from point_mass import InTheWind
 
 import simbias
@@ -127,7 +128,7 @@ def test_what_the_top_says_corrects_the_bottom(point_mass: Study) -> None:
     assert record.outcome is Outcome.SUCCEEDED
 
 
-@pytest.mark.parametrize("strategy", PROPOSALS)
+@pytest.mark.parametrize("strategy", rest_slow(1, list(PROPOSALS)))
 def test_a_direct_search_finds_a_known_minimum(strategy: str) -> None:
     lower, upper, best = -np.ones(2), np.ones(2), np.array([0.3, -0.2])
     proposals = PROPOSALS[strategy](lower, upper, np.zeros(2), 0.25, np.random.default_rng(0))

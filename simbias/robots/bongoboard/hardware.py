@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -15,7 +14,7 @@ from simbias.core.records import Array, Rollout
 from simbias.robots.bongoboard.bodies import Place, contact
 from simbias.robots.bongoboard.gaps import NO_GAPS, Gaps
 from simbias.robots.bongoboard.task import Bongoboard, deviations
-from simbias.simulation.actuator import Actuators, Drive
+from simbias.simulation.actuator import Actuators
 from simbias.simulation.control_loop import Record, Robot, experiment
 from simbias.simulation.noise import Noise, Variances
 from simbias.simulation.sensor import Sensor
@@ -68,13 +67,13 @@ class EngineBongoboard(Hardware):
         detachment: float,
         gaps: Gaps = NO_GAPS,
     ) -> None:
-        self._task = task
+        self.task = task
+        self.detachment = detachment
+        self.motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
+        self.sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
         self._scale = 1.0 + inertia_error
         self._noise = Noise(task, noise)
         self._record = record
-        self._detachment = detachment
-        self._motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
-        self._sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
 
     @abstractmethod
     def build(self, start: Array) -> World:
@@ -84,29 +83,19 @@ class EngineBongoboard(Hardware):
         """One experiment with theta (p,) from start (6,); its cost is not set."""
         if not np.isfinite(start).all():
             raise HardwareError(f"the robot cannot start at {start}")
-        robot = _Running(self._task, self.build, start, self._detachment, Drive(self._motor), self._sensor)
-        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
+        return experiment(
+            self.task, _Running(self, start), policy, theta, self._noise.draw(rng), self._record
+        )
 
 
 class _Running(Robot):
     """The robot under way; its world is built by the first frame."""
 
-    def __init__(
-        self,
-        task: Bongoboard,
-        build: Callable[[Array], World],
-        start: Array,
-        detachment: float,
-        drive: Drive,
-        sensor: Sensor,
-    ) -> None:
-        self._task = task
-        self._build = build
-        self._detachment = detachment
-        self._drive = drive
-        self._sensor = sensor
+    def __init__(self, hardware: EngineBongoboard, start: Array) -> None:
+        self._hardware, self._task, self._motor = hardware, hardware.task, hardware.motor
+        self._motor_state = np.zeros(self._motor.state_size)
         self._states = [np.asarray(start, dtype=np.float64)]
-        self._limits = [criterion.limit for criterion in task.criteria]
+        self._limits = [criterion.limit for criterion in self._task.criteria]
         self._world: World | None = None
 
     def state(self) -> Array:
@@ -115,14 +104,15 @@ class _Running(Robot):
 
     def reading(self) -> Array:
         """Readings (6,) of the sensors, without noise."""
-        return self._sensor.read(self._states, len(self._states) - 1)
+        return self._hardware.sensor.read(self._states, len(self._states) - 1)
 
     def step(self, u: Array) -> None:
         """Step the world by one frame, under what the motor makes of u (1,)."""
         if self._world is None:
-            self._world = self._build(self._states[0])
-        (torque,) = self._drive(u.tolist())
-        self._world.step(torque)
+            self._world = self._hardware.build(self._states[0])
+        if not self._motor.ideal:
+            u, self._motor_state = self._motor.acting(u, self._motor_state)
+        self._world.step(float(u[0]))
         x = self._world.state()
         stable = all(abs(value) <= ABSURD for value in x)
         self._states.append(np.array(x if stable else [math.nan] * 6))
@@ -134,7 +124,7 @@ class _Running(Robot):
             measures = self._task.measure(x).tolist()
         else:
             depth, gap = contact(self._task.robot, *self._world.wheel_and_board())
-            measures = (depth, gap - self._detachment, *deviations(x.tolist()))
+            measures = (depth, gap - self._hardware.detachment, *deviations(x.tolist()))
         for i, limit in enumerate(self._limits):  # quicker than in NumPy
             if not measures[i] <= limit:
                 return self._task.criteria[i].name

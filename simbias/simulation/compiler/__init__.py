@@ -17,7 +17,7 @@ from simbias.simulation.compiler.compilation import compiled_as, function_of
 from simbias.simulation.compiler.expressions import Expression, Expressions
 from simbias.simulation.compiler.kernels import LANES, elementwise
 from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, load, store
-from simbias.simulation.compiler.loop import Function, zero
+from simbias.simulation.compiler.loop import Function, constant
 from simbias.simulation.compiler.open_loop import compile_open_loop
 from simbias.simulation.compiler.points import Points
 from simbias.simulation.compiler.text import sum_of
@@ -49,6 +49,7 @@ __all__ = [
     "compile_closed_loop",
     "compile_open_loop",
     "compiled_as",
+    "constant",
     "elementwise",
     "everywhere",
     "exp",
@@ -65,5 +66,4 @@ __all__ = [
     "store",
     "sum_of",
     "tanh",
-    "zero",
 ]
