@@ -7,7 +7,7 @@ Everything that others use of it is imported from here.
 | components that are fast in NumPy, or have a kernel | `kernels`, `trigonometry`, `compilation`, `text` |
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
-| kernels of a model, its policy and cost | `tracing`, `points` |
+| kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `points`, `agreement` |
 | a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """

@@ -13,7 +13,8 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.symbols import OF_NUMPY, Symbol, Trace
+from simbias.simulation.compiler.rules import OF_NUMPY
+from simbias.simulation.compiler.symbols import Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
 NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
