@@ -16,8 +16,9 @@ from simbias.core.records import Array, Indices, Rollout
 from simbias.search.evaluation.robust import Robust
 from simbias.search.evaluation.scenarios import CostOfScenarios, Scenario
 from simbias.simulation.numpy_loop import costs_of
+from simbias.trial.observer import Observer
 from simbias.trial.steps import search
-from simbias.trial.study import Observer, Study
+from simbias.trial.study import Study
 
 NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
 MAX_COST = 100.0
