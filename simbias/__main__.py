@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations, options, sweeps
 from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
-from simbias.terminal.interrupts import kept_interrupts
+from simbias.core.interruption import Interruption
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(GARBAGE)
     parsed = _parsed(arguments)
     try:
-        with kept_interrupts():
+        with Interruption():
             status: int = parsed.command(parsed)
         sys.stdout.flush()
         return status

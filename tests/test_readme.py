@@ -55,14 +55,19 @@ def shortened(command: str) -> list[str]:
         "hardware=arm": "hardware=point_mass",
         "my_conf": str(OWN_CONF),
         "hardware.port=/dev/arm1": "seed=1",
+        "evaluation.seconds=5": "evaluation.seconds=0.5",
         "RECORDINGS": str(ROOT / "tests" / "recordings"),
     }
     arguments = [own.get(word, word) for word in arguments]
     if str(OWN_CONF) in arguments:
         groups = sorted(folder.name for folder in OWN_CONF.iterdir() if folder.is_dir())
         return [*arguments, *(f"{group}=point_mass" for group in groups), "method.max_iterations=1"]
-    if "identify" in arguments:
-        return [*arguments, f"hardware.columns={{{COLUMNS}}}"]
+    if {"identify", "excite"} & set(arguments):
+        return [
+            *arguments,
+            f"hardware.columns={{{COLUMNS}}}",
+            *(["--seconds", "1"] if "excite" in arguments else []),
+        ]
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
     return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
 

@@ -147,6 +147,24 @@ class Evaluations:
             raise SearchEnded(EVALUATION_LIMIT)
         return judged
 
+    @property
+    def ranks_afresh(self) -> bool:
+        """Whether each generation meets scenarios of its own."""
+        return self._objective.fresh
+
+    def rank(self, points: Sequence[Array]) -> list[float]:
+        """Costs by which the points (p,) of a generation are ranked.
+
+        In scenarios of their own, points are counted but not judged: their costs tell nothing of others.
+        """
+        if not self.ranks_afresh:
+            return self.evaluate_all(points)
+        self.check_budget()
+        if self.remaining <= len(points):  # one is left for the generation's mean
+            raise SearchEnded(EVALUATION_LIMIT)
+        self.count += len(points)
+        return self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
+
     def inside(self, point: Array) -> Array:
         """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
         return np.minimum(np.maximum(point, self.lower), self.upper)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 
 MARKUP = re.compile(r"[&<>|`*\\]|\](?=[(\[])")  # of HTML, tables, code, emphasis and links
 
@@ -15,3 +16,9 @@ def text(words: str) -> str:
 def code(words: str) -> str:
     """Words on one line as code, in which nothing but its end is markup."""
     return f"`{' '.join(words.split()).replace('`', ' ')}`"
+
+
+def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
+    """A table of words, its columns to the right."""
+    lines = [map(text, head), ["--:"] * len(head), *(map(text, row) for row in body)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

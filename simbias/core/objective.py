@@ -15,10 +15,15 @@ class Objective(ABC):
 
     steps: int = 0  # simulated so far, for searches that are limited by them
     lockstep: bool = True  # whether the costs of many policies together take less time than one by one
+    fresh: bool = False  # whether `rank` draws scenarios of its own
 
     @abstractmethod
     def together(self, thetas: Array) -> Array:
         """Costs (k,) of thetas (k, p)."""
+
+    def rank(self, thetas: Array) -> Array:
+        """Costs (k,) that rank thetas (k, p) among each other; of another call's, fresh ones tell nothing."""
+        return self.together(thetas)
 
     def __call__(self, theta: Array) -> float:
         """Cost of theta (p,)."""
@@ -50,7 +55,7 @@ class Mapped(Objective):
         self, objective: Callable[[Array], float], function: Callable[[Array, Array], Array]
     ) -> None:
         self._objective, self._function = as_objective(objective), function
-        self.lockstep = self._objective.lockstep
+        self.lockstep, self.fresh = self._objective.lockstep, self._objective.fresh
 
     @property
     def steps(self) -> int:  # type: ignore[override]
@@ -60,6 +65,10 @@ class Mapped(Objective):
     def together(self, thetas: Array) -> Array:
         """Costs (k,) of thetas (k, p)."""
         return self._function(thetas, self._objective.together(thetas))
+
+    def rank(self, thetas: Array) -> Array:
+        """Costs (k,) that rank thetas (k, p) among each other."""
+        return self._function(thetas, self._objective.rank(thetas))
 
 
 def as_objective(function: Callable[[Array], float]) -> Objective:

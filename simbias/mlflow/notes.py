@@ -8,7 +8,7 @@ from typing import Any
 from simbias.core import markdown
 from simbias.core.messages import counted
 from simbias.trial.folder import Withdrawal
-from simbias.trial.summary import Outcome, TrialSummary
+from simbias.trial.summary import COLUMNS, Outcome, TrialSummary, cells
 
 SHOWN_ROWS = 40  # MLflow keeps 8000 characters of a note
 REASON_LENGTH = 500
@@ -37,27 +37,10 @@ def note(
     ]
     parts += [f"**Withdrawn**: {markdown.text(str(each))}." for each in withdrawals]
     if rows:
-        parts.append(_table(rows[-SHOWN_ROWS:]))
+        parts.append(markdown.table(COLUMNS, map(cells, rows[-SHOWN_ROWS:])).rstrip())
     if len(rows) > SHOWN_ROWS:
         parts.append(f"The {len(rows) - SHOWN_ROWS} iterations before these are among the metrics.")
     return "\n\n".join([*parts, ARTIFACTS])
-
-
-def _table(rows: Sequence[Row]) -> str:
-    """A markdown table of iterations."""
-    head = "| iteration | predicted cost | hardware cost | samples | seconds | what happened |\n"
-    return f"{head}|--:|--:|--:|--:|--:|:--|\n" + "\n".join(map(_line, rows))
-
-
-def _line(row: Row) -> str:
-    """An iteration as a line of the table in Markdown."""
-    predicted = row.get("predicted_cost")
-    events = ["**succeeded**"] * row["succeeded"] + [markdown.text(event) for event in row["events"]]
-    return (
-        f"| {row['iteration']} | {'' if predicted is None else f'{predicted:.4g}'} "
-        f"| {row['hardware_cost']:.4g} | {row['samples']} | {sum(row['seconds'].values()):.1f} "
-        f"| {'; '.join(events)} |"
-    )
 
 
 def _verdict(rows: Sequence[Row], summary: TrialSummary) -> str:

@@ -10,8 +10,8 @@ import time
 import webbrowser
 
 from simbias.core.errors import ConfigError
+from simbias.core.interruption import Interruption
 from simbias.mlflow.store import is_server
-from simbias.sweep.interruption import Interruption
 
 HOST, PORT = "127.0.0.1", 5000
 SPARING = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # a fifth of the memory, and sooner up

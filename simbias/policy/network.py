@@ -9,7 +9,7 @@ from pydantic import Field
 
 from simbias.core import Nominal, Policy, Task
 from simbias.core.records import Array
-from simbias.policy.networks import Kind, network
+from simbias.policy.networks import NETWORKS, Kind
 from simbias.policy.observer import OBSERVERS, ObserverKind
 
 Units = Annotated[int, Field(ge=1, le=200)]
@@ -47,7 +47,7 @@ class Network(Policy):
     ) -> None:
         self._task, self._errors = task, errors
         q = len(task.outputs) + errors * len(task.goals)
-        self._network = network(kind, q, len(task.inputs), units, bound)
+        self._network = NETWORKS[kind](q, len(task.inputs), units, bound)
         self._observer = OBSERVERS[observer](task, nominal)
         parts = (self._network.bounds, self._observer.bounds)
         lower, upper = (np.concatenate(each) for each in zip(*parts, strict=True))

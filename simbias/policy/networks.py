@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from simbias.core.records import Array
 
 Kind = Literal["mlp", "rbf"]
-
-
-class NetworkFunction(Protocol):
-    """A function of z whose weights are parameters."""
-
-    bounds: tuple[Array, Array]  # of its parameters: lower (p,), upper (p,)
-
-    def __call__(self, weights: Array, z: Array) -> Array:
-        """Values (..., m) in -1 .. 1 at z (..., q), for weights (..., p)."""
 
 
 class Perceptron:
@@ -54,11 +45,6 @@ class RadialBasis:
         return (9.0 * np.sin(v) + np.sin(3.0 * v)) / 8.0
 
 
-def network(kind: Kind, q: int, m: int, units: int, bound: float) -> NetworkFunction:
-    """A network from z (q,) to m values with this number of units, its weights within the bound."""
-    return (Perceptron if kind == "mlp" else RadialBasis)(q, m, units, bound)
-
-
 def _matrices(weights: Array, shapes: tuple[tuple[int, int], ...]) -> list[Array]:
     """Weights (..., p) as matrices (..., rows, columns)."""
     matrices, begin = [], 0
@@ -67,3 +53,6 @@ def _matrices(weights: Array, shapes: tuple[tuple[int, int], ...]) -> list[Array
         matrices.append(weights[..., begin:end].reshape(*weights.shape[:-1], rows, columns))
         begin = end
     return matrices
+
+
+NETWORKS: dict[Kind, type[Perceptron | RadialBasis]] = {"mlp": Perceptron, "rbf": RadialBasis}

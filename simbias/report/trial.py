@@ -15,8 +15,7 @@ from simbias.pictures.trial.gallery import FIGURES
 from simbias.report.parts import made_with
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import TrialRecord
-
-COLUMNS = ("iteration", "predicted cost", "hardware cost", "experiments", "samples", "what happened")
+from simbias.trial.summary import COLUMNS, cells
 
 
 def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]) -> str:
@@ -42,7 +41,7 @@ def _parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     if notes:
         yield items(notes)
     yield heading("Iterations")
-    yield table(COLUMNS, [_row(each) for each in folder.iterations()])
+    yield table(COLUMNS, map(cells, folder.iterations()))
     for name, draw in FIGURES.items() if record.iterations else ():
         try:
             figure = draw(record.study, record.iterations)
@@ -54,16 +53,3 @@ def _parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
             yield heading(name.replace("_", " ").capitalize())
             yield picture(figure, name.replace("_", " "))
     yield from made_with(folder.description())
-
-
-def _row(row: dict) -> list[str]:
-    """An iteration's numbers, as its file has them."""
-    predicted = row.get("predicted_cost")
-    return [
-        str(row["iteration"]),
-        "" if predicted is None else f"{predicted:.4g}",
-        f"{row['hardware_cost']:.4g}",
-        str(row["total_experiments"]),
-        str(row["samples"]),
-        "; ".join(["succeeded"] * row["succeeded"] + list(row["events"])),
-    ]

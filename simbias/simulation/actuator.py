@@ -99,23 +99,6 @@ class Actuators:
         return np.stack(columns, axis=-1)
 
 
-class Drive:
-    """Actuators in a control loop: acting (m,) = drive(u), called once a frame; it keeps the memory."""
-
-    def __init__(self, actuators: Actuators) -> None:
-        self._ideal = actuators.ideal
-        self._act, parameters = actuators.kernel
-        self._parameters = tuple(parameters.tolist())
-        self._memory: tuple[float, ...] = (0.0,) * actuators.state_size
-
-    def __call__(self, u: Sequence[float]) -> tuple[float, ...]:
-        """The input (m,) that acts in this frame when u (m,) is commanded."""
-        if self._ideal:
-            return tuple(u)
-        acting, self._memory = self._act(tuple(u), self._parameters, self._memory)
-        return acting
-
-
 def _within(x, limit):
     """x within +-limit, without branches."""
     return min(max(x, -limit), limit)

@@ -19,10 +19,10 @@ from simbias.simulation.compiler import (
     Function,
     Points,
     compile_open_loop,
+    constant,
     in_threads,
     of_bias,
     of_nominal,
-    zero,
 )
 
 
@@ -104,7 +104,7 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
         return np.zeros((len(models), *windows.means.shape))
     n, points = windows.states.shape[1], Points.among(windows.states, windows.inputs)
     kernels = [of_nominal(model.nominal, points).kernel for model in models]
-    correct = zero(n) if bias is None else of_bias(bias, points).kernel
+    correct = constant(np.zeros(n)) if bias is None else of_bias(bias, points).kernel
     if correct is None or any(each is None or each.function is not kernels[0].function for each in kernels):
         return plain(models, windows, bias)
     offsets = [np.zeros(n) if model.offset is None else model.offset for model in models]
@@ -146,7 +146,7 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
     k, n = x.shape
     once, rows = np.ones(k, np.int64), np.arange(k)
     windows = Windows(x, u, rows, 0 * once, once, window=1, chunk=1)
-    step = Kernel(zero(n).function, np.zeros((1, n)))
+    step = constant(np.zeros((1, n)))
     return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)), 0)[0, :, 0]
 
 

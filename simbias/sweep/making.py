@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from simbias.config.sent_code import packed
 from simbias.core import HardwareError, Waiting
+from simbias.core.interruption import Interruption
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
 from simbias.sweep.figure import FigureError
-from simbias.sweep.interruption import Interruption
 
 if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep

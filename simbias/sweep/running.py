@@ -12,9 +12,9 @@ from pandas import DataFrame
 from simbias.config import ConfigError, Variations
 from simbias.config.build import build, service
 from simbias.config.sent_code import packed
+from simbias.core.interruption import Interruption
 from simbias.engine.contract import Engine, WorkerLostError
 from simbias.sweep.grid import Sweep, Trial, expanded
-from simbias.sweep.interruption import Interruption
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.state import SweepState, finished
 from simbias.sweep.tracking import Tracking

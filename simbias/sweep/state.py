@@ -15,6 +15,7 @@ from uuid import uuid4
 from pandas import DataFrame
 
 from simbias.config.build import build
+from simbias.core import markdown
 from simbias.core.errors import ConfigError
 from simbias.core.messages import redact
 from simbias.sweep import results, tables
@@ -167,7 +168,7 @@ class SweepState:
         began = time.monotonic()
         trials, sweep = self.results(), self._sweep
         table = tables.cells(trials, sweep)
-        arrangement = tables.markdown(tables.layout(table, sweep))
+        arrangement = markdown.table(*tables.layout(table, sweep))
         state = {
             "verdict": verdict,
             "done": len(trials),

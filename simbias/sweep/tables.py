@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from simbias.core.markdown import text
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
@@ -164,12 +163,6 @@ TEXTS: Mapping[str, Callable[[Mapping[Any, Any]], str]] = {
     "long_success_rate": lambda row: _share(row["long_success_rate"]),
     "paper": lambda row: _number(row["paper"]),
 }
-
-
-def markdown(arrangement: Layout) -> str:
-    """A layout as markdown."""
-    lines = [arrangement.head, ["--:"] * len(arrangement.head), *arrangement.body]
-    return "\n".join("| " + " | ".join(map(text, texts)) + " |" for texts in lines) + "\n"
 
 
 def plain(arrangement: Layout) -> str:

@@ -40,6 +40,35 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
         )
 
 
+def of_goal(theta: Array, model: Model | None) -> Iterator[Remark]:
+    """Why a policy theta (p,) does not succeed on the model that it was made on, where the task says success.
+
+    Limits, time and how near to the goal it came: that of the quantities that are no rates.
+    """
+    if model is None:
+        return
+    task = model.task
+    rollout = simulator(model).rollout(theta, task.start_mean)
+    if rollout.failed_at is not None or task.succeeds(rollout.states) is not False:
+        return
+    times = task.time_step * np.arange(len(rollout.states))
+    errors = np.abs(task.error(rollout.states, times))
+    places = [i for i, goal in enumerate(task.goals) if not goal.unit.endswith("/s")] or [0]
+    distances = np.linalg.norm(errors[:, places], axis=1)
+    nearest = int(np.argmin(distances))
+    aims = [(task.goals[i].name, errors[nearest, i].round(3), task.goals[i].unit) for i in places]
+    off = ", ".join(f"{name} {error:.3g} {unit}" for name, error, unit in aims)
+    lower, upper = task.input_bounds
+    slack = 0.01 * (upper - lower)
+    full = np.mean(((rollout.inputs < lower + slack) | (rollout.inputs > upper - slack)).any(axis=1))
+    late = "; it was still coming nearer, so the horizon may be short" if nearest == rollout.frames else ""
+    yield Remark(
+        "a policy does not reach the goal in simulation",
+        f"this policy does not reach the goal in {times[-1]:g} s of simulation: it was nearest after "
+        f"{times[nearest]:.2f} s, off by {off}, its inputs at their limits in {full:.0%} of the frames{late}",
+    )
+
+
 def of_model(theta: Array, model: Model | None) -> Iterator[Remark]:
     """Whether a policy theta (p,) stands on what the data do not determine of its identified model.
 
@@ -93,7 +122,10 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
 
 def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[Remark]:
     """Everything odd about an iteration that has ended, but that the model was cleared, which is no fault."""
-    found = list(of_policy(iteration.parameters, iteration.search, earlier))
+    found = [
+        *of_policy(iteration.parameters, iteration.search, earlier),
+        *of_goal(iteration.parameters, iteration.model),
+    ]
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found

@@ -17,6 +17,10 @@ from simbias.core.records import Iteration, Learning, Search
 from simbias.trial import diagnostics
 from simbias.trial.study import Study
 
+COLUMNS = (  # of a table of iterations
+    *("iteration", "predicted cost", "hardware cost", "experiments", "samples", "seconds", "what happened"),
+)
+
 
 class Outcome(StrEnum):
     """How a trial ended, or why it stopped."""
@@ -140,6 +144,20 @@ def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) ->
     of_model = diagnostics.of_model(iteration.parameters, iteration.model)
     for remark in chain(resets, of_model, diagnostics.of_iteration(iteration, earlier)):  # in full once
         yield remark.kind if remark.kind in said else remark.words
+
+
+def cells(iteration: Mapping[str, Any]) -> list[str]:
+    """An iteration's summary as texts, below the names of `COLUMNS`."""
+    predicted = iteration.get("predicted_cost")
+    return [
+        str(iteration["iteration"]),
+        "" if predicted is None else f"{predicted:.4g}",
+        f"{iteration['hardware_cost']:.4g}",
+        str(iteration["total_experiments"]),
+        str(iteration["samples"]),
+        f"{sum(iteration['seconds'].values()):.1f}",
+        "; ".join(["succeeded"] * iteration["succeeded"] + list(iteration["events"])),
+    ]
 
 
 def metrics(iteration: Iteration) -> dict[str, float]:

@@ -17,6 +17,7 @@ from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
 
 import simbias
+from simbias.core import markdown
 from simbias.sweep import results, statistics, tables
 from simbias.sweep.grid import Sweep, expand
 
@@ -42,7 +43,7 @@ def table(sweep: Sweep, trials: pd.DataFrame, policies: pd.DataFrame) -> str:
         low, high = statistics.interval(own)
         texts.append(f"{np.mean(own):.0%} [{low:.0%}, {high:.0%}]")
     body = [[*line, text] for line, text in zip(laid.body, texts, strict=True)]
-    return tables.markdown(tables.Layout([*laid.head, "starts that the last policy balances"], body))
+    return markdown.table([*laid.head, "starts that the last policy balances"], body)
 
 
 def main(name: str, path: Path) -> None:

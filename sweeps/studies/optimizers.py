@@ -46,7 +46,7 @@ STUDY = [
 DIRECTS = [name for name in get_args(Algorithm) if "DIRECT" in name]
 OPTIMIZERS: Mapping[str, list[str]] = {
     **{name: ["optimizer=nlopt_direct", f"optimizer.algorithm={name}"] for name in DIRECTS},
-    **{name: [f"optimizer={name}"] for name in ("sobol", "nlopt_crs", "cma", "hybrid")},
+    **{name: [f"optimizer={name}"] for name in ("nlopt_crs", "cma", "hybrid")},
     "cma, population 8": ["optimizer=cma", "optimizer.population=8"],
     "hybrid, population 16": ["optimizer=hybrid", "optimizer.population=16"],
 }

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from simbias.core import markdown
 from simbias.sweep import results, tables
 from simbias.sweep.grid import Sweep, expand
 
@@ -24,7 +25,7 @@ def side_by_side() -> str:
         its, own = theirs[labels], ours[labels]
         return [paper(its), experiments(its), experiments(own), iterations(own)]
 
-    return tables.markdown(tables.arrange(sweep, MEASURES, texts))
+    return markdown.table(*tables.arrange(sweep, MEASURES, texts))
 
 
 def cells(sweep: Sweep) -> dict[tuple[str, ...], Mapping[Any, Any]]:

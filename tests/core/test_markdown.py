@@ -10,8 +10,6 @@ import pytest
 from rich.console import Console
 
 from simbias.core import markdown
-from simbias.sweep.tables import Layout
-from simbias.sweep.tables import markdown as table
 from simbias.terminal.trial import TrialConsole
 from simbias.trial.study import Study
 
@@ -52,7 +50,7 @@ def test_code_ends_where_it_should(words: str) -> None:
 
 @pytest.mark.parametrize("words", BAD)
 def test_a_label_breaks_no_table(words: str) -> None:
-    head, _, row, *rest = table(Layout([words, "b"], [[words, "1"]])).splitlines()
+    head, _, row, *rest = markdown.table([words, "b"], [[words, "1"]]).splitlines()
     assert rest == []
     assert head.count("|") == row.count("|") == 3
     assert "<" not in head + row

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, rest_slow
 from omegaconf import OmegaConf
 
 import simbias
@@ -46,21 +46,22 @@ def expected(x: Array, u: Array, task: Task) -> list[float]:
     ]
 
 
-def test_they_are_their_formulas_and_compiled() -> None:
+@pytest.mark.parametrize("index", rest_slow(0, [0, 1, 2]), ids=["saturating", "tracking", "declared"])
+def test_they_are_their_formulas_and_compiled(index: int) -> None:
     task, study = task_of(failure=None), simbias.load(["preset=cartpole"])
     model = Model(task, study.policy, study.nominal, study.bias.fit(study.no_data))
     starts = np.array([[0.0, 0.1, 0.0, 0.0], [0.1, 0.0, 0.1, 0.0]])
-    simulator = CompiledSimulator.of(model, None)
+    cost = costs(task)[index]
+    simulator = CompiledSimulator.of(model, None, cost)
     assert simulator is not None
+    assert simulator.sums_up(cost)
     thetas = np.full((2, 4), 0.5)
+    found, _ = simulator.costs(cost, thetas, starts)
     rollouts = simulator.rollouts(thetas, starts)
-    for index, cost in enumerate(costs(task)):
-        assert simulator.sums_up(cost)
-        found, _ = simulator.costs(cost, thetas, starts)
-        of_records = [cost.of(rollout) for rollout in rollouts]
-        written = [expected(rollout.states, rollout.inputs, task)[index] for rollout in rollouts]
-        np.testing.assert_allclose(of_records, written, rtol=1e-12)
-        np.testing.assert_allclose(found, of_records, rtol=1e-6)
+    of_records = [cost.of(rollout) for rollout in rollouts]
+    written = [expected(rollout.states, rollout.inputs, task)[index] for rollout in rollouts]
+    np.testing.assert_allclose(of_records, written, rtol=1e-12)
+    np.testing.assert_allclose(found, of_records, rtol=1e-6)
 
 
 def test_a_failure_costs_what_it_takes_away() -> None:

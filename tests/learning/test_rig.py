@@ -49,6 +49,7 @@ def test_an_ideal_rig_is_the_model(study: Study) -> None:
     np.testing.assert_allclose(rig.step(x, u), study.nominal.step(x, u), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_compiled_rig_is_the_plain_one(study: Study) -> None:
     """With all that a rig may have, and with sensors alone."""
     rng = np.random.default_rng(0)
@@ -122,6 +123,7 @@ def test_they_come_back(motors: str, sensors: str, true: dict[str, float]) -> No
     assert set(found) == {parameter.name for parameter in rig.parameters}
 
 
+@pytest.mark.slow
 def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
     task = cart_pole()
     model = Mujoco(task, mjcf(tmp_path), uncertainty={"pole.mass": 0.2})

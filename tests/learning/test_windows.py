@@ -60,6 +60,7 @@ def task(time_step: float = 0.02) -> Any:
     return SimpleNamespace(time_step=time_step)
 
 
+@pytest.mark.slow
 def test_sensitivities_are_those_of_differences() -> None:
     """With a memory, and more windows than are differentiated together."""
     nominal, Z = Oscillator(), points(3)

@@ -53,12 +53,12 @@ def test_its_first_line_is_how_the_trial_stands() -> None:
 
 def test_it_has_the_trial_and_a_row_for_each_iteration() -> None:
     none = row(1) | {"predicted_cost": None}
-    text = note([row(0, "2 of 2 experiments failed: lost *sight*", "model cleared"), none])
+    text = note([row(0, "2 of 2 failed: lost *sight*", "model cleared"), none])
     _, trial, table, _ = text.split("\n\n")
     assert trial == "algorithm1 on bongoboard: bias gp. Seed 3, trial `abc123`."
     assert table.splitlines()[2:] == [
-        "| 0 | 12.35 | 1.2e+06 | 57 | 3.2 | 2 of 2 experiments failed: lost &#42;sight&#42;; model cleared |",
-        "| 1 |  | 1.2e+06 | 57 | 3.2 |  |",
+        "| 0 | 12.35 | 1.2e+06 | 2 | 57 | 3.2 | 2 of 2 failed: lost &#42;sight&#42;; model cleared |",
+        "| 1 |  | 1.2e+06 | 4 | 57 | 3.2 |  |",
     ]
     assert "|" not in note([])
     assert notes.run_name(ABOUT) == "gp cma seed 3"

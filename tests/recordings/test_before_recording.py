@@ -47,6 +47,7 @@ def study(lab: Rollout) -> Study:
     )
 
 
+@pytest.mark.slow
 def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
     designer = Designer(study, study.nominal, NOISE)
     found = designer.design(1.0, 10, np.random.default_rng(0))

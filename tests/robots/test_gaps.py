@@ -69,7 +69,7 @@ def test_trajectory_converges_to_that_of_the_nominal_model_that_knows_the_gap(
 
 def powers(hardware: PymunkBongoboard, torque: float, start: Array = MOVING) -> tuple[Array, Array]:
     """Energy (k+1,) in J and states (k+1, 6) under a constant torque."""
-    world, task = hardware.build(start), hardware._task
+    world, task = hardware.build(start), hardware.task
     energies, states = [energy(world, task.robot.gravity)], [world.state()]
     for _ in range(task.horizon):
         world.step(torque)

@@ -103,6 +103,7 @@ def test_pushes_are_added_to_what_acts_and_change_no_noise() -> None:
     assert np.mean(pulses > 1.0) < 0.6
 
 
+@pytest.mark.slow
 def test_without_failure_a_loop_runs_to_its_end_compiled_and_plain() -> None:
     """Unless its state is no number."""
     study = simbias.load(["preset=cartpole"])

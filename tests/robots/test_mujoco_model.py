@@ -79,7 +79,8 @@ def candidates(study: Study, k: int) -> tuple[Array, Array, Indices]:
     return thetas, starts, rng.integers(0, 3, k)
 
 
-@pytest.mark.parametrize("preset", ["double_cartpole", pytest.param("biped", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["double_cartpole", "biped"])
 def test_a_compiled_frame_is_the_engines_to_the_last_bit(preset: str) -> None:
     """In a rollout without a policy, so that nothing but the engine acts."""
     study = search(preset, "task.horizon=20")
@@ -151,6 +152,7 @@ def test_a_lane_without_a_rollout_does_not_ask_the_engine() -> None:
     assert len(asked) == 4 * substeps * (frames.sum() + 5)  # 4: the file integrates by Runge and Kutta
 
 
+@pytest.mark.slow
 def test_what_a_search_simulates_stays_while_it_does() -> None:
     """Its scenarios' models are the simulator's alone, whose kernels know but their addresses."""
     models = models_of(search("double_cartpole"))

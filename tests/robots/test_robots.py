@@ -17,7 +17,7 @@ from simbias.testing.conformance import verdicts
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
-ROBOTS = ("cartpole", "double_cartpole", "acrobot", "biped")
+ROBOTS = ("cartpole", "double_cartpole", "acrobot", "biped", "pendulum_swingup", "cartpole_swingup")
 
 
 @pytest.mark.slow

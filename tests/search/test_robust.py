@@ -16,6 +16,8 @@ from simbias.core.records import Array, Indices, Rollout
 from simbias.search.evaluation.robust import Robust
 from simbias.search.evaluation.scenarios import CostOfScenarios, Scenario
 from simbias.simulation.numpy_loop import costs_of
+from simbias.trial.observer import Observer
+from simbias.trial.steps import search
 from simbias.trial.study import Study
 
 NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
@@ -148,6 +150,7 @@ def test_a_drawn_model_has_masses_as_uncertain_as_declared() -> None:
     assert study.nominal.draw(rng).accelerations(study.task.start_mean, np.zeros(1)).shape == (3,)
 
 
+@pytest.mark.slow
 def test_rollouts_may_take_longer_than_experiments(study: Study) -> None:
     """Costs are those of rollouts of so many seconds; the experiments stay as long as they are."""
     made = objective(study, rollouts=3, seconds=0.05)
@@ -157,3 +160,31 @@ def test_rollouts_may_take_longer_than_experiments(study: Study) -> None:
         assert {rollout.frames for rollout in rollouts} == {50}
         assert made(theta) == pytest.approx(np.mean([cost.of(rollout) for rollout in rollouts]), rel=1e-9)
     assert study.task.horizon == 5000
+
+
+def test_fresh_scenarios_repeat_by_seed_and_differ_by_call(study: Study) -> None:
+    """They leave the common ones alone, by which the means of generations are judged."""
+    thetas = np.random.default_rng(1).uniform(-3, 3, (4, 5))
+    first, second = (objective(study, rollouts=3, sample_nominal=True, fresh=True) for _ in range(2))
+    common = objective(study, rollouts=3, sample_nominal=True)
+    ranked = [first.rank(thetas) for _ in range(3)]
+    np.testing.assert_array_equal(ranked, [second.rank(thetas) for _ in range(3)])
+    assert len({costs.tobytes() for costs in ranked}) == 3
+    np.testing.assert_array_equal(first.together(thetas), common.together(thetas))
+    np.testing.assert_array_equal(common.rank(thetas), common.together(thetas))
+    assert first.steps > common.steps > 0
+
+
+def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> None:
+    """One on the nominal model alone lets the cart-pole fall on more of those that might be right."""
+    options = ["preset=cartpole", "optimizer=cma", "tracking=none", "optimizer.max_evaluations=1200"]
+    options += ["nominal.uncertainty={cart_mass: 0.5, pole_mass: 0.5, length: 0.5}"]
+    tester = simbias.load([*options, "evaluation=fresh_randomization", "evaluation.rollouts=200"])
+    unmet = tester.evaluation.objective(tester.first_model(), tester.cost, np.random.default_rng(5))
+    held = {}
+    for name in ("nominal_start", "fresh_randomization"):
+        study = simbias.load([*options, f"evaluation={name}"])
+        theta = search(study, study.first_model(), np.random.default_rng(0), Observer()).optimum.parameters
+        rollouts = [scenario.simulator.rollout(theta, scenario.start) for scenario in unmet.scenarios]
+        held[name] = np.mean([rollout.failed_at is None for rollout in rollouts])
+    assert held["fresh_randomization"] > max(0.9, held["nominal_start"])

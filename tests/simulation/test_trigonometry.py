@@ -1,4 +1,4 @@
-"""Sine, cosine and arctangent of compiled code against the mathematics library."""
+"""Sine, cosine, arctangent and hyperbolic tangent of compiled code against the mathematics library."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from simbias.simulation.compiler import arctan, sincos
+from simbias.simulation.compiler import arctan, sincos, tanh
 from simbias.simulation.compiler.compilation import Compilation
 
 compiled = Compilation().compiled(sincos)
@@ -77,3 +77,22 @@ def test_arctangent_agrees_with_the_library(size: float) -> None:
     x = np.linspace(-size, size, 20_001)
     np.testing.assert_allclose(arctans_of(x), np.arctan(x), rtol=1e-15, atol=1e-300)
     np.testing.assert_array_equal(arctan(x), np.arctan(x))
+
+
+compiled_tanh = Compilation().compiled(tanh)
+
+
+@njit
+def tanhs_of(x):
+    out = np.empty(x.size)
+    for i in range(x.size):
+        out[i] = compiled_tanh(x[i])
+    return out
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e100])
+def test_hyperbolic_tangent_agrees_with_the_library(size: float) -> None:
+    x = np.linspace(-size, size, 20_001)
+    np.testing.assert_allclose(tanhs_of(x), np.tanh(x), rtol=2e-15, atol=1e-300)
+    np.testing.assert_array_equal(tanh(x), np.tanh(x))
+    assert np.isnan(tanhs_of(np.array([np.nan, np.inf]))).all()

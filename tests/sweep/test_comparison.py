@@ -15,6 +15,8 @@ from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.comparison import Comparison
 from simbias.sweep.grid import Sweep, expand
 
+pytestmark = pytest.mark.slow  # to compose 22 methods takes seconds
+
 TINY = [  # one cell in place of eleven, of a second each
     "+sweep.suite.tiny={cart-pole: {preset: cartpole}}",
     "+sweep.suite.seeds.tiny=1",
@@ -76,12 +78,10 @@ def test_methods_of_a_cell_meet_the_same_starts(sweep: Sweep) -> None:
     assert len(sweep.cells) == len({cell.composition.group_hash for cell in sweep.cells}) == 23
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["methods"])
 def test_all_methods_run_shortened_and_are_resumed(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = [f"+sweep={name}", *QUICK, "engine=sequential", "tracking=folders", "tracking.pictures=false"]
+    command = ["+sweep=methods", *QUICK, "engine=sequential", "tracking=folders", "tracking.pictures=false"]
     with chdir(tmp_path):
         assert main([*command, "sweep.dry_run=true"]) == 0
         assert "23" in capsys.readouterr().out

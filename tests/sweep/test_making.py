@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 import simbias
 from simbias.core import HardwareError, Waiting
+from simbias.core.interruption import Interruption
 from simbias.engine.sequential import Sequential
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
@@ -23,7 +24,6 @@ from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.figures.success_rates import Range, SuccessRates
 from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import expand
-from simbias.sweep.interruption import Interruption
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.picture import Picture
 from simbias.trial.study import Study

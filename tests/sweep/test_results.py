@@ -12,6 +12,7 @@ from paired import paired
 from side_by_side import side_by_side
 
 from simbias.config import ConfigError
+from simbias.core import markdown
 from simbias.sweep import results, tables
 from simbias.sweep.grid import Sweep, expand
 
@@ -40,7 +41,7 @@ def test_the_published_table_is_that_of_the_published_trials(folder: Path) -> No
     trials = results.published(sweep)
     assert len(trials) == len(sweep.trials)
     table = tables.layout(tables.cells(trials, sweep), sweep)
-    assert tables.markdown(table) == (folder / "table.md").read_text()
+    assert markdown.table(*table) == (folder / "table.md").read_text()
     if axes := PAIRED.get(folder.name):
         assert (folder / "paired.md").read_text() == paired(folder.name, *axes)
 

@@ -45,6 +45,7 @@ def test_a_profile_falls_from_all_to_none() -> None:
     assert performance_profile(scores, np.array([0.0, 0.4, 0.9])).tolist() == [1.0, 0.5, 0.0]
 
 
+@pytest.mark.slow
 def test_bootstrap_covers_and_is_stratified() -> None:
     """Cells whose runs are all alike add nothing to the width, however much the cells differ."""
     apart = np.tile([0.0, 1.0], (6, 1))

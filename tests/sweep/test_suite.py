@@ -13,6 +13,7 @@ def split(name: str) -> Sweep:
     return expand(["+sweep=suite", f"sweep.suite.split={name}"])
 
 
+@pytest.mark.slow
 def test_no_cell_is_for_development_and_for_the_test() -> None:
     """Nor are the starts of the test the same."""
     development, test = split("development"), split("test")

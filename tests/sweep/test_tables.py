@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from simbias.core import markdown
 from simbias.sweep import results
 from simbias.sweep.grid import Sweep, expand
-from simbias.sweep.tables import cells, interval, layout, legend, markdown
+from simbias.sweep.tables import cells, interval, layout, legend
 
 
 def made_up(sweep: Sweep, outcome: str = "succeeded") -> pd.DataFrame:
@@ -37,7 +38,7 @@ def test_a_failure_counts_all_experiments_and_an_error_none() -> None:
     assert first["mean"] == pytest.approx(np.mean(own))
     assert first["low"] <= first["mean"] <= first["high"]
     assert (second["trials"], second["succeeded"], second["raised"]) == (2, 2, 1)
-    text = markdown(layout(cells(frame, sweep), sweep))
+    text = markdown.table(*layout(cells(frame, sweep), sweep))
     assert "| 2/3 [21%, 94%] |" in text
     assert "| 2/2 [34%, 100%], 1 raised |" in text
 

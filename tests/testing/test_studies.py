@@ -78,7 +78,7 @@ class Failing(Noting):
 
 def test_a_method_is_checked_by_a_short_trial() -> None:
     """However long its own are: on a model of many contacts they take minutes."""
-    long = ["optimizer=sobol", "optimizer.max_evaluations=100000"]
+    long = ["optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]
     study = replace(
         simbias.load([*POINT_MASS, "tracking=none", *long], OWN_CONF), evaluation=(evaluation := Failing())
     )

@@ -29,6 +29,7 @@ def of_spread(study: Study, open_deviation: float) -> tuple[Identified, list[str
     return nominal, [remark.words for remark in of_model(theta, model)]
 
 
+@pytest.mark.slow
 def test_it_is_told_and_the_direction_named(study: Study) -> None:
     nominal, said = of_spread(study, 6.0)
     (direction,) = undetermined(nominal)

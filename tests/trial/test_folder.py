@@ -26,10 +26,11 @@ from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, is_locked, write_whole
 from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.steps import experiment
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 SHORT = [

@@ -70,6 +70,7 @@ figure: {file: robot.xml}
 ROD = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.5\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
+@pytest.mark.slow
 def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path) -> None:
     """A model with its includes and meshes, a figure, recordings; a file that nobody reads is not."""
     conf = tmp_path / "conf"

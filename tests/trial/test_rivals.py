@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import rest_slow
 from point_mass import InTheWind
 
 import simbias
@@ -16,6 +17,7 @@ from simbias.lab.requests.process import Process
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.testing.conformance import verdicts
 from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.method import Method
 from simbias.trial.methods.cost_residual import CostResidual
 from simbias.trial.methods.direct_search import PROPOSALS, DirectSearch
 from simbias.trial.methods.ideal import Ideal
@@ -23,7 +25,7 @@ from simbias.trial.methods.inaccurate_model import InaccurateModel, along, gradi
 from simbias.trial.methods.multi_fidelity import MultiFidelity
 from simbias.trial.methods.one_shot import OneShot
 from simbias.trial.run import run_trial
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 
@@ -126,7 +128,7 @@ def test_what_the_top_says_corrects_the_bottom(point_mass: Study) -> None:
     assert record.outcome is Outcome.SUCCEEDED
 
 
-@pytest.mark.parametrize("strategy", PROPOSALS)
+@pytest.mark.parametrize("strategy", rest_slow(1, list(PROPOSALS)))
 def test_a_direct_search_finds_a_known_minimum(strategy: str) -> None:
     lower, upper, best = -np.ones(2), np.ones(2), np.array([0.3, -0.2])
     proposals = PROPOSALS[strategy](lower, upper, np.zeros(2), 0.25, np.random.default_rng(0))

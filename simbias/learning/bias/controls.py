@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.core import Bias, FittedBias
-from simbias.core.records import Array, Transitions
+from simbias.core.records import Transitions
 from simbias.learning.bias.gp import GaussianProcess
+from simbias.learning.bias.none import ConstantBias, ZeroBias
 
 SEED = 0  # of the permutation: the same data give the same bias
 
@@ -32,21 +33,6 @@ class MeanBias(Bias):
     def fit(self, transitions: Transitions) -> FittedBias:
         """Average the residuals; without data, zero."""
         residuals = transitions.residuals
-        mean = residuals.mean(axis=0) if len(residuals) else np.zeros(residuals.shape[1])
-        variance = residuals.var(axis=0) if len(residuals) else np.zeros(residuals.shape[1])
-        return ConstantBias(mean, variance)
-
-
-class ConstantBias(FittedBias):
-    """A bias with constant mean (n,) and variance (n,)."""
-
-    def __init__(self, mean: Array, variance: Array) -> None:
-        self._mean, self._variance = mean, variance
-
-    def predict(self, inputs: Array) -> tuple[Array, Array]:
-        """Mean (k, n) and variance (k, n)."""
-        return np.tile(self._mean, (len(inputs), 1)), np.tile(self._variance, (len(inputs), 1))
-
-    def correction(self, x: Array, u: Array) -> Array:
-        """The mean (..., n)."""
-        return np.zeros_like(x) + self._mean
+        if not len(residuals):
+            return ZeroBias(residuals.shape[1])
+        return ConstantBias(residuals.mean(axis=0), residuals.var(axis=0))

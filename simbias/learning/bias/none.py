@@ -1,4 +1,4 @@
-"""No bias learning: g = 0."""
+"""Biases that are the same everywhere, and no bias learning: g = 0."""
 
 from __future__ import annotations
 
@@ -6,23 +6,30 @@ import numpy as np
 
 from simbias.core import Bias, FittedBias
 from simbias.core.records import Array, Transitions
-from simbias.simulation.compiler import zero
+from simbias.simulation.compiler import constant
 
 
-class ZeroBias(FittedBias):
-    """g = 0 without uncertainty."""
+class ConstantBias(FittedBias):
+    """A bias with constant mean (n,) and variance (n,)."""
 
-    def __init__(self, n: int) -> None:
-        self._n = n
-        self.kernel = zero(n)
+    def __init__(self, mean: Array, variance: Array) -> None:
+        self._mean, self._variance = mean, variance
+        self.kernel = constant(mean)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
-        """Mean (k, n) and variance (k, n): zeros."""
-        return np.zeros((len(inputs), self._n)), np.zeros((len(inputs), self._n))
+        """Mean (k, n) and variance (k, n)."""
+        return np.tile(self._mean, (len(inputs), 1)), np.tile(self._variance, (len(inputs), 1))
 
     def correction(self, x: Array, u: Array) -> Array:
-        """Zeros (..., n)."""
-        return np.zeros_like(x)
+        """The mean (..., n)."""
+        return np.zeros_like(x) + self._mean
+
+
+class ZeroBias(ConstantBias):
+    """g = 0 without uncertainty, of n states."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__(np.zeros(n), np.zeros(n))
 
 
 class NoBias(Bias):

@@ -13,7 +13,7 @@ from simbias.core.records import Array, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.learning.bias.gp_kernel import correct, pack, pack_triangle
 from simbias.learning.bias.inducing import Inducing, choose, view
-from simbias.simulation.compiler import zero
+from simbias.simulation.compiler import constant
 
 ROWS = 32
 MOST_COMPARED = 2000  # samples up to which a sparse posterior is compared with the exact one, at cost N^3
@@ -124,7 +124,7 @@ def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array
 def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
     """The compiled correction in single precision; without points, the constant zero."""
     if not len(points):
-        return zero(W.shape[1])
+        return constant(np.zeros(W.shape[1]))
     data = (
         points.astype(np.float32),
         pack_triangle(U),

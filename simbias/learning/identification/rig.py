@@ -17,8 +17,8 @@ from typing import final
 
 import numpy as np
 
-from simbias.core import Kernel, Nominal, Task
-from simbias.core.parameters import Parameter
+from simbias.core import Kernel, Nominal, Quantity, Task
+from simbias.core.parameters import Parameter, Prior
 from simbias.core.ranges import Lag, NonNegative, Spread
 from simbias.core.records import Array
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
@@ -27,6 +27,14 @@ from simbias.simulation.compiler import elementwise, function_of
 STRIBECK = 0.2  # rad/s or m/s, at which Stribeck friction has fallen to a half
 SMOOTH = 0.02  # rad/s or m/s, within which friction changes its sign
 MOST_DELAY = 4.0  # prior deviations that a delay may have
+_PRIORS: dict[str, tuple[str, float, Prior]] = {  # unit, or "" for the signal's; value; distribution
+    "gain": ("1", 1.0, "log_normal"),
+    "offset": ("", 0.0, "normal"),
+    "lag": ("s", 0.0, "half_normal"),
+    "delay": ("s", 0.0, "half_normal"),
+    "stribeck": ("", 0.0, "half_normal"),
+    "load": ("1", 0.0, "half_normal"),
+}
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,7 @@ class Rig(Nominal):
         self._brakes = tuple(None if name is None else states.index(name) for name in brakes)
         longest = max((motor.delay for motor in motors.values()), default=0.0)
         self._taps = taps_of(MOST_DELAY * longest, task.time_step)
-        own = [*_of_motors(task, motors), *_of_sensors(task, sensors)]
+        own = [*_parameters(task.inputs, motors), *_parameters(task.states, sensors)]
         self.parameters = (*nominal.parameters, *own)
         self._values = {parameter.name: parameter.value for parameter in own}
         self._has_motors = bool(motors)
@@ -168,35 +176,14 @@ def _check_names(named: Sequence[str] | Mapping[str, object], known: Sequence[st
         raise ValueError(f"identification.{key}: no {', '.join(unknown)}; there is {', '.join(known)}")
 
 
-def _of_motors(task: Task, motors: Mapping[str, Motor]) -> list[Parameter]:
-    """The uncertain parameters of motors."""
+def _parameters(signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sensor]) -> list[Parameter]:
+    """The uncertain parameters of motors or of sensors, signal by signal."""
     return [
-        parameter
-        for u in task.inputs
-        if (motor := motors.get(u.name)) is not None
-        for parameter in (
-            Parameter(f"{u.name}.gain", "1", 1.0, motor.gain, "log_normal"),
-            Parameter(f"{u.name}.offset", u.unit, 0.0, motor.offset, "normal"),
-            Parameter(f"{u.name}.lag", "s", 0.0, motor.lag, "half_normal"),
-            Parameter(f"{u.name}.delay", "s", 0.0, motor.delay, "half_normal"),
-            Parameter(f"{u.name}.stribeck", u.unit, 0.0, motor.stribeck, "half_normal"),
-            Parameter(f"{u.name}.load", "1", 0.0, motor.load, "half_normal"),
-        )
-        if parameter.spread
-    ]
-
-
-def _of_sensors(task: Task, sensors: Mapping[str, Sensor]) -> list[Parameter]:
-    """The uncertain parameters of sensors."""
-    return [
-        parameter
-        for x in task.states
-        if (sensor := sensors.get(x.name)) is not None
-        for parameter in (
-            Parameter(f"{x.name}.gain", "1", 1.0, sensor.gain, "log_normal"),
-            Parameter(f"{x.name}.offset", x.unit, 0.0, sensor.offset, "normal"),
-        )
-        if parameter.spread
+        Parameter(f"{signal.name}.{name}", unit or signal.unit, value, spread, prior)
+        for signal in signals
+        if signal.name in uncertain
+        for name, (unit, value, prior) in _PRIORS.items()
+        if (spread := getattr(uncertain[signal.name], name, 0.0))  # a sensor has gain and offset alone
     ]
 
 

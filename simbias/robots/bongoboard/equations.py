@@ -54,36 +54,6 @@ def coefficients(robot: Robot, foot_mass: float) -> Array:
     return np.array([c0, c1, c2, c3, c4, c5, c6, c7, c8, c9])
 
 
-def energy(x, parameters):
-    """Energy (J) at x (6,), its potential part counted from the height of the wheel's centre."""
-    _, c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = parameters
-    alpha_b = x[1]
-    theta = x[2]
-    phi = x[0] + alpha_b
-    d_alpha_w = x[3]
-    d_phi = d_alpha_w + x[4]
-    d_psi = d_phi + x[5]
-    sin_phi, cos_phi = sincos(phi)
-    sin_theta, cos_theta = sincos(theta)
-    cos_psi = cos_phi * cos_theta - sin_phi * sin_theta
-    kinetic = (
-        alpha_b**2 * c0 * d_phi**2 / 2
-        + alpha_b * c0 * d_alpha_w * d_phi * sin_phi
-        - alpha_b * c1 * d_phi * d_psi * sin_theta
-        + c0 * cos_phi * d_alpha_w**2
-        + c1 * cos_psi * d_alpha_w * d_psi
-        + c1 * cos_theta * d_alpha_w * d_psi
-        + c2 * d_alpha_w**2 / 2
-        + c3 * cos_phi * d_alpha_w * d_phi
-        + c3 * d_alpha_w * d_phi
-        + c4 * d_phi**2 / 2
-        + c5 * cos_theta * d_phi * d_psi
-        + c6 * d_psi**2 / 2
-    )
-    potential = alpha_b * c7 * sin_phi + c8 * cos_phi + c9 * cos_psi
-    return kinetic + potential
-
-
 def accelerations(x, u, parameters):
     """Accelerations of alpha_w, alpha_b, theta (rad/s^2) at x (6,) under u (1,)."""
     _, c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = parameters

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -12,10 +11,10 @@ from pydantic import Field
 
 from simbias.core import Hardware, HardwareError, Policy
 from simbias.core.records import Array, Rollout
-from simbias.robots.bongoboard.bodies import Place, contact
+from simbias.robots.bongoboard.bodies import Assembly, Feet, Place, contact
 from simbias.robots.bongoboard.gaps import NO_GAPS, Gaps
 from simbias.robots.bongoboard.task import Bongoboard, deviations
-from simbias.simulation.actuator import Actuators, Drive
+from simbias.simulation.actuator import Actuators
 from simbias.simulation.control_loop import Record, Robot, experiment
 from simbias.simulation.noise import Noise, Variances
 from simbias.simulation.sensor import Sensor
@@ -48,6 +47,8 @@ class EngineBongoboard(Hardware):
         Geometry, masses, time step and failure.
     inertia_error
         Every mass and moment of inertia is multiplied by 1 + inertia_error.
+    overlap, feet, gaps
+        As of its `Assembly`. Motor and sensors among the gaps are here; the rest is the world's.
     noise
         Variances on the torque and on what the policy sees, by name (`Noise`).
     record
@@ -55,8 +56,6 @@ class EngineBongoboard(Hardware):
         is judged by the true states all the same: someone sees the robot fall.
     detachment
         Gap, in m, above which the board has left the wheel; contacts flicker below it.
-    gaps
-        Of which motor and sensors are here; the rest is the world's.
     """
 
     def __init__(
@@ -66,15 +65,17 @@ class EngineBongoboard(Hardware):
         noise: Variances,
         record: Record,
         detachment: float,
+        overlap: float,
+        feet: Feet = "plate",
         gaps: Gaps = NO_GAPS,
     ) -> None:
-        self._task = task
-        self._scale = 1.0 + inertia_error
+        self.task = task
+        self.detachment = detachment
+        self.motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
+        self.sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
+        self._assembly = Assembly(task, 1.0 + inertia_error, feet, overlap, gaps)
         self._noise = Noise(task, noise)
         self._record = record
-        self._detachment = detachment
-        self._motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
-        self._sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
 
     @abstractmethod
     def build(self, start: Array) -> World:
@@ -84,29 +85,19 @@ class EngineBongoboard(Hardware):
         """One experiment with theta (p,) from start (6,); its cost is not set."""
         if not np.isfinite(start).all():
             raise HardwareError(f"the robot cannot start at {start}")
-        robot = _Running(self._task, self.build, start, self._detachment, Drive(self._motor), self._sensor)
-        return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
+        return experiment(
+            self.task, _Running(self, start), policy, theta, self._noise.draw(rng), self._record
+        )
 
 
 class _Running(Robot):
     """The robot under way; its world is built by the first frame."""
 
-    def __init__(
-        self,
-        task: Bongoboard,
-        build: Callable[[Array], World],
-        start: Array,
-        detachment: float,
-        drive: Drive,
-        sensor: Sensor,
-    ) -> None:
-        self._task = task
-        self._build = build
-        self._detachment = detachment
-        self._drive = drive
-        self._sensor = sensor
+    def __init__(self, hardware: EngineBongoboard, start: Array) -> None:
+        self._hardware, self._task, self._motor = hardware, hardware.task, hardware.motor
+        self._motor_state = np.zeros(self._motor.state_size)
         self._states = [np.asarray(start, dtype=np.float64)]
-        self._limits = [criterion.limit for criterion in task.criteria]
+        self._limits = [criterion.limit for criterion in self._task.criteria]
         self._world: World | None = None
 
     def state(self) -> Array:
@@ -115,14 +106,15 @@ class _Running(Robot):
 
     def reading(self) -> Array:
         """Readings (6,) of the sensors, without noise."""
-        return self._sensor.read(self._states, len(self._states) - 1)
+        return self._hardware.sensor.read(self._states, len(self._states) - 1)
 
     def step(self, u: Array) -> None:
         """Step the world by one frame, under what the motor makes of u (1,)."""
         if self._world is None:
-            self._world = self._build(self._states[0])
-        (torque,) = self._drive(u.tolist())
-        self._world.step(torque)
+            self._world = self._hardware.build(self._states[0])
+        if not self._motor.ideal:
+            u, self._motor_state = self._motor.acting(u, self._motor_state)
+        self._world.step(float(u[0]))
         x = self._world.state()
         stable = all(abs(value) <= ABSURD for value in x)
         self._states.append(np.array(x if stable else [math.nan] * 6))
@@ -134,7 +126,7 @@ class _Running(Robot):
             measures = self._task.measure(x).tolist()
         else:
             depth, gap = contact(self._task.robot, *self._world.wheel_and_board())
-            measures = (depth, gap - self._detachment, *deviations(x.tolist()))
+            measures = (depth, gap - self._hardware.detachment, *deviations(x.tolist()))
         for i, limit in enumerate(self._limits):  # quicker than in NumPy
             if not measures[i] <= limit:
                 return self._task.criteria[i].name

@@ -13,7 +13,6 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.robots.bongoboard.disturbed_equations import accelerations as accelerations_under
 from simbias.robots.bongoboard.disturbed_equations import coefficients
-from simbias.robots.bongoboard.disturbed_equations import energy as energy_of
 from simbias.robots.bongoboard.task import Robot
 
 LOSSES = ("ankle_damping", "ankle_stiffness", "ankle_friction", "rolling_resistance")
@@ -35,11 +34,6 @@ def parameters(robot: Robot, time_step: float, values: Mapping[str, float]) -> A
     loaded = replace(robot, pelvis_mass=mass, pelvis_inertia=inertia)
     lumped = coefficients(loaded, values["foot_mass"], values["slope"], share * x, share * y)
     return np.array([time_step, *(values[name] for name in LOSSES), *lumped])
-
-
-def energy(x, parameters):
-    """Energy (J) at x (6,), its potential part counted from the height of the wheel's centre."""
-    return energy_of(x, parameters[_EQUATIONS:])
 
 
 def accelerations(x, u, parameters):

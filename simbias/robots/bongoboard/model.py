@@ -151,10 +151,6 @@ class LagrangianBongoboard(Nominal):
         """Accelerations (..., 3) of alpha_w, alpha_b, theta in rad/s^2 at x (..., 6), acting u (..., 1)."""
         return elementwise(self._equations.accelerations, x, u, parameters=self._mechanics.parameters)
 
-    def energy(self, x: Array) -> Array:
-        """Kinetic and potential energy (...) in J at x (..., 6), heights counted from the wheel's centre."""
-        return self._equations.energy(np.moveaxis(x, -1, 0), self._mechanics.parameters)
-
 
 @cache
 def _semi_implicit(accelerations: Callable) -> Callable:

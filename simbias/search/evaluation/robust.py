@@ -30,6 +30,9 @@ class Robust(Evaluation):
         The mean, the max, or "cvar": the mean of the worst `tail` of the costs.
     screening
         Rollouts after which a policy that failed in all of them is not simulated any further.
+    fresh
+        CMA-ES ranks each generation in scenarios of its own, so that no search fits its policies to a few.
+        The generations' means are judged in those that are common, and the best of them is found.
     seconds
         That the rollouts take at most, so that policies are found that last; None is the task's horizon.
     """
@@ -46,6 +49,7 @@ class Robust(Evaluation):
         sample_bias: bool = False,
         screening: Count = 2,
         seconds: RolloutSeconds | None = None,
+        fresh: bool = False,
     ) -> None:
         if seconds is not None:
             task = task.with_horizon(task.frames(seconds))
@@ -58,13 +62,18 @@ class Robust(Evaluation):
         self._sample_nominal = sample_nominal
         self._sample_bias = sample_bias
         self._screening = screening
+        self._fresh = fresh
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
-        """The aggregated cost in scenarios that are drawn here, once."""
+        """The aggregated cost in scenarios that are drawn here, once; fresh ones when they are met."""
         if self.horizon is not None:
             model, cost = replace(model, task=self._task), cost.with_horizon(self.horizon)
-        scenarios = [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self.rollouts)]
-        return CostOfScenarios(scenarios, cost, self._worst, self._screening)
+
+        def draw() -> list[Scenario]:
+            return [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self.rollouts)]
+
+        fresh = draw if self._fresh else None
+        return CostOfScenarios(draw(), cost, self._worst, self._screening, fresh)
 
     def _scenario(self, model: Model, rng: np.random.Generator) -> Scenario:
         """Draw what is uncertain; what is not asked for changes nothing in the rest."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,17 +24,40 @@ class Scenario:
 class CostOfScenarios(Objective):
     """An aggregate of a policy's costs Z (Eq. 8) in K scenarios, which are the same for every policy.
 
-    A policy that failed in each of the first `screening` scenarios is judged by these alone.
+    A policy that failed in each of the first `screening` scenarios is judged by these alone. If `draw` is
+    given, it ranks policies in scenarios that it draws for each call.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], cost: Cost, worst: int = 1, screening: int = 1) -> None:
-        self.scenarios = scenarios
-        self._simulators = join([scenario.simulator for scenario in scenarios])
-        self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        cost: Cost,
+        worst: int = 1,
+        screening: int = 1,
+        draw: Callable[[], Sequence[Scenario]] | None = None,
+    ) -> None:
+        self._meet(scenarios)
+        self._draw, self.fresh = draw, draw is not None
         self._cost = cost
         self._worst = worst  # number of the worst costs, which are averaged
         self._screening = screening
         self._share_promising = 0.0  # of the last policies: says how to simulate, and changes no cost
+
+    def _meet(self, scenarios: Sequence[Scenario]) -> None:
+        """Let policies run in these scenarios."""
+        self.scenarios = scenarios
+        self._simulators = join([scenario.simulator for scenario in scenarios])
+        self._starts = np.array([scenario.start for scenario in scenarios])  # (K, n)
+
+    def rank(self, thetas: Array) -> Array:
+        """Costs (k,) of thetas (k, p): in the same scenarios or, if fresh, in those of this call alone."""
+        if self._draw is None:
+            return self.together(thetas)
+        other = copy(self)
+        other._meet(self._draw())
+        costs = other.together(thetas)
+        self.steps, self._share_promising = other.steps, other._share_promising
+        return costs
 
     def together(self, thetas: Array) -> Array:
         """The costs (k,) of thetas (k, p); all policies in all scenarios run in lockstep."""

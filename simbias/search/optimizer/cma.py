@@ -15,7 +15,9 @@ from simbias.core.evaluations import Evaluations
 from simbias.core.ranges import Deviation, Population
 from simbias.core.records import Array
 
+PATIENCE, PROGRESS = 30, 0.01  # generations within which the best of their means has to improve by this share
 RESOLUTION = "the resolution"
+NO_PROGRESS = "a lack of progress"
 UNUSED = ("matplotlib.pyplot", "scipy.stats")  # by the parts of pycma that are used here
 
 
@@ -51,15 +53,23 @@ def evolve(
 
     It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
     keeps it inside. It gives up where no cost of a generation is below the target and all deviations are
-    below the resolution. Pycma's own tests on costs are off: they are absolute, or relative to what the cost
-    of a failure in Eq. 8 inflates.
+    below the resolution. Where generations meet scenarios of their own, their means are what is judged, and
+    it ends once the best of these, below the target, hardly improves. Pycma's own tests on costs are off:
+    they are absolute, or relative to what the cost of a failure in Eq. 8 inflates.
     """
+    means: list[float] = []  # best costs of means so far
     width = evaluations.upper - evaluations.lower
     evolution = strategy(evaluations.lower, evaluations.upper, rng, start, deviation, population)
     while not (stop := evolution.stop()):
         points = evolution.ask()
-        costs = evaluations.evaluate_all([evaluations.lower + width * point for point in points])
+        costs = evaluations.rank([evaluations.lower + width * point for point in points])
         evolution.tell(points, costs)
+        if evaluations.ranks_afresh:
+            costs = [evaluations.evaluate(evaluations.lower + width * evolution.result.xfavorite)]
+            means.append(evaluations.best_cost)
+            stale = len(means) > PATIENCE and means[-1] > (1 - PROGRESS) * means[-1 - PATIENCE]
+            if stale and evaluations.below_target:
+                return NO_PROGRESS
         if max(evolution.stds) < resolution and min(costs) >= evaluations.target_cost:
             return RESOLUTION
     return f"pycma's {' and '.join(stop)}"

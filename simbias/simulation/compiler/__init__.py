@@ -7,7 +7,7 @@ Everything that others use of it is imported from here.
 | components that are fast in NumPy, or have a kernel | `kernels`, `trigonometry`, `compilation`, `text` |
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
-| kernels of a model, its policy and cost | `tracing`, `points` |
+| kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `points`, `agreement` |
 | a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """
@@ -17,7 +17,7 @@ from simbias.simulation.compiler.compilation import compiled_as, function_of
 from simbias.simulation.compiler.expressions import Expression, Expressions
 from simbias.simulation.compiler.kernels import LANES, elementwise
 from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, load, store
-from simbias.simulation.compiler.loop import Function, zero
+from simbias.simulation.compiler.loop import Function, constant
 from simbias.simulation.compiler.open_loop import compile_open_loop
 from simbias.simulation.compiler.points import Points
 from simbias.simulation.compiler.text import sum_of
@@ -30,7 +30,7 @@ from simbias.simulation.compiler.tracing import (
     of_nominal,
     parts_of,
 )
-from simbias.simulation.compiler.trigonometry import arctan, sincos
+from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 from simbias.simulation.compiler.written import NUMPY, C, Formulas
 
 __all__ = [
@@ -49,6 +49,7 @@ __all__ = [
     "compile_closed_loop",
     "compile_open_loop",
     "compiled_as",
+    "constant",
     "elementwise",
     "everywhere",
     "exp",
@@ -64,5 +65,5 @@ __all__ = [
     "sincos",
     "store",
     "sum_of",
-    "zero",
+    "tanh",
 ]

@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 
 from simbias.core import Kernel
+from simbias.core.records import Array
 from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.text import assign, tuple_of
@@ -229,6 +230,6 @@ def _constant(x, u, parameters):
     return parameters
 
 
-def zero(n: int) -> Kernel:
-    """The kernel of a model, or of a bias, that is zero (n,) everywhere."""
-    return Kernel(_constant, np.zeros(n))
+def constant(values: Array) -> Kernel:
+    """The kernel of a model, or of a bias, that gives these values (n,) everywhere."""
+    return Kernel(_constant, values)

@@ -13,11 +13,12 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.symbols import OF_NUMPY, Symbol, Trace
-from simbias.simulation.compiler.trigonometry import arctan, sincos
+from simbias.simulation.compiler.rules import OF_NUMPY
+from simbias.simulation.compiler.symbols import Symbol, Trace
+from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
-NAMES = {"np": np, "sincos": sincos, "arctan": arctan, "lesser": lesser, "greater": greater, "chosen": chosen}
-NAMES |= {"at_most": at_most, "at_least": at_least}
+NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
+NAMES |= {"at_most": at_most, "at_least": at_least, "sincos": sincos, "arctan": arctan, "tanh": tanh}
 SHORT = 70  # characters of what is written within the line that uses it
 
 _IN_ALL = {
@@ -56,6 +57,7 @@ _IN_NUMBA = {  # for NumPy's arrays, too
     "sin": "{}[0]",
     "cos": "{}[1]",
     "arctan": "arctan({})",
+    "tanh": "tanh({})",
     "power": "{} ** {}",
     "sign": "chosen({0} > 0.0, 1.0, chosen({0} < 0.0, -1.0, {0}))",
     "minimum": "lesser({}, {})",

@@ -71,13 +71,6 @@ def coefficients(robot: Robot, foot_mass: float{more}) -> Array:
     return np.array([{names}])
 
 
-def energy(x, parameters):
-    """Energy (J) at x (6,), its potential part counted from the height of the wheel's centre."""
-    _, {names} = parameters
-{energy}
-    return kinetic + potential
-
-
 def accelerations(x, u, parameters):
     """Accelerations of alpha_w, alpha_b, theta (rad/s^2) at x (6,) under u ({inputs},)."""
     _, {names} = parameters
@@ -173,13 +166,6 @@ def acceleration_lines(lumped: Energies, disturbed: bool) -> list[str]:
     return state_lines(used) + assignments(parts, "s") + assignments(solution, "k")
 
 
-def energy_lines(lumped: Energies) -> list[str]:
-    """Write lines that compute the kinetic and the potential energy."""
-    used = lumped.kinetic.free_symbols | lumped.potential.free_symbols
-    sums = assignment("kinetic", lumped.kinetic) + assignment("potential", lumped.potential)
-    return state_lines(used) + sums
-
-
 def generate(variant: Variant) -> str:
     """Write the text of a module."""
     lumped = energies(variant.parameters, variant.disturbed)
@@ -190,7 +176,6 @@ def generate(variant: Variant) -> str:
         names=", ".join(map(str, lumped.coefficients)),
         coefficients="\n".join(coefficient_lines(lumped.coefficients, variant.parameters)),
         accelerations="\n".join(acceleration_lines(lumped, variant.disturbed)),
-        energy="\n".join(energy_lines(lumped)),
     )
 
 

@@ -1,0 +1,95 @@
+"""Being interrupted, but never in the middle of writing."""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+AGAIN = 0.01  # seconds until code that must not raise has ended
+COMPILER = "llvmlite"  # LLVM calls some of its functions, and ignores what they raise
+
+
+class Interruption:
+    """Turns SIGINT and SIGTERM into KeyboardInterrupt, later where that would tear something apart.
+
+    Without a handler SIGTERM ends a process without its `finally`, and leaves workers behind. Python ignores
+    what is raised in finalizers and in functions that C calls; the interruption is then made again. Where a
+    library makes another error of it, as of an interrupted import, it is an interruption still.
+    """
+
+    def __init__(self) -> None:
+        self._deferring = False
+        self._pending = False
+        self._came = False
+        self._before: list = []
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():  # no other hears of signals
+            self._before = [signal.signal(number, self._handle) for number in SIGNALS]
+            self._report, sys.unraisablehook = sys.unraisablehook, self._ignored
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        for number, handler in zip(SIGNALS, self._before, strict=False):
+            signal.signal(number, handler)
+        if self._before:
+            sys.unraisablehook = self._report
+        if self._came and isinstance(error, Exception):
+            raise KeyboardInterrupt from error
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        """Interrupt now, or note it for later."""
+        self._came = True
+        if self._deferring:
+            self._pending = True
+        elif _compiles(frame):
+            _interrupt_soon()
+        else:
+            raise KeyboardInterrupt
+
+    def _ignored(self, raised: sys.UnraisableHookArgs) -> None:
+        """Interrupt again if that was ignored."""
+        if raised.exc_type is KeyboardInterrupt:
+            _interrupt_soon()
+        else:
+            self._report(raised)
+
+    @contextmanager
+    def defer(self) -> Iterator[None]:
+        """Inside, nothing is interrupted; what came meanwhile interrupts at the end."""
+        self._deferring = True
+        try:
+            yield
+        finally:
+            self._deferring = False
+        if self._pending:
+            self._pending = False
+            raise KeyboardInterrupt
+
+
+def _compiles(frame: FrameType | None) -> bool:
+    """Whether the compiler is at work; it returns every few milliseconds."""
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] != COMPILER:
+        frame = frame.f_back
+    return frame is not None
+
+
+def _interrupt_soon() -> None:
+    """Interrupt the main thread after a moment."""
+    again = threading.Timer(AGAIN, _interrupt)
+    again.daemon = True  # the end of the program does not wait for it
+    again.start()
+
+
+def _interrupt() -> None:
+    """Interrupt the main thread, also where it waits."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
