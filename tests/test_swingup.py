@@ -39,6 +39,7 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     assert held.max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     theta = np.zeros(study.policy.n_parameters)
