@@ -175,6 +175,7 @@ def test_fresh_scenarios_repeat_by_seed_and_differ_by_call(study: Study) -> None
     assert first.steps > common.steps > 0
 
 
+@pytest.mark.slow
 def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> None:
     """One on the nominal model alone lets the cart-pole fall on more of those that might be right."""
     options = ["preset=cartpole", "optimizer=cma", "tracking=none", "optimizer.max_evaluations=1200"]

@@ -82,12 +82,10 @@ _C_NAMES = {
     "arctanh": "atanh",
     "abs": "fabs",
 }
+_OF_ONE_IN_C = ("sqrt", "floor", "sin", "cos", "arctan", "abs")
 _IN_C = {
     **_IN_ALL,
-    **{
-        name: f"{_C_NAMES.get(name, name)}({{}})" for name in ("sqrt", "floor", "sin", "cos", "arctan", "abs")
-    },
-    **{name: f"{_C_NAMES.get(name, name)}({{}})" for name in OF_NUMPY},
+    **{name: f"{_C_NAMES.get(name, name)}({{}})" for name in (*_OF_ONE_IN_C, *OF_NUMPY)},
     **{name: f"{_C_NAMES.get(name, name)}({{}}, {{}})" for name in ("arctan2", "copysign", "power")},
     "angle": "{}",
     "sign": "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
