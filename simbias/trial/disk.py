@@ -61,6 +61,8 @@ def read_json(path: Path) -> dict[str, Any]:
     ConfigError
         If the file is missing or has no mapping.
     """
+    if path.exists() and not path.is_file():  # a device may never end
+        raise ConfigError(str(path), "cannot be read (it is no file)")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
