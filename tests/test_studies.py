@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import runpy
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import joblib
 import pandas as pd
 import pytest
 from conftest import ROOT
@@ -11,19 +15,33 @@ from sweeping import FOLDERS, NO_FIGURES, run
 
 pytestmark = pytest.mark.slow
 
+Study = Callable[..., str]
 
-def study(name: str, *arguments: str, folder: Path) -> str:
-    """What a study prints."""
-    program = [str(ROOT / "sweeps" / "studies" / f"{name}.py")]
-    status, out, err = run(*arguments, folder=folder, program=program, timeout=300)
-    assert status == 0, err
-    return out
+
+def program(name: str) -> str:
+    return str(ROOT / "sweeps" / "studies" / f"{name}.py")
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Study:
+    """Runs a study in this process, without workers of its own, and returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_study(name: str, *arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", [program(name), *arguments])
+        with joblib.parallel_config("sequential"):
+            runpy.run_path(program(name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run_study
 
 
 def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
     status, _, err = run("+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential", folder=tmp_path)
     assert status == 0, err
-    printed = study("last_policies", "smoke", "policies.csv", folder=tmp_path)
+    last_policies = [program("last_policies")]
+    status, printed, err = run("smoke", "policies.csv", folder=tmp_path, program=last_policies)
+    assert status == 0, err
     head, _, *body = printed.splitlines()
     assert head.endswith("| succeeded | starts that the last policy balances |")
     assert [line.split(" | ")[0] for line in body] == ["| 0", "| 0.2"]
@@ -33,25 +51,25 @@ def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
     assert set(found["starts"]) == {20}
 
 
-def test_a_policy_is_searched_on_the_hardware(tmp_path: Path) -> None:
+def test_a_policy_is_searched_on_the_hardware(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
-    study("searched_on_hardware", "found.csv", *short, folder=tmp_path)
+    study("searched_on_hardware", "found.csv", *short)
     (found,) = pd.read_csv(tmp_path / "found.csv").to_dict("records")
     assert (found["seed"], found["starts"]) == (0, 20)
     assert found["hardware_balances"] == found["simulated_balances"] == 20  # nobody falls within 60 ms
 
 
-def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(tmp_path: Path) -> None:
+def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
     nearby = ["--sweep", "gaps", "--cells", "motor 60", "lag 20", "--screening", "2", "--deviation", "0.002"]
-    study("searched_on_hardware", "found.csv", *short, *nearby, "method.max_iterations=1", folder=tmp_path)
+    study("searched_on_hardware", "found.csv", *short, *nearby, "method.max_iterations=1")
     assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%", "lag 20 ms"]
 
 
-def test_robots_are_tried_by_each_way(tmp_path: Path) -> None:
+def test_robots_are_tried_by_each_way(study: Study, tmp_path: Path) -> None:
     ways = ["--ways", "preset", "paper", "robust", "lqr", "least_squares", "bayesian"]
     short = ["--seeds", "1", "--experiments", "3", "--set", "optimizer.max_evaluations=20", "task.horizon=20"]
-    study("robots", "robots.csv", "cartpole", *ways, *short, folder=tmp_path)
+    study("robots", "robots.csv", "cartpole", *ways, *short)
     tried = pd.read_csv(tmp_path / "robots.csv")
     assert list(tried["way"]) == ways[1:]
     assert tried["test_successes"].between(0, 20).all()
@@ -60,9 +78,9 @@ def test_robots_are_tried_by_each_way(tmp_path: Path) -> None:
     assert 1 <= made["bayesian"] <= 4
 
 
-def test_what_is_learned_on_one_engine_is_tried_on_all(tmp_path: Path) -> None:
+def test_what_is_learned_on_one_engine_is_tried_on_all(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "task.horizon=60", "optimizer.max_evaluations=20", "evaluation=nominal_start"]
-    printed = study("engines", "engines.csv", *short, folder=tmp_path)
+    printed = study("engines", "engines.csv", *short)
     tried = pd.read_csv(tmp_path / "engines.csv")
     engines = ["pymunk", "box2d", "mujoco_bongoboard"]
     assert list(tried["learned on"]) == engines
@@ -70,10 +88,10 @@ def test_what_is_learned_on_one_engine_is_tried_on_all(tmp_path: Path) -> None:
     assert [line.split(" | ")[0] for line in printed.splitlines()[2:]] == [f"| {name}" for name in engines]
 
 
-def test_what_is_learned_of_gaps_predicts_other_experiments(tmp_path: Path) -> None:
+def test_what_is_learned_of_gaps_predicts_other_experiments(study: Study, tmp_path: Path) -> None:
     """A motor of 40% is a parameter of the model: what is identified predicts best."""
     arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=1000"]
-    printed = study("gaps_predicted", "predicted.csv", *arguments, folder=tmp_path)
+    printed = study("gaps_predicted", "predicted.csv", *arguments)
     assert printed.splitlines()[-1].startswith("| motor 40% | ")
     errors = pd.read_csv(tmp_path / "predicted.csv").set_index("way")["error"]
     assert errors["nominal"] == 1

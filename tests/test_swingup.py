@@ -39,6 +39,7 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     assert held.max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     theta = np.zeros(study.policy.n_parameters)
@@ -49,3 +50,11 @@ def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     assert "does not reach the goal in 5 s" in remark.words
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model()))
+
+
+def test_late_motors_are_met_before_any_experiment() -> None:
+    study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
+    names = [parameter.name for parameter in study.first_model().nominal.parameters]
+    assert names[-2:] == ["force.gain", "force.delay"]
+    without = simbias.load(["preset=cartpole_swingup", "tracking=none", "identification=none"])
+    assert without.first_model().nominal is without.nominal

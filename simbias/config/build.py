@@ -18,7 +18,8 @@ from simbias.core import Hardware, Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Seed
 from simbias.trial.budget import Budget
-from simbias.trial.study import PolicyTest, Study
+from simbias.trial.policy_test import PolicyTest
+from simbias.trial.study import Study
 
 NO_COMPONENTS = ("seed", "conditions", "policy_test", "budget", "spending", "composition", "hardware_of")
 VALUES = {

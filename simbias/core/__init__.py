@@ -7,7 +7,7 @@
 | a nominal model, identification, samples, a bias | `model.py` |
 | a cost, an evaluation, an optimizer | `search.py`, `objective.py` |
 | what runs compiled | `speed.py`, and `simbias.simulation.compiler.kernels` |
-| a method | `simbias.trial.study`, beside the study that it runs |
+| a method | `simbias.trial.method`, and `simbias.trial.study`, which it runs |
 
 All names are imported from here.
 

@@ -98,7 +98,8 @@ class _Monitor:
 
     def __init__(self, task: Task, bounds: Bounds, time_step: float, rounding: float = ROUNDING) -> None:
         self._task = task
-        self._states, self._criteria = bounds.states, bounds.criteria
+        self._states = np.fmin(bounds.states, np.finfo(np.float64).max)  # inf is beyond all
+        self._criteria = bounds.criteria
         rounded = rounding * np.where(np.isfinite(bounds.inputs), bounds.inputs, 0.0)
         self._least, self._most = bounds.input_bounds[0] - rounded, bounds.input_bounds[1] + rounded
         self._changes = bounds.input_rates * time_step * (1 + rounding)

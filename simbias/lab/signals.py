@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -32,12 +33,13 @@ class Signal(NamedTuple):
     values: Array  # (k,)
 
 
-class Signals:
+class Signals(ABC):
     """The signals of a file, by name."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
+    @abstractmethod
     def signal(self, name: str, time: str) -> Signal:
         """A signal, its times from the column `time` where the file has columns.
 
@@ -46,11 +48,10 @@ class Signals:
         HardwareError
             If there is none of that name; the message names the nearest.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def has(self, name: str) -> bool:
         """Whether the file has a signal of that name."""
-        raise NotImplementedError
 
     def unit(self, name: str) -> str:
         """The unit that the file states of a signal; "" if it does not."""

@@ -12,7 +12,7 @@ from typing import Literal, final
 import numpy as np
 
 from simbias.core import Kernel, Nominal, Task
-from simbias.core.parameters import Parameter
+from simbias.core.parameters import Parameter, Prior
 from simbias.core.ranges import (
     Acceleration,
     Inertia,
@@ -67,13 +67,18 @@ class Uncertainty:
 
 _NOTHING = Drives()
 _CERTAIN = Uncertainty()
-_OF_LINKS = {"mass": ("masses", "kg"), "centre": ("centres", "m"), "inertia": ("inertias", "kg m^2")}
-_OF_DRIVES = {
-    "damping_1": ("damping", "N m s/rad"),
-    "damping_2": ("damping", "N m s/rad"),
-    "friction_1": ("friction", "N m"),
-    "friction_2": ("friction", "N m"),
-    "rotor_inertia": ("rotor_inertia", "kg m^2"),
+_PRIORS: dict[str, tuple[str, str, Prior]] = {  # field of `Uncertainty`, unit, and kind
+    "mass_1": ("masses", "kg", "log_normal"),
+    "mass_2": ("masses", "kg", "log_normal"),
+    "centre_1": ("centres", "m", "log_normal"),
+    "centre_2": ("centres", "m", "log_normal"),
+    "inertia_1": ("inertias", "kg m^2", "log_normal"),
+    "inertia_2": ("inertias", "kg m^2", "log_normal"),
+    "damping_1": ("damping", "N m s/rad", "half_normal"),
+    "damping_2": ("damping", "N m s/rad", "half_normal"),
+    "friction_1": ("friction", "N m", "half_normal"),
+    "friction_2": ("friction", "N m", "half_normal"),
+    "rotor_inertia": ("rotor_inertia", "kg m^2", "half_normal"),
 }
 
 
@@ -126,8 +131,11 @@ class DoublePendulum(Nominal):
             **{f"{field.name}_2": getattr(second, field.name) for field in fields(Link)},
             **vars(drives),
         }
-        declared = [*_of_links(self._values, uncertainty), *_of_drives(self._values, uncertainty)]
-        self.parameters = tuple(parameter for parameter in declared if parameter.spread)
+        self.parameters = tuple(
+            Parameter(name, unit, self._values[name], spread, kind)
+            for name, (field, unit, kind) in _PRIORS.items()
+            if (spread := getattr(uncertainty, field))
+        )
         self.kernel = self._compiled()
 
     def _compiled(self) -> Kernel:
@@ -148,23 +156,6 @@ class DoublePendulum(Nominal):
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., 4), one time step after x (..., 4) under torques u (..., m) in N m."""
         return elementwise(self.kernel.function, x, u, parameters=self.kernel.parameters)
-
-
-def _of_links(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
-    """Parameters of the links that may be uncertain."""
-    return [
-        Parameter(f"{name}_{i}", unit, values[f"{name}_{i}"], getattr(uncertainty, spread), "log_normal")
-        for name, (spread, unit) in _OF_LINKS.items()
-        for i in (1, 2)
-    ]
-
-
-def _of_drives(values: dict[str, float], uncertainty: Uncertainty) -> list[Parameter]:
-    """Parameters of the drives that may be uncertain; each is at least what is declared."""
-    return [
-        Parameter(name, unit, values[name], getattr(uncertainty, spread), "half_normal")
-        for name, (spread, unit) in _OF_DRIVES.items()
-    ]
 
 
 def _lumped(values: dict[str, float], gravity: float) -> list[float]:
@@ -215,25 +206,17 @@ def _velocities(v, u, at, h, parameters):
     return v[0] + scale * (m_22 * f_1 - m_12 * f_2), v[1] + scale * (m_11 * f_2 - m_12 * f_1)
 
 
-def _on_both(u):
-    """Torques on both joints."""
-    return u[0], u[1]
-
-
-def _on_first(u):
-    """Torques on both joints, of which the second is free."""
-    return u[0], 0.0
-
-
-def _on_second(u):
-    """Torques on both joints, of which the first is free."""
-    return 0.0, u[0]
+_ON_JOINTS: dict[Driven, Callable] = {  # torques on both joints
+    "both": lambda u: (u[0], u[1]),
+    "first": lambda u: (u[0], 0.0),
+    "second": lambda u: (0.0, u[0]),
+}
 
 
 @cache
 def _steps(count: int, driven: Driven) -> Callable:
     """So many midpoint steps (J. C. Butcher, Numerical Methods for ODEs, 2016, Section 232)."""
-    on_joints = {"both": _on_both, "first": _on_first, "second": _on_second}[driven]
+    on_joints = _ON_JOINTS[driven]
 
     def step(x, u, parameters):
         """States a frame after x under u."""

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from simbias.core import Kernel
 from simbias.core.records import Array
-from simbias.simulation.compiler import compiled_as, elementwise, function_of, sum_of
+from simbias.simulation.compiler import at_least, at_most, elementwise, function_of, sum_of
 
 MOST_TAPS = 100  # frames of delay that a model may remember
 
@@ -99,17 +99,9 @@ class Actuators:
         return np.stack(columns, axis=-1)
 
 
-def _within(x, limit):
-    """x within +-limit, without branches."""
-    return min(max(x, -limit), limit)
-
-
-@compiled_as(_within)
-def limited(x: Any, limit: Any) -> Any:
-    """X within +-limit, both numbers or arrays."""
-    if isinstance(x, float):
-        return _within(x, limit)
-    return np.minimum(np.maximum(x, -limit), limit)
+def limited(x, limit):
+    """Numbers or arrays x within +-limit."""
+    return at_most(at_least(x, -limit), limit)
 
 
 def _earlier(values: Array, frames: int) -> Array:

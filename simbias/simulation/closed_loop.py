@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -25,16 +24,6 @@ def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost |
     return CompiledSimulator.of(model, disturbance, cost) or PlainSimulator(
         [model], [disturbance], corrections
     )
-
-
-class Scenarios(Protocol):
-    """Simulators of one task that are run together."""
-
-    def costs(self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices) -> tuple[Array, Indices]:
-        """Costs and frames (k,) of each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
-
-    def rollouts(self, thetas: Array, starts: Array, scenarios: Indices) -> Sequence[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
 
 
 def join(simulators: Sequence[Simulator]) -> Scenarios:
@@ -86,3 +75,6 @@ class SimulatorSequence:
             own = np.flatnonzero(scenarios == index)
             made |= zip(own.tolist(), simulator.rollouts(thetas[own], starts[own]), strict=True)
         return [made[index] for index in range(len(thetas))]
+
+
+Scenarios = CompiledSimulator | PlainSimulator | SimulatorSequence  # of one task, run together

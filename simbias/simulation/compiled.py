@@ -108,7 +108,8 @@ class CompiledSimulator:
         if not self.sums_up(cost):
             return costs_of(cost, self.rollouts(thetas, starts, scenarios))
         batch = self._run(cost, False, thetas, starts, scenarios)
-        return batch.costs(cost, self.task.horizon), batch.frames
+        lost = np.where(batch.violated < 0, 0, self.task.horizon - batch.frames)
+        return cost.of_totals(batch.totals, lost), batch.frames
 
     def sums_up(self, cost: Cost) -> bool:
         """Whether the terms of a cost can be traced."""
@@ -178,7 +179,3 @@ class RolloutBatch:
             np.full(k, -1),
             np.full(k, -1),
         )
-
-    def costs(self, cost: Cost, horizon: int) -> Array:
-        """Costs (k,) of the totals."""
-        return cost.of_totals(self.totals, np.where(self.violated < 0, 0, horizon - self.frames))

@@ -15,13 +15,13 @@ from simbias.core.records import Array, Disturbance
 SUFFIX = "_variance"
 
 
-def _without_zeros(variances: dict[str, float]) -> dict[str, float]:
-    """The variances that are not zero: a quantity without noise need not be declared."""
-    return {key: variance for key, variance in variances.items() if variance}
+def without_zeros(values: dict[str, float]) -> dict[str, float]:
+    """Values by name that are not zero: a quantity without noise or offset need not be declared."""
+    return {name: value for name, value in values.items() if value}
 
 
 # As in a config: `torque_variance: 0.1`, of a quantity or of all of a kind, in the square of its unit.
-Variances = Annotated[dict[str, Variance], AfterValidator(_without_zeros)]
+Variances = Annotated[dict[str, Variance], AfterValidator(without_zeros)]
 QUIET: dict[str, float] = {}
 
 

@@ -11,15 +11,10 @@ from pydantic import AfterValidator
 from simbias.core import Task
 from simbias.core.ranges import Coordinate
 from simbias.core.records import Array
-
-
-def _without_zeros(offsets: dict[str, float]) -> dict[str, float]:
-    """The offsets that are not zero: a quantity without one need not be declared."""
-    return {name: offset for name, offset in offsets.items() if offset}
-
+from simbias.simulation.noise import without_zeros
 
 # As in a config: `theta: 0.01`, of a quantity in its unit.
-Offsets = Annotated[dict[str, Coordinate], AfterValidator(_without_zeros)]
+Offsets = Annotated[dict[str, Coordinate], AfterValidator(without_zeros)]
 
 
 class Sensor:

@@ -74,12 +74,7 @@ def row(trial: Trial, sweep: Sweep, summary: TrialSummary) -> dict[str, Any]:
         "outcome": str(summary.outcome),
         "experiments": summary.experiments_until_success,
         "iterations": summary.iterations_until_success,
-        "seconds": summary.seconds,
-        "hardware_seconds": summary.hardware_seconds,
-        "test_episodes": summary.test_episodes,
-        "lasting_episodes": summary.lasting_episodes,
-        "long_success_rate": summary.long_success_rate,
-        "long_seconds": summary.long_seconds,
+        **{name: getattr(summary, name) for name in ("seconds", *LATER)},
         "raised": summary.reason,
     }
 

@@ -52,15 +52,7 @@ class AskTell:
         return self._request
 
     def tell(self, rollout: Rollout) -> None:
-        """The rollout of the experiment that was asked for.
-
-        Raises
-        ------
-        ValueError
-            If none was asked for.
-        HardwareError
-            If the rollout breaks the contract; the question stays open.
-        """
+        """The rollout of the experiment that was asked for; errors as of `Study.tell`."""
         if self._request is None:
             raise ValueError("no experiment was asked for: ask() comes first")
         request = self._request

@@ -9,14 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from simbias.core import Task
 from simbias.core.proportions import counted_share
+from simbias.core.ranges import CountOrZero, Seconds, Seed
 from simbias.core.records import Array
-from simbias.trial.study import PolicyTest, Study
+
+if TYPE_CHECKING:
+    from simbias.trial.study import Study
+
+
+@dataclass(frozen=True)
+class PolicyTest:
+    """Test episodes of a trial's last policy, after the trial's end."""
+
+    episodes: CountOrZero = 0
+    long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
+    long_seconds: Seconds = 60.0  # this long
+    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
+
+
+NO_TEST = PolicyTest()
 
 
 class Episode(NamedTuple):

@@ -21,6 +21,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.messages import with_type, words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
+from simbias.lab.checks import check_rollout
 from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, write_json, write_whole
 from simbias.trial.files import load_rollout, raw_json, save_rollout
 from simbias.trial.folder import (
@@ -107,7 +108,7 @@ class FolderRecord(Record):
         """The next experiment; what breaks the contract is no step, as it would be replayed for ever."""
         path = self._replayed(EXPERIMENT)
         if path is not None:
-            rollout = _loaded(path, load_rollout)[0]
+            rollout = _loaded(path, self._experiment)[0]
             if not np.array_equal(rollout.parameters, theta):
                 raise changed(path)
             return rollout
@@ -117,13 +118,19 @@ class FolderRecord(Record):
         self._keep(EXPERIMENT, lambda file: save_rollout(file, rollout, place))
         return rollout
 
+    def _experiment(self, path: Path) -> tuple[Rollout, tuple[int, ...]]:
+        """An experiment and its place, as a hardware can have made it; those of a test may be longer."""
+        rollout, place = load_rollout(path)
+        check_rollout(rollout, "it", self._study.task.with_horizon(max(1, rollout.frames)))
+        return rollout, place
+
     def _former(self, theta: Array, place: tuple[int, ...]) -> tuple[Rollout | None, int]:
         """The experiment with theta (p,) in this place, if it was superseded; how often one was withdrawn."""
         withdrawn = {each.experiment for each in self.folder.withdrawals()}
         latest, count = None, 0
         for file in self.folder.all_steps() if withdrawn and place else ():
             if file.name.endswith(EXPERIMENT):
-                rollout, own = _loaded(file, load_rollout)
+                rollout, own = _loaded(file, self._experiment)
                 if own == place and np.array_equal(rollout.parameters, theta):
                     latest = None if file.name in withdrawn else rollout
                     count += file.name in withdrawn

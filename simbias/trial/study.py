@@ -1,9 +1,8 @@
-"""A study: the components of a trial, composed, and the contract of the method that runs it."""
+"""A study: the components of a trial, composed."""
 
 from __future__ import annotations
 
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -28,14 +27,15 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.ranges import CountOrZero, Seconds, Seed
 from simbias.core.records import Array, Iteration, Rollout, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.ask_tell import AskTell
 from simbias.trial.budget import NO_LIMITS, Budget, BudgetSpent, Spending
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
+from simbias.trial.policy_test import NO_TEST, PolicyTest
 from simbias.trial.replay import Record, ReplayedOptimizer
 
 WARM_UP = 0.2  # s of a rollout that is learned from, so that what learns is compiled
@@ -65,37 +65,6 @@ class Origin(Protocol):
         """The trial's identity: a hash of everything that affects its result."""
 
 
-class Method(ABC):
-    """An algorithm that searches, experiments and learns, in the steps of `simbias.trial.steps`.
-
-    It knows nothing of folders. It may be run again over the steps of an earlier run, which are then replayed
-    (`simbias.trial.replay`). So every search and every experiment has a generator of its own, spawned from
-    the method's.
-    """
-
-    max_iterations: int  # N_out
-    experiments: int  # on hardware, of an iteration at most
-
-    @cached_property
-    def max_experiments(self) -> int:
-        """Hardware experiments of a trial that never succeeds, at most."""
-        return self.max_iterations * self.experiments
-
-    @abstractmethod
-    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield a record of every iteration as it ends."""
-
-
-@dataclass(frozen=True)
-class PolicyTest:
-    """Test episodes of a trial's last policy, after the trial's end."""
-
-    episodes: CountOrZero = 0
-    long_episodes: CountOrZero = 2  # those of them that last longer than the task's horizon,
-    long_seconds: Seconds = 60.0  # this long
-    seed: Seed = 2015  # of starts and noise: no trial's seed touches it
-
-
 @dataclass(frozen=True, eq=False)
 class Study:
     """The components of a trial."""
@@ -115,7 +84,7 @@ class Study:
     composition: Origin  # what the components were built from
     hardware_of: Callable[[Task], Hardware]  # constructs the hardware again, for another horizon
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
-    policy_test: PolicyTest = PolicyTest()
+    policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
     spending: Spending | None = None  # of the budget, while a trial runs
 

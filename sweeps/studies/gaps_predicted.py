@@ -21,7 +21,7 @@ from joblib import Parallel, delayed
 from simbias.config.build import build
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Rollout
-from simbias.search.lqr import LqrCandidates
+from simbias.search.lqr import lqr_candidates
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.sweep.grid import expand
 from simbias.trial.study import Study
@@ -35,7 +35,7 @@ WAYS = ("nominal", "residual", "identified", "both")
 def experiments(study: Study, seed: int) -> list[Rollout]:
     """Experiments with different policies from different starts, those that last for a window."""
     rng = np.random.default_rng(seed)
-    policies = LqrCandidates(study.model(), MODELS)
+    policies = list(lqr_candidates(study.model(), MODELS))
     made: list[Rollout] = []
     for index in rng.permutation(len(policies)):
         rollout = study.hardware.run(study.policy, policies[index], study.task.draw_start(rng), rng)

@@ -19,8 +19,8 @@ from joblib import Parallel, delayed
 
 import simbias
 from simbias.core.records import Array
-from simbias.trial.policy_test import run_policy_test
-from simbias.trial.study import PolicyTest, Study
+from simbias.trial.policy_test import PolicyTest, run_policy_test
+from simbias.trial.study import Study
 
 SEEDS = range(10)
 STARTS = 20

@@ -20,7 +20,7 @@ from simbias.core import HardwareError, Policy
 from simbias.core.commands import SUCCEEDED, WAITING
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
-from simbias.lab.safety import Safety
+from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
 from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
 from simbias.trial.prediction import DRAWS, predict
 from simbias.trial.run import run_trial
@@ -77,6 +77,15 @@ def test_an_experiment_beyond_a_limit_is_aborted(point_mass: Study, hardware: ty
         assert aborted.cost > point_mass.cost.max_cost
         np.testing.assert_array_equal(aborted.states, free.states[: k + 1])
         np.testing.assert_array_equal(aborted.inputs, free.inputs[:k])
+
+
+@pytest.mark.parametrize("broken", [np.inf, -np.inf, np.nan])
+def test_a_sensor_that_tells_no_number_aborts_without_a_limit_too(point_mass: Study, broken: float) -> None:
+    """As the controllers in C and in Python do."""
+    bounds = Safety(inputs={"force": 3.9}).bounds(point_mass.task)
+    controller = SafetyLimitedPolicy(point_mass.policy, point_mass.task, bounds).controller(THETA, 0.02)
+    with pytest.raises(UnsafeError, match="unsafe_state_velocity"):
+        controller(np.array([0.0, broken]))
 
 
 def test_a_hardware_that_does_not_ask_the_controller_is_held_against_the_limits(point_mass: Study) -> None:

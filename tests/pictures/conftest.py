@@ -9,8 +9,9 @@ from conftest import OWN_CONF, POINT_MASS
 
 import simbias
 from simbias.core.records import Iteration, Learning, Optimum, Search
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 BALANCING = np.array([8.118, 4.783, -6.658, -0.366, -5.560])
 

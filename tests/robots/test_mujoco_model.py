@@ -109,6 +109,7 @@ def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
     assert len(np.unique(frames)) > 10
 
 
+@pytest.mark.slow
 def test_predictions_of_a_record_are_the_plain_ones() -> None:
     """As an identification asks for them: each model along the inputs of an experiment."""
     study = search("double_cartpole")

@@ -16,8 +16,9 @@ from simbias.core.records import Array, Indices, Rollout
 from simbias.search.evaluation.robust import Robust
 from simbias.search.evaluation.scenarios import CostOfScenarios, Scenario
 from simbias.simulation.numpy_loop import costs_of
+from simbias.trial.observer import Observer
 from simbias.trial.steps import search
-from simbias.trial.study import Observer, Study
+from simbias.trial.study import Study
 
 NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
 MAX_COST = 100.0
@@ -174,6 +175,7 @@ def test_fresh_scenarios_repeat_by_seed_and_differ_by_call(study: Study) -> None
     assert first.steps > common.steps > 0
 
 
+@pytest.mark.slow
 def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> None:
     """One on the nominal model alone lets the cart-pole fall on more of those that might be right."""
     options = ["preset=cartpole", "optimizer=cma", "tracking=none", "optimizer.max_evaluations=1200"]

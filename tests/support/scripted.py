@@ -10,7 +10,8 @@ from point_mass import PointMass
 
 from simbias.core import Evaluation, Hardware
 from simbias.core.records import Iteration, Rollout
-from simbias.trial.study import Method, Study
+from simbias.trial.method import Method
+from simbias.trial.study import Study
 
 FRAMES = 25  # of an experiment: five become training data
 

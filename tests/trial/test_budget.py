@@ -14,10 +14,11 @@ from simbias.config import compose
 from simbias.core.records import Iteration
 from simbias.trial.budget import Budget
 from simbias.trial.folder import TrialFolder
+from simbias.trial.method import Method
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.observer import Observer
 from simbias.trial.run import read_trial, run_trial
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 

@@ -26,10 +26,11 @@ from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, is_locked, write_whole
 from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.steps import experiment
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 SHORT = [
@@ -176,6 +177,22 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
             assert "\n" not in str(caught.value)
     with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
         read_folder(tmp_path)
+
+
+def test_an_experiment_that_no_hardware_can_have_made_is_named(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+) -> None:
+    """Arrays of another shape, of no numbers, or of NaN, as somebody's own script writes them."""
+    file = shutil.copytree(whole[0], tmp_path / "trial") / "0001_experiment.npz"
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    for name in ("states", "inputs", "measured", "sensed"):
+        right = np.atleast_1d(arrays.get(name, arrays["states"])).astype(float)
+        for wrong in (right[:-1], np.full_like(right, np.nan), right.astype(str)):
+            np.savez(file, **{**arrays, name: wrong})
+            with pytest.raises(ConfigError, match=r"0001_experiment\.npz: cannot be read") as caught:
+                read_trial(short, file.parent)
+            assert "\n" not in str(caught.value)
 
 
 def test_steps_of_other_code_are_one_line(

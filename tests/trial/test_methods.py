@@ -19,13 +19,14 @@ from simbias.pictures.trial.comparison import in_simulation
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search.lqr import lqr_policies
 from simbias.testing.conformance import verdicts
+from simbias.trial.method import Method
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.observer import Observer
 from simbias.trial.run import run_trial
 from simbias.trial.steps import experiment
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, iteration_summary
 
 

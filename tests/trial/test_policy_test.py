@@ -10,9 +10,9 @@ from conftest import OWN_CONF, POINT_MASS
 from records import assert_equal, timeless
 
 import simbias
-from simbias.trial.policy_test import Episode, PolicyTestResult, episodes_csv, run_policy_test
+from simbias.trial.policy_test import Episode, PolicyTest, PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.run import run_trial
-from simbias.trial.study import PolicyTest, Study
+from simbias.trial.study import Study
 
 SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=1"]
 

@@ -17,6 +17,7 @@ from simbias.lab.requests.process import Process
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.testing.conformance import verdicts
 from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.method import Method
 from simbias.trial.methods.cost_residual import CostResidual
 from simbias.trial.methods.direct_search import PROPOSALS, DirectSearch
 from simbias.trial.methods.ideal import Ideal
@@ -24,7 +25,7 @@ from simbias.trial.methods.inaccurate_model import InaccurateModel, along, gradi
 from simbias.trial.methods.multi_fidelity import MultiFidelity
 from simbias.trial.methods.one_shot import OneShot
 from simbias.trial.run import run_trial
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 

@@ -17,9 +17,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from simbias.core import HardwareError, Waiting
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer, Observers
 from simbias.trial.run import read_trial, run_trial
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
 
 

@@ -111,10 +111,11 @@ class Posterior(Identification):
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The model at the mode, which draws from the posterior.
 
-        Without a whole window it is the model itself, or the one that is known.
+        Without a whole window it is the model itself, whose motors and sensors are uncertain as declared, or
+        the one that is known.
         """
         if self._known is None:
-            return self._fit(self.prior(nominal), rollouts) if rollouts else nominal
+            return self._fit(self.prior(nominal), rollouts)
         prior = KnownPrior(self.prior(nominal), self._known)
         fitted = self._fit(prior, rollouts)
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)

@@ -64,8 +64,7 @@ class Box2dBongoboard(EngineBongoboard):
         detachment: Depth = 1e-3,
     ) -> None:
         box2d()
-        super().__init__(task, inertia_error, noise, record, detachment)
-        self._assembly = Assembly(task, self._scale, overlap=OVERLAP)
+        super().__init__(task, inertia_error, noise, record, detachment, OVERLAP)
         self._iterations = iterations
 
     def build(self, start: Array) -> World:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from simbias.core import Hardware, HardwareError, Policy
 from simbias.core.records import Array, Rollout
-from simbias.robots.bongoboard.bodies import Place, contact
+from simbias.robots.bongoboard.bodies import Assembly, Feet, Place, contact
 from simbias.robots.bongoboard.gaps import NO_GAPS, Gaps
 from simbias.robots.bongoboard.task import Bongoboard, deviations
 from simbias.simulation.actuator import Actuators
@@ -47,6 +47,8 @@ class EngineBongoboard(Hardware):
         Geometry, masses, time step and failure.
     inertia_error
         Every mass and moment of inertia is multiplied by 1 + inertia_error.
+    overlap, feet, gaps
+        As of its `Assembly`. Motor and sensors among the gaps are here; the rest is the world's.
     noise
         Variances on the torque and on what the policy sees, by name (`Noise`).
     record
@@ -54,8 +56,6 @@ class EngineBongoboard(Hardware):
         is judged by the true states all the same: someone sees the robot fall.
     detachment
         Gap, in m, above which the board has left the wheel; contacts flicker below it.
-    gaps
-        Of which motor and sensors are here; the rest is the world's.
     """
 
     def __init__(
@@ -65,13 +65,15 @@ class EngineBongoboard(Hardware):
         noise: Variances,
         record: Record,
         detachment: float,
+        overlap: float,
+        feet: Feet = "plate",
         gaps: Gaps = NO_GAPS,
     ) -> None:
         self.task = task
         self.detachment = detachment
         self.motor = Actuators([gaps.motor(task.time_step)], task.time_step, gaps.delay)
         self.sensor = Sensor(task, gaps.sensor_offset, gaps.sensor_delay)
-        self._scale = 1.0 + inertia_error
+        self._assembly = Assembly(task, 1.0 + inertia_error, feet, overlap, gaps)
         self._noise = Noise(task, noise)
         self._record = record
 

@@ -51,9 +51,8 @@ class MujocoBongoboard(EngineBongoboard):
         steps: Count = 2,
         detachment: Depth = 1e-3,
     ) -> None:
-        super().__init__(task, inertia_error, noise, record, detachment)
+        super().__init__(task, inertia_error, noise, record, detachment, OVERLAP)
         self._steps = steps
-        self._assembly = Assembly(task, self._scale, overlap=OVERLAP)
         self.model = mujoco().MjModel.from_xml_string(mjcf(self._assembly, steps))
 
     def build(self, start: Array) -> World:

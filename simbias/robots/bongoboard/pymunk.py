@@ -84,8 +84,7 @@ class PymunkBongoboard(EngineBongoboard):
         detachment: Depth = 1e-3,
         gaps: Gaps = NO_GAPS,
     ) -> None:
-        super().__init__(task, inertia_error, noise, record, detachment, gaps)
-        self._assembly = Assembly(task, self._scale, feet, overlap, gaps)
+        super().__init__(task, inertia_error, noise, record, detachment, overlap, feet, gaps)
         self._iterations = iterations
 
     def build(self, start: Array) -> World:

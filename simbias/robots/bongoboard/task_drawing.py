@@ -9,6 +9,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
 from simbias.core.records import Array
+from simbias.robots.bongoboard.bodies import Assembly
 from simbias.robots.bongoboard.task import Bongoboard
 from simbias.robots.drawing.parts import LINE, Disc, draw_parts, move_parts
 
@@ -38,22 +39,19 @@ def move(artists: Mapping[str, Artist], task: Bongoboard, state: Array, *, muted
 
 def _parts(task: Bongoboard, state: Array) -> dict[str, Disc | Array]:
     """Every part at the state (6,), from back to front."""
-    robot, pose = task.robot, task.pose(state[:3])
-    phi, r = pose.board_angle, robot.wheel_radius
-    aside = robot.ankle_spacing / 2 * np.array([np.cos(phi), np.sin(phi)])
-    foot = pose.ankles - robot.ankle_height / 2 * np.array([-np.sin(phi), np.cos(phi)])
-    legs = (pose.ankles + pose.pelvis) / 2
+    robot, pose, places = task.robot, task.pose(state[:3]), Assembly(task).places(state[:3])
+    aside = robot.ankle_spacing / 2 * np.array([np.cos(pose.board_angle), np.sin(pose.board_angle)])
+    r = robot.wheel_radius
     around = np.linspace(-0.3, 0.3, 9)
     sector = r * np.vstack([(0.0, 0.0), np.column_stack([-np.sin(around), np.cos(around)])])
     joints = {"ankle": pose.ankles, "hip": pose.pelvis}
     return {
         "wheel": Disc(pose.wheel, r),
-        "sector": _place(sector, pose.wheel, pose.wheel_angle),
-        "board": _place(_box(robot.board_length, robot.board_thickness), pose.board, phi),
-        "foot": _place(_box(robot.foot_length, robot.ankle_height), foot, phi),
-        "upper body": _place(_upper_body(task), pose.pelvis, phi),
-        "left leg": _place(_box(LEG_WIDTH, robot.leg_length), legs - aside, pose.leg_angle),
-        "right leg": _place(_box(LEG_WIDTH, robot.leg_length), legs + aside, pose.leg_angle),
+        "sector": _place(sector, places["wheel"]),
+        "board": _place(_box(robot.board_length, robot.board_thickness), places["board"]),
+        "foot": _place(_box(robot.foot_length, robot.ankle_height), places["foot"]),
+        "upper body": _place(_upper_body(task), places["pelvis"]),
+        **{leg: _place(_box(LEG_WIDTH, robot.leg_length), places[leg]) for leg in ("left leg", "right leg")},
         **{f"left {name}": Disc(place - aside, JOINT_RADIUS) for name, place in joints.items()},
         **{f"right {name}": Disc(place + aside, JOINT_RADIUS) for name, place in joints.items()},
     }
@@ -73,7 +71,7 @@ def _box(width: float, height: float) -> Array:
     return np.array([(-width, -height), (width, -height), (width, height), (-width, height)]) / 2
 
 
-def _place(points: Array, centre: Array, angle: float) -> Array:
-    """The points (k, 2), turned by the angle (rad) and moved by the centre (2,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([(c, s), (-s, c)]) + centre
+def _place(points: Array, place: Array) -> Array:
+    """The points (k, 2) of a body at a place: x, y and angle in rad."""
+    c, s = np.cos(place[2]), np.sin(place[2])
+    return points @ np.array([(c, s), (-s, c)]) + place[:2]

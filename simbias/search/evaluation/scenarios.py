@@ -61,10 +61,12 @@ class CostOfScenarios(Objective):
 
     def together(self, thetas: Array) -> Array:
         """The costs (k,) of thetas (k, p); all policies in all scenarios run in lockstep."""
-        costs = np.zeros((len(thetas), len(self.scenarios)))
         every = np.arange(len(self.scenarios))
+        if len(every) <= self._screening:
+            return self._aggregated(self._costs(thetas, every))
+        costs = np.zeros((len(thetas), len(every)))
         first, others = every[: self._screening], every[self._screening :]
-        if self._share_promising > 0.5 or not len(others):  # it pays to simulate some in vain, in lockstep
+        if self._share_promising > 0.5:  # enough in lockstep for it to pay to simulate some in vain
             costs = self._costs(thetas, every)
             hopeless = costs[:, first].min(axis=1) > self._cost.max_cost
         else:

@@ -4,14 +4,16 @@ Everything that others use of it is imported from here.
 
 | what for | from |
 | --- | --- |
-| components that are fast in NumPy, or have a kernel | `kernels`, `trigonometry`, `compilation`, `text` |
+| components that have a kernel, or are fast in NumPy | `kernels`, `choices`, `trigonometry` |
+| compiling, and text of it | `compilation`, `text` |
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
-| kernels of a model, its policy and cost | `tracing`, `points` |
+| kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `points`, `agreement` |
 | a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """
 
+from simbias.simulation.compiler.choices import at_least, at_most
 from simbias.simulation.compiler.closed_loop import Composition, compile_closed_loop
 from simbias.simulation.compiler.compilation import compiled_as, function_of
 from simbias.simulation.compiler.expressions import Expression, Expressions
@@ -45,6 +47,8 @@ __all__ = [
     "Points",
     "PolicyKernel",
     "arctan",
+    "at_least",
+    "at_most",
     "broadcast",
     "compile_closed_loop",
     "compile_open_loop",

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from simbias.simulation.compiler.symbols import RULES, Symbol, Trace, TraceError, choose, numeric, refusal
+from simbias.simulation.compiler.rules import RULES, choose
+from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError, numeric, refusal
 
 
 class Symbols(np.ndarray):

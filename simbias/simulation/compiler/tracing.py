@@ -2,7 +2,7 @@
 
 A method in ordinary vectorised NumPy is called once on symbols (`simbias.simulation.compiler.symbols`). What
 comes of it is the text of a kernel, which joins the compiled loop as one that is written by hand. It is used
-if it gives the method's own numbers at random states, to AGREEMENT. Else, and where the code needs values,
+if it gives the method's own numbers at random states, to rounding. Else, and where the code needs values,
 the closed loop is simulated in NumPy, and a warning names the line that keeps it there.
 
 A component is traced once: what it computes must not change after its first use.
@@ -25,13 +25,11 @@ from simbias.core import Cost, FittedBias, Kernel, Model, Nominal, Policy, Task
 from simbias.core.error_origin import is_users
 from simbias.core.messages import with_type
 from simbias.core.records import Array
+from simbias.simulation.compiler.agreement import compare, compare_frames, rows
 from simbias.simulation.compiler.points import ROWS, Points
 from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
 from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError
 from simbias.simulation.compiler.written import Formulas, Written, columns, needed, written
-
-AGREEMENT = 1e-9  # relative, between a traced kernel and the method
-FRAMES = 100  # over which a policy with a state is held against its kernel
 
 
 class KernelOrReason(NamedTuple):
@@ -112,8 +110,8 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
     def trace(subject: Callable) -> Kernel:
         trace = Trace()
         given = [
-            row(trace, name, rows.shape[1]) if rows.ndim > 1 else array([trace.given(name)])
-            for name, rows in vectors.items()
+            row(trace, name, each.shape[1]) if each.ndim > 1 else array([trace.given(name)])
+            for name, each in vectors.items()
         ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
@@ -123,10 +121,10 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
         return Kernel(function, numbers)
 
     def check(subject: Callable, kernel: Kernel) -> None:
-        before = [rows for name, rows in vectors.items() if name != "model_state"]
-        after = [rows for name, rows in vectors.items() if name == "model_state"]
+        before = [each for name, each in vectors.items() if name != "model_state"]
+        after = [each for name, each in vectors.items() if name == "model_state"]
         made = columns(kernel.function, *before, tuple(kernel.parameters), *after)
-        _compare(subject, list(vectors.values()), made if len(sizes) > 1 else (made,))
+        compare(subject, list(vectors.values()), made if len(sizes) > 1 else (made,))
 
     return _part(component, method, trace, check)
 
@@ -137,7 +135,6 @@ class PolicyKernel(NamedTuple):
     prepare: Written
     control: Written
     size: int  # r, of the parameters
-    state_size: int  # s
 
     @property
     def function(self) -> Callable:
@@ -151,7 +148,7 @@ class PolicyKernel(NamedTuple):
 
     def parameters(self, thetas: Array) -> Array:
         """Parameters (k, r) of the kernel for thetas (k, p)."""
-        return _rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
+        return rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
 
 
 def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
@@ -166,39 +163,28 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
             written(trace, [fixed], "theta, p"),
             written(trace, [u, kept], "p, x, t, policy_state, c", fixed, "c"),
             len(fixed),
-            s,
         )
 
     def check(subject: Callable, traced: PolicyKernel) -> None:
         rng = np.random.default_rng(2)
         lower, upper = (np.clip(bound, -1e3, 1e3) for bound in policy.bounds)
         thetas, state = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
-        parameters = traced.parameters(thetas)
-        for t in (0.0, 0.1 * task.horizon * task.time_step, 0.7 * task.horizon * task.time_step):
-            made = columns(traced.function, parameters, points.x, t, state, tuple(traced.constants))
-            _compare(
-                lambda theta, x, state, t=t: subject(theta, x, t, state), [thetas, points.x, state], made
-            )
+        parameters, constants = traced.parameters(thetas), tuple(traced.constants)
 
+        def made(x: Array, t: float, state: Array) -> tuple[Any, ...]:
+            return columns(traced.function, parameters, x, t, state, constants)
+
+        for share in (0.0, 0.1, 0.7):
+            t = share * task.horizon * task.time_step
+            compare(
+                lambda theta, x, state, t=t: subject(theta, x, t, state),
+                [thetas, points.x, state],
+                made(points.x, t, state),
+            )
         if s:  # states that no random numbers are
-            _compare_frames(subject, traced, thetas, points)
+            compare_frames(lambda x, t, state: subject(thetas, x, t, state), made, points.x, s)
 
     return _once(policy, "act", lambda: _part(policy, "act", trace, check))
-
-
-def _compare_frames(act: Callable, traced: PolicyKernel, thetas: Array, points: Points) -> None:
-    """Raise unless policies (ROWS, p) and their kernel agree in many frames.
-
-    Each frame begins with the state that the policies arrived at: a law may amplify what is rounded.
-    """
-    rng, parameters, constants = np.random.default_rng(3), traced.parameters(thetas), tuple(traced.constants)
-    state = np.zeros((ROWS, traced.state_size))
-    for frame in range(FRAMES):
-        x, t = points.x[rng.permutation(ROWS)], 0.01 * frame
-        made = columns(traced.function, parameters, x, t, state, constants)
-        u, state = act(thetas, x, t, state)
-        for values, expected in zip(made, (u, state), strict=True):
-            _expect_equal(_rows(values), np.asarray(expected, np.float64))
 
 
 def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
@@ -242,38 +228,6 @@ def _vectors(made: Any, sizes: Sequence[int], trace: Trace) -> list[list[Symbol]
         if vector.shape != (1, size):
             raise TraceError(f"of one row it gives the shape {vector.shape}, not {(1, size)}")
     return [list(vector[0]) for vector in vectors]
-
-
-def _compare(method: Callable, rows: Sequence[Array], made: Sequence[Sequence[Any]]) -> None:
-    """Raise unless the method gives the same vectors, twice, and most of them are numbers."""
-    first, again = (method(*(each.copy() for each in rows)) for _ in range(2))
-    if len(made) == 1:
-        first, again = (first,), (again,)
-    for one, other, values in zip(first, again, made, strict=True):
-        expected = np.asarray(one, np.float64)
-        if not np.array_equal(expected, other, equal_nan=True):
-            raise TraceError("it gives other numbers when it is asked again")
-        traced = _rows(values)
-        if expected.shape != traced.shape:
-            raise TraceError(f"of {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
-        if not np.isfinite(expected).all(axis=1).sum() >= ROWS // 2:
-            raise TraceError("it gives what is no number at most states near the start")
-        _expect_equal(traced, expected)
-
-
-def _expect_equal(traced: Array, expected: Array) -> None:
-    """Raise unless rows (ROWS, r) agree."""
-    size = np.max(np.abs(expected), axis=0, initial=0.0, where=np.isfinite(expected))
-    if not np.isclose(traced, expected, AGREEMENT, 1e-3 * AGREEMENT * size, equal_nan=True).all():
-        raise TraceError("what was written down gives other numbers")
-
-
-def _rows(values: Sequence[Any], count: int = ROWS) -> Array:
-    """Rows (count, r) of columns, some of which may be single numbers."""
-    rows = np.empty((count, len(values)))
-    for index, column in enumerate(values):
-        rows[:, index] = column
-    return rows
 
 
 def _part(component: Any, method: str, trace: Callable, check: Callable) -> KernelOrReason:

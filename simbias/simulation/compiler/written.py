@@ -13,7 +13,8 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.symbols import OF_NUMPY, Symbol, Trace
+from simbias.simulation.compiler.rules import OF_NUMPY
+from simbias.simulation.compiler.symbols import Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
 NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
@@ -81,12 +82,10 @@ _C_NAMES = {
     "arctanh": "atanh",
     "abs": "fabs",
 }
+_OF_ONE_IN_C = ("sqrt", "floor", "sin", "cos", "arctan", "abs")
 _IN_C = {
     **_IN_ALL,
-    **{
-        name: f"{_C_NAMES.get(name, name)}({{}})" for name in ("sqrt", "floor", "sin", "cos", "arctan", "abs")
-    },
-    **{name: f"{_C_NAMES.get(name, name)}({{}})" for name in OF_NUMPY},
+    **{name: f"{_C_NAMES.get(name, name)}({{}})" for name in (*_OF_ONE_IN_C, *OF_NUMPY)},
     **{name: f"{_C_NAMES.get(name, name)}({{}}, {{}})" for name in ("arctan2", "copysign", "power")},
     "angle": "{}",
     "sign": "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",

@@ -9,9 +9,10 @@ import numpy as np
 
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Learning, Rollout
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 
 @dataclass(eq=False)

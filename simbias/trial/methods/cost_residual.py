@@ -14,9 +14,10 @@ from simbias.core.records import Array, Iteration, Search, Transitions
 from simbias.learning.bias.covariance import Hyperparameters
 from simbias.learning.bias.posterior import Posterior, exact
 from simbias.search.lqr import lqr_candidates
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 NOISE = 0.01  # variance of ln Z from start to start, over that of the residual
 

@@ -14,9 +14,10 @@ from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
 from simbias.search.optimizer.cma import strategy
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 Proposals = Generator[Array, float, None]  # policies (p,) to try, each answered by its cost
 BOX = 4.0  # half width of Bayesian optimisation's box around a policy, in deviations

@@ -10,9 +10,10 @@ import numpy as np
 from simbias.core import failure_name
 from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, search
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 NEAR = 1e-3  # of the box's width, to both sides of a policy, for derivatives
 

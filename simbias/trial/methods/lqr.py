@@ -11,9 +11,10 @@ from simbias.core.errors import ConfigError
 from simbias.core.ranges import Count, NonNegative, Scale
 from simbias.core.records import Iteration, Rollout
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 
 @dataclass(eq=False)

@@ -13,10 +13,11 @@ from pydantic import Field
 from simbias.core.ranges import Count, CountOrZero, Positive, Share
 from simbias.core.records import Iteration, Learning, Rollout
 from simbias.trial.claim import passes_for
+from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
-from simbias.trial.study import Method, Study
+from simbias.trial.study import Study
 
 Confidence = Annotated[float, Field(gt=0, lt=1)]
 

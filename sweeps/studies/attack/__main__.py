@@ -32,14 +32,20 @@ from attack.values import form_case, value_case
 from attack.verdict import Result, Verdict, attempt
 
 SHARES = {  # of the time
-    "values": 0.42,
-    "forms": 0.13,
-    "stores": 0.12,
-    "files": 0.08,
-    "hardware, trial": 0.07,
-    "hardware, sweep": 0.06,
-    "kills": 0.08,
-    "strangers": 0.04,
+    "values": 0.24,
+    "forms": 0.08,
+    "stores": 0.07,
+    "files": 0.04,
+    "hardware, trial": 0.05,
+    "hardware, sweep": 0.04,
+    "kills": 0.05,
+    "strangers": 0.03,
+    "controllers": 0.12,
+    "experiments": 0.06,
+    "disks": 0.09,
+    "together": 0.05,
+    "archives": 0.04,
+    "words": 0.04,
 }
 
 

@@ -21,6 +21,7 @@ import soak
 from faulty_hardware import DEADLY, FAULTS, MENDED, RAISED, RETURNED
 from sweeping import finish, start
 
+from attack import harm, lab
 from attack.values import QUICK
 from attack.verdict import Result, Verdict, attempt, judge
 from simbias.__main__ import main
@@ -372,6 +373,12 @@ def _ports(process: subprocess.Popen[str]) -> set[tuple[str, int]]:
 
 
 SURFACES: dict[str, Callable[[random.Random, Path], Sequence[Result]]] = {
+    "controllers": lab.controllers,
+    "experiments": lab.experiments,
+    "disks": harm.disks,
+    "together": harm.together,
+    "archives": harm.archives,
+    "words": harm.words,
     "hardware, trial": hardware_trial,
     "hardware, sweep": hardware_sweep,
     "stores": store,

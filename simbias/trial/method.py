@@ -1,0 +1,37 @@
+"""The contract of the method that runs a trial."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simbias.core.records import Iteration
+from simbias.trial.observer import Observer
+
+if TYPE_CHECKING:
+    from simbias.trial.study import Study
+
+
+class Method(ABC):
+    """An algorithm that searches, experiments and learns, in the steps of `simbias.trial.steps`.
+
+    It knows nothing of folders. It may be run again over the steps of an earlier run, which are then replayed
+    (`simbias.trial.replay`). So every search and every experiment has a generator of its own, spawned from
+    the method's.
+    """
+
+    max_iterations: int  # N_out
+    experiments: int  # on hardware, of an iteration at most
+
+    @cached_property
+    def max_experiments(self) -> int:
+        """Hardware experiments of a trial that never succeeds, at most."""
+        return self.max_iterations * self.experiments
+
+    @abstractmethod
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield a record of every iteration as it ends."""
