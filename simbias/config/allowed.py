@@ -66,18 +66,19 @@ def _of_file(file: Path) -> list[str]:
     """The prefixes that a folder's file allows; none if there is no file."""
     if not file.is_file():
         return []
-    from omegaconf import OmegaConf  # lazily: --help needs none
+    import yaml  # lazily: --help needs none
 
     try:
-        content: Any = OmegaConf.to_container(OmegaConf.load(file))
-    except Exception as error:  # OmegaConf's, YAML's or the system's
+        content: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except Exception as error:  # YAML's or the system's
         raise ConfigError(str(file), words(error)) from error
     if (
         not isinstance(content, Mapping)
         or content.keys() != {"allow"}
         or not isinstance(content["allow"], list)
-    ):
-        raise ConfigError(str(file), f"must be `allow: [module, ...]`, got {quote(content)}")
+    ):  # what it holds is not shown: aliases of aliases may mean more than the memory holds
+        got = f"the keys {quote(list(content))}" if isinstance(content, Mapping) else type(content).__name__
+        raise ConfigError(str(file), f"must be `allow: [module, ...]`, got {got}")
     return [_module(name, f"{file}: allow") for name in content["allow"]]
 
 

@@ -93,7 +93,8 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
 
 
 def test_components_that_nobody_can_read_are_named(tmp_path: Path) -> None:
-    for text in ("a: [1", "3"):
+    aliases = "".join(f"b{i}: &b{i} [{','.join(9 * [f'*b{i - 1}'])}]\n" for i in range(1, 12))
+    for text in ("a: [1", "3", f"b0: &b0 [{','.join(9 * '1')}]\n{aliases}"):
         (tmp_path / "components.yaml").write_text(text)
         with pytest.raises(ConfigError, match=r"components\.yaml"):
             compose([], tmp_path)

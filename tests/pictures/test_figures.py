@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,19 @@ def test_phases_shade_what_is_beyond_a_limit_that_came_near(
     reached = max(np.abs(r.states[:, :3]).max(axis=0).max() for r in trial[0].experiments)
     assert reached > 0.5 * short.task.limits.distance
     assert any(abs(edge) == pytest.approx(2.0) for edges in shaded.values() for edge in edges)
+
+
+def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[Iteration]]) -> None:
+    """As of a target that stays where it is."""
+    study, iterations = of_point_mass
+    first = iterations[0]
+    still = tuple(
+        replace(each, states=np.zeros_like(each.states), measured=None) for each in first.experiments
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (axes,) = phases(study, [replace(first, experiments=still, model=None)]).axes
+    assert axes.get_ylim()[0] < 0.0 < axes.get_ylim()[1]
 
 
 def test_a_task_without_rates_has_no_phases(of_point_mass: tuple[Study, list[Iteration]]) -> None:

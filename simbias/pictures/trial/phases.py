@@ -97,7 +97,7 @@ def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
     """One view of all panels of a plane; the bounds (2,) of its states where a rollout comes near them."""
     corners = np.concatenate([axes.dataLim.get_points() for axes in all_axes])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = 0.06 * (high - low)
+    margin = 0.06 * np.where(high > low, high - low, 1.0)  # of a state that never changes
     low = np.where(low < -NEAR * bounds, np.minimum(low, -bounds), low) - margin
     high = np.where(high > NEAR * bounds, np.maximum(high, bounds), high) + margin
     for axes in all_axes:

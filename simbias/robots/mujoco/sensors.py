@@ -70,7 +70,15 @@ class Sensors:
         ]
 
     def __call__(self, x: Array) -> Array:
-        """Their values (..., s), in the order of `names`, at states x (..., n)."""
+        """Their values (..., s), in the order of `names`, at states x (..., n).
+
+        Raises
+        ------
+        TypeError
+            If x holds symbols, as where a law is to be compiled.
+        """
+        if x.dtype == object:
+            raise TypeError("the engine computes sensors and sites")
         rows = x.reshape(-1, x.shape[-1])
         values = np.array([self._read(full) for full in self._robot.physics(rows)])
         return values.reshape(*x.shape[:-1], len(self.names))
