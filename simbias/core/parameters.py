@@ -31,6 +31,7 @@ class Parameter(NamedTuple):
     value: float
     spread: float
     prior: Prior = "normal"
+    of_recording: bool = False  # another value in each recording, as of an encoder's zero
 
     def at(self, coordinate: Array | float) -> Array:
         """Values (...) at coordinates (...)."""

@@ -104,6 +104,8 @@ def assess(
     else:
         models = [fit(others(all_parts, i), f"all but {part.name}") for i, part in enumerate(all_parts)]
     judged = [kept] if kept else all_parts
+    if kept or len(recordings) > 1:  # else the parts are of one recording
+        models = [model.elsewhere() for model in models]
     return Assessment(
         study.task,
         study.nominal,

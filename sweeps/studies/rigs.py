@@ -8,8 +8,10 @@ recording alone. In development, the others are predicted.
 
 Measured are, over the lab's own identified model: errors of all states 0.1 and 0.5 s ahead, from measured
 states under measured torques, a geometric mean over states; and how many errors lie in 90% regions at each
-horizon (`simbias.recordings.horizons`). A region's size comes from thirds of the one recording, each
-predicted by a model of the other two.
+horizon (`simbias.recordings.horizons`), whose size comes from predictions of the one recording.
+
+An encoder is switched on at a robot at rest, which friction keeps away from where it would hang. So each
+recording has zeros of its own: they are identified with the robot, and of others the prior is known.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from simbias.core import FittedBias, Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
+from simbias.learning.identification.identified import Identified
 from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, spread
 from simbias.recordings.parts import Part, others, parts
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -41,6 +44,7 @@ COMPARED = (0.1, 0.5)  # s
 COLUMNS = {"pos1": "pos_meas1", "pos2": "pos_meas2", "vel1": "vel_meas1", "vel2": "vel_meas2"}
 COLUMNS |= {"tau1": "tau_meas1", "tau2": "tau_meas2"}
 MOST = 4.0  # prior standard deviations that least squares may go
+ZERO = 0.05  # rad, standard deviation of an encoder's zero
 MOST_RATIO = 1.0  # of errors with a guarded residual over those without, in any third and horizon
 Models = Mapping[str, tuple[Nominal, FittedBias | None]]
 
@@ -52,6 +56,7 @@ def load(rig: Mapping[str, Any], drives: Mapping[str, float] | None = None) -> S
     ]
     drives = [f"nominal.drives.{name}={value}" for name, value in (drives or {}).items()]
     chosen = ["preset=double_pendulum", "tracking=none", "identification=posterior", "bias=window_gp"]
+    chosen += [f"+identification.sensors.{angle}.zero={ZERO}" for angle in ("pos1", "pos2")]
     return simbias.load([*chosen, *links, *drives])
 
 
@@ -106,7 +111,7 @@ def guarded(study: Study, identified: Nominal, models: Sequence[Nominal], parts:
 
 
 def models(study: Study, lab: Study, rollout: Rollout) -> tuple[Models, dict[str, Any]]:
-    """Every way to learn from a recording, by name; and models of its thirds."""
+    """Every way to learn from a recording, by name; and how it went."""
     begin = time.perf_counter()
     identified = study.identification.fit(study.nominal, [rollout])
     seconds = time.perf_counter() - begin
@@ -119,11 +124,16 @@ def models(study: Study, lab: Study, rollout: Rollout) -> tuple[Models, dict[str
         "lab": (lab.nominal, None),
         "least squares": (least_squares_fit(study, rollout), None),
         "residual": (study.nominal, study.bias.learn(study.no_data, [rollout], study.nominal)),
-        "identified": (identified, None),
-        "identified and residual": (identified, bias),
-        "identified and guarded residual": (identified, kept.bias),
+        "identified": (elsewhere(identified), None),
+        "identified and residual": (elsewhere(identified), bias),
+        "identified and guarded residual": (elsewhere(identified), kept.bias),
     }
-    return ways, {"thirds": thirds, "of_others": of_others, "seconds": seconds, "guard": kept.ratios}
+    return ways, {"identified": identified, "seconds": seconds, "guard": kept.ratios}
+
+
+def elsewhere(model: Nominal) -> Nominal:
+    """The model of other recordings."""
+    return model.elsewhere() if isinstance(model, Identified) else model
 
 
 def rows(rig: Mapping[str, Any], checkout: Path, test: bool) -> Iterator[dict[str, Any]]:
@@ -138,9 +148,7 @@ def rows(rig: Mapping[str, Any], checkout: Path, test: bool) -> Iterator[dict[st
         for seconds in HORIZONS:
             k = study.task.frames(seconds)
             reference = errors(lab.nominal, left, k)
-            of_thirds = list(zip(more["of_others"], more["thirds"], strict=True))
-            known = np.concatenate([errors(model, part.rollouts, k) for model, part in of_thirds])
-            spreads = np.concatenate([spread(model, part.rollouts, k) for model, part in of_thirds])
+            known, spreads = (each(more["identified"], [rollout], k) for each in (errors, spread))
             for way, (model, bias) in ways.items():
                 wrong = errors(model, left, k, bias)
                 yield {

@@ -10,6 +10,7 @@ from mechanisms import cart_pole, mjcf
 from pendulum import NOISE, pendulum
 
 from simbias.core import Nominal
+from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.rig import Motor, Rig, Sensor
@@ -137,6 +138,23 @@ def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         predict([PredictionModel(half)], windows), plain([PredictionModel(half)], windows), rtol=1e-8
     )
+
+
+def test_a_zero_is_of_one_recording(study: Study) -> None:
+    """Of other recordings the prior alone knows it; what was learned of all else stays."""
+    rig = Rig(study.task, study.nominal, {}, {"pos2": Sensor(zero=0.05)})
+    rng, p = np.random.default_rng(0), len(rig.parameters)
+    here = Identified(rig, np.append(np.zeros(p - 1), 2.0), 0.1 * rng.standard_normal((p, p)), {})
+    assert here.estimates[-1].value == pytest.approx(0.1)
+    other = here.elsewhere()
+    assert other.estimates[-1].value == 0.0
+    np.testing.assert_allclose(other.covariance[-1], np.eye(p)[-1], atol=1e-15)
+    np.testing.assert_allclose(other.covariance[:-1, :-1], here.covariance[:-1, :-1])
+    true = study.nominal.with_parameters(values_at(study.nominal.parameters, np.zeros(p - 1)))
+    x, u, zero = rng.standard_normal((20, 4)), rng.standard_normal((20, 2)), np.array([0.0, 0.1, 0.0, 0.0])
+    np.testing.assert_allclose(other.step(x, u), true.step(x, u), rtol=1e-12)
+    np.testing.assert_allclose(here.step(x + zero, u), true.step(x, u) + zero, rtol=1e-9)
+    assert np.std([other.draw(rng).step(x[:1], u[:1])[0, 1] for _ in range(99)]) > 0.0
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:

@@ -46,7 +46,7 @@ class Identified(Nominal):
         self.state_size = self.model.state_size
         self.diagnostics = diagnostics
         self.errors = errors  # of predictions over windows, at the mode
-        self.spread = spread  # (p, p) square root of the covariance
+        self.spread = spread  # (p, p or more) square root of the covariance
         self.covariance = spread @ spread.T  # (p, p) of the coordinates
         deviations = QUANTILE * np.sqrt(np.diag(self.covariance))
         self.estimates = tuple(
@@ -74,13 +74,21 @@ class Identified(Nominal):
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
         return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
 
+    def elsewhere(self) -> Identified:
+        """The model of other recordings: of what each has its own, the prior alone is known."""
+        own = np.array([parameter.of_recording for parameter in self.parameters], bool)
+        spread = np.where(own[:, None], 0.0, self.spread)
+        # What this recording's values told of the others stays; their own spread is the prior's.
+        spread = np.hstack([spread, np.eye(len(own))[:, own]])
+        return Identified(self._prior, np.where(own, 0.0, self.mode), spread, self.diagnostics, self.errors)
+
     def at(self, coordinates: Array) -> Nominal:
         """The model with its parameters at coordinates (p,)."""
         return self._prior.with_parameters(values_at(self._prior.parameters, coordinates))
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model with parameters drawn from the posterior."""
-        return self.at(self.mode + self.spread @ rng.standard_normal(len(self.mode)))
+        return self.at(self.mode + self.spread @ rng.standard_normal(self.spread.shape[1]))
 
 
 @final

@@ -4,7 +4,8 @@
 
 A state x is recorded as y. A motor has gain, offset, lag and delay (`simbias.simulation.actuator`), and its
 gear friction beyond the model's: Stribeck's, which falls with the velocity, and one in proportion to the
-torque. A delay that all sensors share is the motors' delay: their record cannot be told apart.
+torque. A delay that all sensors share is the motors' delay: their record cannot be told apart. Recordings
+that are fitted together share a sensor's zero, so it is to be learned from one alone.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ MOST_DELAY = 4.0  # prior deviations that a delay may have
 _PRIORS: dict[str, tuple[str, float, Prior]] = {  # unit, or "" for the signal's; value; distribution
     "gain": ("1", 1.0, "log_normal"),
     "offset": ("", 0.0, "normal"),
+    "zero": ("", 0.0, "normal"),
     "lag": ("s", 0.0, "half_normal"),
     "delay": ("s", 0.0, "half_normal"),
     "stribeck": ("", 0.0, "half_normal"),
@@ -56,6 +58,7 @@ class Sensor:
 
     gain: Spread = 0.0  # of its logarithm
     offset: NonNegative = 0.0  # in the state's unit
+    zero: NonNegative = 0.0  # likewise, but another one whenever it is switched on: in each recording
 
 
 @final
@@ -111,7 +114,7 @@ class Rig(Nominal):
         self.state_size = self._actuators.state_size if self._actuators else self._nominal.state_size
         self._numbers = np.array(
             [
-                *(v.get(f"{x}.offset", 0.0) for x in self._states),
+                *(v.get(f"{x}.offset", 0.0) + v.get(f"{x}.zero", 0.0) for x in self._states),
                 *(v.get(f"{x}.gain", 1.0) for x in self._states),
                 *(v.get(f"{u}.stribeck", 0.0) for u in self._inputs),
                 *(v.get(f"{u}.load", 0.0) for u in self._inputs),
@@ -179,11 +182,11 @@ def _check_names(named: Sequence[str] | Mapping[str, object], known: Sequence[st
 def _parameters(signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sensor]) -> list[Parameter]:
     """The uncertain parameters of motors or of sensors, signal by signal."""
     return [
-        Parameter(f"{signal.name}.{name}", unit or signal.unit, value, spread, prior)
+        Parameter(f"{signal.name}.{name}", unit or signal.unit, value, spread, prior, name == "zero")
         for signal in signals
         if signal.name in uncertain
         for name, (unit, value, prior) in _PRIORS.items()
-        if (spread := getattr(uncertain[signal.name], name, 0.0))  # a sensor has gain and offset alone
+        if (spread := getattr(uncertain[signal.name], name, 0.0))  # motors and sensors have some of these
     ]
 
 
