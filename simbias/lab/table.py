@@ -22,6 +22,7 @@ from simbias.core.records import Array
 POINT, COMMA = (
     re.compile(rf"[+-]?([0-9]+[{mark}]?[0-9]*|[{mark}][0-9]+)([eE][+-]?[0-9]+)?") for mark in ".,"
 )
+LARGEST = 2**29  # bytes of text: hours at 1 kHz; a compressed file of some kB may hold more
 DECIMAL_COMMA = "; is it a decimal comma? Write a point, or separate the columns by semicolons"
 
 
@@ -72,13 +73,16 @@ def read_table(path: Path, may_lack: str = "") -> Table:
     Raises
     ------
     HardwareError
-        If it cannot be read, or a row has another number of cells than row 1.
+        If it cannot be read or is too large, or a row has another number of cells than row 1.
     """
     try:
-        raw = path.read_bytes()
-        text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig")
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
+        text = raw.decode("utf-8-sig") if len(raw) <= LARGEST else ""
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
+    if len(raw) > LARGEST:
+        raise HardwareError(f"{path}: holds more than {LARGEST // 2**20} MiB")
     head = text.lstrip().partition("\n")[0]
     semicolons = ";" in head and "," not in head
     try:

@@ -11,6 +11,7 @@ from pendulum import pendulum
 
 from simbias.core import HardwareError
 from simbias.lab.recorded import ENDS, Recorded
+from simbias.lab.table import read_table
 from simbias.trial.study import Study
 
 
@@ -59,3 +60,12 @@ def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
         run(study)
     with pytest.raises(ValueError, match="columns names what the task has not: angle"):
         Recorded(study.task, str(tmp_path), columns={"angle": "q"})
+
+
+def test_a_small_file_may_not_hold_more_than_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simbias.lab.table.LARGEST", 2**20)
+    file = tmp_path / "zeros.csv.gz"
+    file.write_bytes(gzip.compress(bytes(2**21)))
+    assert file.stat().st_size < 2**14
+    with pytest.raises(HardwareError, match=r"zeros\.csv\.gz: holds more than 1 MiB"):
+        read_table(file)
