@@ -30,7 +30,7 @@ FOLDERS = "tracking=folders"
 TRIAL = [*QUICK, "cost.max_cost=1e-3", "method.max_iterations=2"]  # it never succeeds
 TOLD = "Did not succeed after 4 hardware experiments"
 STORES = [[FOLDERS], [FOLDERS], [FOLDERS], ["tracking=mlflow"]]
-OTHERS = ("attempts.jsonl", "trial.json", "outcome.json", ".lock")  # that have times, or nothing
+OTHERS = ("attempts", "trial", "outcome", ".lock", "error_0000", "error_0001")  # have times, or are empty
 
 
 def _silently(command: list[str], before: Callable[[], object] = lambda: None) -> int:
@@ -58,7 +58,7 @@ def _steps(folder: Path) -> dict[str, str]:
                 kept[file.name] = str({name: arrays[name].tolist() for name in sorted(arrays)})
         elif file.suffix == ".json" and file.name[0].isdigit():
             kept[file.name] = str(_timeless(json.loads(file.read_text())))
-        elif file.is_file() and file.name not in OTHERS:
+        elif file.is_file() and file.stem not in OTHERS:
             kept[file.name] = ""
     return kept
 
