@@ -5,7 +5,7 @@ A score matrix (r, c) has a row for each repetition and a column for each cell. 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -67,15 +67,27 @@ def performance_profile(scores: Array, thresholds: Array) -> Array:
 
 
 def stratified_bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
-    """Percentile interval of a statistic of score matrices; runs are resampled within each cell."""
+    """Percentile interval of a statistic of score matrices (r, c); runs are resampled within each cell.
+
+    Of one run a cell that would be no interval at all; then cells are resampled, of all matrices the same.
+    """
     rng = np.random.default_rng(0)
-    values = [statistic(*(_resampled(each, rng) for each in scores)) for _ in range(resamples)]
+    drawn = _runs if any(len(each) > 1 for each in scores) else _cells
+    values = [statistic(*drawn(scores, rng)) for _ in range(resamples)]
     return Interval(*map(float, np.percentile(values, _tails())))
 
 
-def _resampled(scores: Array, rng: np.random.Generator) -> Array:
+def _runs(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:
     """Scores (r, c), each cell's drawn with replacement from its own."""
-    return np.take_along_axis(scores, rng.integers(len(scores), size=scores.shape), axis=0)
+    for each in scores:
+        yield np.take_along_axis(each, rng.integers(len(each), size=each.shape), axis=0)
+
+
+def _cells(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:
+    """Scores (r, c) of cells drawn with replacement."""
+    count = scores[0].shape[1]
+    cells = rng.integers(count, size=count)
+    return (each[:, cells] for each in scores)
 
 
 class SuccessCurve(NamedTuple):

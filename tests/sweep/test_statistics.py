@@ -55,6 +55,16 @@ def test_bootstrap_covers_and_is_stratified() -> None:
     assert 0.85 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
 
 
+def test_of_one_run_a_cell_cells_are_resampled() -> None:
+    """The same of both methods: what differs by as much in each cell has no spread."""
+    one = np.array([[0.0, 1.0, 0.0, 1.0]])
+    low, high = stratified_bootstrap(np.mean, one)
+    assert low < 0.25
+    assert high > 0.75
+    lead = stratified_bootstrap(lambda a, b: float(np.mean(a - b)), one + 0.25, one)
+    assert lead == (0.25, 0.25)
+
+
 def test_success_curve_is_freireichs_example() -> None:
     """Remission of leukaemia with 6-MP (Freireich et al., Blood 21, 1963), the textbooks' example."""
     weeks = [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35]

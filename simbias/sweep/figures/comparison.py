@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import PercentFormatter
 
 from simbias.core.proportions import wilson
 from simbias.core.records import Array
-from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import SIMULATION, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
@@ -28,7 +29,9 @@ from simbias.sweep.statistics import (
     success_curve,
 )
 
-WIDTH, ROW, REST = 11.0, 0.24, 2.4  # in: of the figure, of a method, of all else
+WIDTH, ROW, CURVES, REST = 11.0, 0.24, 3.2, 2.6  # in: of the figure, of a method, of the curves, of all else
+MOST = 8  # curves in a panel
+SLANTED: dict[str, Any] = {"rotation": 40, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
 
 
@@ -36,9 +39,9 @@ class Comparison(SweepFigure):
     """Each point of an axis against all, over the cells of the other axes, by what its last policies hold.
 
     A trial's score is the share of its test episodes that last to their end; one that raised has zero. It
-    counts as a success where its last policy holds (`simbias.sweep.statistics.holds`). Left: interquartile
-    mean of the scores, with a stratified bootstrap over cells. Middle: performance profiles. Right: success
-    against experiments, by Kaplan and Meier's estimate.
+    counts as a success where its last policy holds (`simbias.sweep.statistics.holds`). Above: mean score in
+    each cell, and the interquartile mean over cells with its bootstrap interval. Below: performance profiles,
+    and success against experiments by Kaplan and Meier's estimate.
 
     Parameters
     ----------
@@ -47,12 +50,19 @@ class Comparison(SweepFigure):
     references
         Points that all others are held against: by the probability of improvement, and by exact sign tests of
         pairs of one cell and repetition, corrected by Holm over all tests against one reference.
+    curves
+        Points whose curves are drawn; none named: the first eight.
     """
 
     reads_trials = False
 
-    def __init__(self, axis: str, references: list[str] = []) -> None:  # noqa: B006 (read only)
-        self._axis, self._references = axis, references
+    def __init__(
+        self,
+        axis: str,
+        references: list[str] = [],  # noqa: B006 (read only)
+        curves: list[str] = [],  # noqa: B006
+    ) -> None:
+        self._axis, self._references, self._curves = axis, references, curves
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each method.
@@ -63,8 +73,9 @@ class Comparison(SweepFigure):
             If no policy was tested, or there is no such axis or point.
         """
         labels = {axis.name: axis.labels for axis in trials.sweep.axes}
-        if self._axis not in labels or set(self._references) - set(labels[self._axis]):
-            raise FigureError(f"no such axis or point: {self._axis}, {', '.join(self._references)}")
+        named = [*self._references, *self._curves]
+        if self._axis not in labels or set(named) - set(labels[self._axis]):
+            raise FigureError(f"no such axis or point: {self._axis}, {', '.join(named)}")
         table = _scored(trials.table, trials.sweep.report.bar)
         if not table["score"].any() and not table["episodes"].any():
             raise FigureError("no last policy was tested: policy_test.episodes=16 does that")
@@ -74,7 +85,9 @@ class Comparison(SweepFigure):
         for reference in (own[name] for name in self._references if name in own):
             name = next(name for name, method in own.items() if method is reference)
             numbers = numbers.join(_against(own, reference).add_suffix(f" {name}"), on="method")
-        return Picture(_figure(own, numbers), numbers, _caption(numbers, trials.sweep.report.bar))
+        curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
+        figure = _figure(own, numbers, curves)
+        return Picture(figure, numbers, _caption(numbers, trials.sweep.report.bar))
 
 
 def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
@@ -93,9 +106,13 @@ class _Method:
 
     def __init__(self, trials: pd.DataFrame, others: Sequence[str]) -> None:
         self.trials = trials.set_index([*others, "repetition"])
-        cells = [own["score"].to_numpy() for _, own in trials.groupby(list(others), sort=False)]
-        repetitions = min(map(len, cells))
-        self.scores: Array = np.array([cell[:repetitions] for cell in cells]).T
+        cells = {
+            " ".join(map(str, name)): own["score"].to_numpy()
+            for name, own in trials.groupby(list(others), sort=False)
+        }
+        repetitions = min(map(len, cells.values()))
+        self.cells = [*cells]
+        self.scores: Array = np.array([cell[:repetitions] for cell in cells.values()]).T
         self.curve = success_curve(
             trials["experiments"].to_numpy(dtype=float), trials["holds"].to_numpy(dtype=bool)
         )
@@ -139,46 +156,86 @@ def _caption(numbers: pd.DataFrame, bar: float) -> str:
     """The caption, from the numbers."""
     best = numbers.iloc[int(numbers["holds"].to_numpy().argmax())]
     return (
-        f"Left: interquartile mean over cells of the share of test episodes that last to their end, with 95% "
-        f"stratified bootstrap intervals. Middle: share of trials with more than so much. Right: share of "
-        f"trials whose last policy holds (lower Wilson limit above {bar:.0%}) within so many experiments, "
-        f"trials that never succeed censored. Of {best['trials']} trials each, most hold by "
-        f"{best['method']}: {best['holds']} ({best['holds_low']:.0%} to {best['holds_high']:.0%})."
+        "Above: share of test episodes that last to their end in each cell, mean of its trials; at the right "
+        "the interquartile mean of cells, with its 95% bootstrap interval (runs are resampled within cells, "
+        "of one run a cell, cells are). Below: share of trials with more than so much; share of trials whose "
+        f"last policy holds (lower Wilson limit above {bar:.0%}) within so many experiments, if they never "
+        f"succeed censored. Of {best['trials']} trials each, most hold by {best['method']}: {best['holds']} "
+        f"({best['holds_low']:.0%} to {best['holds_high']:.0%})."
     )
 
 
-def _figure(methods: dict[str, _Method], numbers: pd.DataFrame) -> Figure:
-    """The figure of three panels."""
-    figure = Figure(figsize=(WIDTH, ROW * len(methods) + REST), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    y = np.arange(len(numbers))
+def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method]) -> Figure:
+    """The figure of two rows."""
+    above = ROW * len(methods) + REST
+    figure = Figure(figsize=(WIDTH, above + CURVES), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=[above, CURVES])
+    cells, mean = top.subplots(1, 2, width_ratios=[2.6, 1.0], sharey=True)
+    _draw_cells(cells, methods)
+    _draw_means(mean, numbers)
+    _draw_curves(bottom, curves)
+    return figure
+
+
+def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
+    """A row for each method, a column for each cell."""
+    names = next(iter(methods.values())).cells
+    shares = np.full((len(methods), len(names)), np.nan)
+    for row, method in enumerate(methods.values()):
+        for name, share in zip(method.cells, method.scores.mean(axis=0), strict=True):
+            if name in names:
+                shares[row, names.index(name)] = share
+    axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.25, aspect="auto")
+    for (row, column), share in np.ndenumerate(shares):
+        if np.isfinite(share):
+            color = "white" if share > 0.8 else "0.25"
+            axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
+    axes.set_xticks(range(len(names)), [fill(name, 26) for name in names], fontsize=8, **SLANTED)
+    axes.set_yticks(range(len(methods)), [*methods])
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_title("% of test episodes that last", fontsize=9)
+
+
+def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
+    """Interquartile means with their intervals."""
     spread = np.abs(numbers[["share_low", "share_high"]].to_numpy().T - numbers["share"].to_numpy())
-    left.errorbar(numbers["share"], y, xerr=spread, fmt="o", color=SIMULATION, capsize=2, markersize=4)
-    left.set_yticks(y, numbers["method"])
-    left.invert_yaxis()
-    left.set_xlabel("test episodes that last (interquartile mean)")
+    y = range(len(numbers))
+    axes.errorbar(numbers["share"], y, xerr=spread, fmt="o", color=SIMULATION, capsize=2, markersize=4)
+    axes.set_title("interquartile mean", fontsize=9)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_xlim(-0.03, 1.03)
+    axes.tick_params(axis="y", length=0, labelleft=False)
+    _finish(axes)
+
+
+def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
+    """Performance profiles, and success against experiments."""
+    left, right = figure.subplots(1, 2)
+    most = max(float(method.trials["experiments"].max()) for method in methods.values())
     handles = {}
     for index, (name, method) in enumerate(methods.items()):
         color, _ = series_style(index)
-        dashes = ("-", "--", ":")[index // 8 % 3]
         profile = performance_profile(method.scores, THRESHOLDS)
-        (handles[name],) = middle.plot(THRESHOLDS, profile, dashes, color=color, linewidth=1.2)
+        (handles[name],) = left.plot(THRESHOLDS, profile, color=color, linewidth=1.4)
         curve = method.curve
-        x, probability = np.append(0, curve.experiments), np.append(0, curve.probability)
-        right.step(x, probability, dashes, where="post", color=color, linewidth=1.2)
-    middle.set_xlabel("test episodes that last")
-    middle.set_ylabel("trials with more")
+        x = np.array([0.0, *curve.experiments, most])
+        probability = np.array([0.0, *curve.probability, [0.0, *curve.probability][-1]])
+        right.step(x, probability, where="post", color=color, linewidth=1.4)
+    left.set_xlabel("test episodes that last")
+    left.set_ylabel("trials with more")
+    left.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.set_xlabel("hardware experiments")
     right.set_ylabel("trials whose last policy holds")
-    for axes in (left, middle):
-        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-        axes.set_xlim(-0.03, 1.03)
-    for axes in (middle, right):
+    for axes in (left, right):
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_ylim(-0.03, 1.03)
-    for axes in (left, middle, right):
-        axes.grid(color="0.9")
-        axes.set_axisbelow(True)
-        plain(axes)
-    legend(figure, handles)
-    return figure
+        _finish(axes)
+    figure.legend(handles.values(), handles, loc="outside right center", fontsize=8, frameon=False)
+
+
+def _finish(axes: Axes) -> None:
+    """A grid behind what is drawn."""
+    axes.grid(color="0.9")
+    axes.set_axisbelow(True)
+    plain(axes)
