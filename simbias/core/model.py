@@ -80,7 +80,8 @@ class Identification(ABC):
         """The model at the parameters' most probable values, whose `draw` draws from their posterior.
 
         `nominal.parameters` are the prior, the rollouts all hardware experiments of a trial, also those that
-        failed. Without rollouts or parameters it is the nominal model itself.
+        failed. Without rollouts or parameters it is the nominal model itself, or that model with the motors
+        and sensors whose parameters are uncertain.
         """
 
 

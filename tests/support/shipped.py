@@ -53,10 +53,10 @@ def shipped(group: str, option: str) -> Any:
 
 @cache
 def _presets() -> dict[tuple[str, str], str]:
-    """The first preset that chooses an option of a robot, but for options that the default chooses."""
+    """The first preset that chooses an option of a robot, or is named as it; not of the default's."""
     default, found = compose([]).choices, dict[tuple[str, str], str]()
     for preset in options()["preset"]:
         for group, option in compose([f"preset={preset}"]).choices.items():
-            if group in OF_A_ROBOT and option != default[group]:
+            if (group in OF_A_ROBOT or option == preset) and option != default[group]:
                 found.setdefault((group, option), preset)
     return found

@@ -13,10 +13,11 @@ from sweeping import NO_FIGURES, QUICK, client_of, runs, write_sweep
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
+from simbias.config.build import service
 from simbias.sweep.folder import SweepFolder
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.state import SweepState
-from simbias.sweep.tracking import Export, Folders
+from simbias.sweep.tracking import Export, Folders, Tracking
 
 pytestmark = pytest.mark.slow
 
@@ -75,7 +76,10 @@ def test_a_finished_sweep_says_so_before_its_store_is_reached(
         def all_ended(self) -> None:
             events.append("all ended")
 
-    monkeypatch.setattr("simbias.sweep.running.tracking", lambda composition: Slow())
+    def slow(own: Any, key: str, kind: type) -> Any:
+        return Slow() if kind is Tracking else service(own, key, kind)
+
+    monkeypatch.setattr("simbias.sweep.running.service", slow)
     with pytest.raises(ConfigError, match=r"^tracking\.uri: away$"):
         simbias.run_sweep([*SMOKE, NO_FIGURES], observer=Listener())
     assert events[:2] == ["begun", "export"]

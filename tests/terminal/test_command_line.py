@@ -124,7 +124,7 @@ def test_cfg_job_prints_the_config(line: Any) -> None:
 
 def test_a_reader_that_has_seen_enough_meets_no_traceback(tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "simbias", "+sweep=table2", "sweep.dry_run=true"],
+        [sys.executable, "-m", "simbias", *QUICK, "tracking=folders"],
         cwd=tmp_path,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
         stdout=subprocess.PIPE,
@@ -133,7 +133,7 @@ def test_a_reader_that_has_seen_enough_meets_no_traceback(tmp_path: Path) -> Non
     )
     assert process.stdout is not None
     assert process.stderr is not None
-    assert process.stdout.readline().split() == ["torque", "angle", "velocity", "no", "error", "20%", "error"]
+    assert process.stdout.readline().startswith("algorithm1 on bongoboard")
     process.stdout.close()
     assert "Error" not in process.stderr.read()
     assert process.wait(60) == 1
