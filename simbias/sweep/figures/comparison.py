@@ -169,7 +169,8 @@ def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str
     """The figure of two rows."""
     above = ROW * len(methods) + REST
     figure = Figure(figsize=(WIDTH, above + CURVES), layout="constrained")
-    top, bottom = np.ravel(figure.subfigures(2, 1, height_ratios=[above, CURVES]))
+    rows: Any = figure.subfigures(2, 1, height_ratios=[above, CURVES])
+    top, bottom = rows
     cells, mean = top.subplots(1, 2, width_ratios=[2.6, 1.0], sharey=True)
     _draw_cells(cells, methods)
     _draw_means(mean, numbers)
