@@ -6,7 +6,7 @@
 | a policy | `policy.py` |
 | a nominal model, identification, samples, a bias | `model.py` |
 | a cost, an evaluation, an optimizer | `search.py`, `objective.py` |
-| what runs compiled | `speed.py`, and `simbias.simulation.compiler.kernels` |
+| what runs compiled | `kernel.py`, and `simbias.simulation.compiler.kernels` |
 | a method | `simbias.trial.method`, and `simbias.trial.study`, which it runs |
 
 All names are imported from here.

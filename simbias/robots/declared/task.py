@@ -91,12 +91,8 @@ class Declared(Task):
             Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
         )
         self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
-        upper = np.array([each.limit for each in inputs.values()])
-        lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
-        for name, least, most in zip(inputs, lower.tolist(), upper.tolist(), strict=True):
-            if not least < most:
-                raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
-        self._input_bounds, self.input_limit = (lower, upper), np.maximum(-lower, upper)
+        self._input_bounds = lower, upper = _bounds(inputs)
+        self.input_limit = np.maximum(-lower, upper)
         self._starts = Starts(states, starts)
         self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
         self._sensors = None if sensors is None else Sensors(self, sensors)
@@ -250,6 +246,16 @@ def _push(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
         if not 0 <= least <= most:
             raise ValueError(f"pushes.{name}.{key} is [{least:g}, {most:g}], not from less to more")
     return Push(inputs.index(name), pulses.count, amplitude, seconds)
+
+
+def _bounds(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
+    """Lower and upper limits (m,) of the inputs."""
+    upper = np.array([each.limit for each in inputs.values()])
+    lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
+    for name, least, most in zip(inputs, lower.tolist(), upper.tolist(), strict=True):
+        if not least < most:
+            raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
+    return lower, upper
 
 
 def _criterion(name: str, failure: Failure, states: Collection[str]) -> Criterion:
