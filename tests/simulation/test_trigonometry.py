@@ -61,15 +61,21 @@ def test_in_numpy_it_is_numpys() -> None:
     np.testing.assert_array_equal(sincos(x), (np.sin(x), np.cos(x)))
 
 
-compiled_arctan = Compilation().compiled(arctan)
+def elementwise(function):
+    """The compiled function of an array."""
+    compiled = Compilation().compiled(function)
+
+    @njit
+    def of(x):
+        out = np.empty(x.size)
+        for i in range(x.size):
+            out[i] = compiled(x[i])
+        return out
+
+    return of
 
 
-@njit
-def arctans_of(x):
-    out = np.empty(x.size)
-    for i in range(x.size):
-        out[i] = compiled_arctan(x[i])
-    return out
+arctans_of, tanhs_of = elementwise(arctan), elementwise(tanh)
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e100])
@@ -77,17 +83,6 @@ def test_arctangent_agrees_with_the_library(size: float) -> None:
     x = np.linspace(-size, size, 20_001)
     np.testing.assert_allclose(arctans_of(x), np.arctan(x), rtol=1e-15, atol=1e-300)
     np.testing.assert_array_equal(arctan(x), np.arctan(x))
-
-
-compiled_tanh = Compilation().compiled(tanh)
-
-
-@njit
-def tanhs_of(x):
-    out = np.empty(x.size)
-    for i in range(x.size):
-        out[i] = compiled_tanh(x[i])
-    return out
 
 
 @pytest.mark.parametrize("size", [1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e100])
