@@ -45,7 +45,7 @@ def of_goal(theta: Array, model: Model | None) -> Iterator[Remark]:
 
     Limits, time and how near to the goal it came: that of the quantities that are no rates.
     """
-    if model is None:
+    if model is None or not model.task.goals:
         return
     task = model.task
     rollout = simulator(model).rollout(theta, task.start_mean)

@@ -157,11 +157,11 @@ def _caption(numbers: pd.DataFrame, bar: float) -> str:
     best = numbers.iloc[int(numbers["holds"].to_numpy().argmax())]
     return (
         "Above: share of test episodes that last to their end in each cell, mean of its trials; at the right "
-        "the interquartile mean of cells, with its 95% bootstrap interval (runs are resampled within cells, "
-        "of one run a cell, cells are). Below: share of trials with more than so much; share of trials whose "
-        f"last policy holds (lower Wilson limit above {bar:.0%}) within so many experiments, if they never "
-        f"succeed censored. Of {best['trials']} trials each, most hold by {best['method']}: {best['holds']} "
-        f"({best['holds_low']:.0%} to {best['holds_high']:.0%})."
+        "the interquartile mean of cells, with its 95% bootstrap interval (runs are resampled within cells; "
+        "cells, where each has one run). Below: share of trials with more than so much; share of trials "
+        f"whose last policy holds (lower Wilson limit above {bar:.0%}) within so many experiments; one that "
+        f"never succeeds is censored. Of {best['trials']} trials each, most hold by {best['method']}: "
+        f"{best['holds']} ({best['holds_low']:.0%} to {best['holds_high']:.0%})."
     )
 
 
@@ -221,8 +221,8 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         (handles[name],) = left.plot(THRESHOLDS, profile, color=color, linewidth=1.4)
         curve = method.curve
         x = np.array([0.0, *curve.experiments, most])
-        probability = np.array([0.0, *curve.probability, [0.0, *curve.probability][-1]])
-        right.step(x, probability, where="post", color=color, linewidth=1.4)
+        probability = np.array([0.0, *curve.probability])
+        right.step(x, np.append(probability, probability[-1]), where="post", color=color, linewidth=1.4)
     left.set_xlabel("test episodes that last")
     left.set_ylabel("trials with more")
     left.xaxis.set_major_formatter(PercentFormatter(1.0))
