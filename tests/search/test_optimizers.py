@@ -385,7 +385,7 @@ def test_fresh_scenarios_in_each_generation_lead_to_the_known_optimum(name: str)
 
 
 class Funnel(Objective):
-    """A funnel of so large a radius around the optimum, and a plateau; perhaps a wider one as a first stage."""
+    """A funnel around the optimum, flat outside of its radius; it may have a wider one as a first stage."""
 
     def __init__(self, radius: float, first_stage: Objective | None = None) -> None:
         self.radius, self.first_stage, self.asked = radius, first_stage, 0
