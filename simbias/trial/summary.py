@@ -80,7 +80,7 @@ class TrialSummary:
 
     @property
     def findings(self) -> list[str]:
-        """What the trial claims of its last policy, and what a test of it found: a sentence each."""
+        """The claim of its last policy and the result of its test: a sentence each."""
         claim = f"By its own experiments, its last policy {self.claim}."
         return [claim] * bool(self.claim) + [self.test_words] * bool(self.test_words)
 
