@@ -169,7 +169,10 @@ def test_dry_friction_is_no_damping_to_count_on() -> None:
         (["preset=acrobot"], ["friction_1", "friction_2"]),
         (["preset=pendulum_swingup", "nominal=pendulum"], ["hinge.friction"]),
         (
-            ["preset=acrobot", "identification.motors={torque: {velocity: d_angle_2, stribeck: 0.1, load: 0.1}}"],
+            [
+                "preset=acrobot",
+                "identification.motors={torque: {velocity: d_angle_2, stribeck: 0.1, load: 0.1}}",
+            ],
             ["friction_1", "friction_2", "torque.stribeck", "torque.load"],
         ),
     ],
@@ -190,7 +193,7 @@ def test_without_dry_friction_all_else_stays(overrides: list[str], dry: list[str
 
 
 def test_candidates_are_lqr_and_lqi_less_what_failed() -> None:
-    study, model = bongoboard(*DELAY, "policy=integral_regulator")
+    _, model = bongoboard(*DELAY, "policy=integral_regulator")
     regulators = Regulators(models=2, integral_weight=10.0)
     every = list(regulators.candidates([model], []))
     lqr, lqi = lqr_policies(model), lqr_policies(model, integral_weight=10.0)
