@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, solve_discrete_are
 
 from simbias.core import Model, SlowWarning
-from simbias.core.ranges import Count, NonNegative
 from simbias.core.records import Array
 from simbias.simulation.linearization import STEP, derivatives
 
@@ -42,51 +41,19 @@ class Linear(NamedTuple):
     steady: float = 0.0  # share of the inputs' limits of a steady disturbance in its records
 
 
-def lqr_candidates(
-    model: Model, count: int, integral_weights: Sequence[float] = (0.0,), sticking: bool = True
-) -> Iterator[Array]:
+def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     """LQR policies (p,) of `count` models to try first: the most probable one, and draws of its parameters.
 
-    Each is designed with every integral's weight (`lqr_policies`). They are designed once the first is asked
-    for, which a search that is replayed does not do.
+    They are designed as joints stick, as those of the published trials were, once the first is asked for,
+    which a search that is replayed does not do.
     """
     rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
     models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
-    policies = [
-        theta
-        for each in models
-        for weight in integral_weights
-        for theta in lqr_policies(each, integral_weight=weight, sticking=sticking)
-    ]
+    policies = [theta for each in models for theta in lqr_policies(each, sticking=True)]
     if models and not policies:
         message = f"searches begin without LQR: {type(model.policy).__name__} imitates none"
         warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
     yield from policies
-
-
-@dataclass(frozen=True)
-class Regulators:
-    """LQR and LQI policies to begin a search with, of the nominal model and of what has been learned.
-
-    Parameters
-    ----------
-    models
-        Models that they are designed for: the most probable one, and draws, once of what was declared and,
-        as soon as something is learned, once of that.
-    integral_weight
-        Weight of integrals in LQI, as in `lqr_policies`; 0: LQR alone.
-    """
-
-    models: Count = 8
-    integral_weight: NonNegative = 10.0
-
-    def candidates(self, models: Sequence[Model], refuted: Sequence[Array]) -> Iterator[Array]:
-        """Policies (p,) for these models, less those that are refuted."""
-        weights = [0.0, self.integral_weight] if self.integral_weight else [0.0]
-        for model in models:
-            for theta in lqr_candidates(model, self.models, weights, sticking=False):
-                if not any(np.array_equal(theta, other) for other in refuted):
-                    yield theta
 
 
 def lqr_policies(

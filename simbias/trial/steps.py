@@ -14,6 +14,7 @@ import numpy as np
 from simbias.core import Model, Objective
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
+from simbias.search import lqr
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
 
@@ -23,7 +24,7 @@ def search(
     model: Model,
     rng: np.random.Generator,
     observer: Observer,
-    candidates: Iterable[Array] = (),
+    lqr_candidates: int = 0,
     retries: int = 0,
     target_cost: float | None = None,
     posterior_scale: float = 1.0,
@@ -32,11 +33,12 @@ def search(
 
     A search that ends above the target cost, by default Z_max, is made again with other random numbers, up to
     `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
-    before. The best one is returned, with the evaluations of all. Each first evaluates the candidates (p,).
+    before. The best one is returned, with the evaluations of all. Each first evaluates the LQR policies
+    of `lqr_candidates` models (`simbias.search.lqr`).
     """
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
-    drawn = model
+    drawn, candidates = model, lqr.lqr_candidates(model, lqr_candidates)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
         if searches:

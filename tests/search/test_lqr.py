@@ -16,7 +16,6 @@ from simbias.policy.gains import signed_exponential
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search.lqr import (
     INPUT_WEIGHTS,
-    Regulators,
     linearised,
     lqr_candidates,
     lqr_gains,
@@ -190,18 +189,6 @@ def test_without_dry_friction_all_else_stays(overrides: list[str], dry: list[str
     spread = np.eye(len(values))
     at = Identified(nominal, rng.standard_normal(len(values)), spread, {})
     assert np.any(at.without_dry_friction().step(x, u) != at.step(x, u))
-
-
-def test_candidates_are_lqr_and_lqi_less_what_failed() -> None:
-    _, model = bongoboard(*DELAY, "policy=integral_regulator")
-    regulators = Regulators(models=2, integral_weight=10.0)
-    every = list(regulators.candidates([model], []))
-    lqr, lqi = lqr_policies(model), lqr_policies(model, integral_weight=10.0)
-    np.testing.assert_array_equal(every[:8], [*lqr, *lqi])
-    assert len(every) == 16
-    left = list(regulators.candidates([model], [every[5]]))
-    np.testing.assert_array_equal(left, [*every[:5], *every[6:]])
-    assert len(list(Regulators(1, 0.0).candidates([model, model], []))) == 8
 
 
 def test_searches_that_begin_without_lqr_say_so() -> None:

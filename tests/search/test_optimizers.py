@@ -312,15 +312,6 @@ def test_hybrid_turns_local_once_below_the_target() -> None:
     assert np.max(after) < 2.0
 
 
-def test_hybrid_may_take_the_best_candidate_as_it_is() -> None:
-    """Whatever it costs; without candidates it searches."""
-    candidates = [np.full(5, -9.0), SHIFT + 1.0]
-    found = minimize(make("candidates"), sphere, *BOX, target_cost=2.0, candidates=candidates)
-    assert found.parameters.tolist() == candidates[1].tolist()
-    assert found.evaluations == 2
-    assert minimize(make("candidates"), sphere, *BOX, target_cost=2.0).cost < 2.0
-
-
 def test_hybrid_may_begin_near_a_candidate_that_fails() -> None:
     """With a deviation for that: it goes down the plateaus; else it explores."""
 

@@ -39,8 +39,6 @@ class Hybrid(Optimizer):
     candidate_deviation
         Standard deviation of CMA-ES's first generation around the best candidate, even above the target,
         in units of the box's width; None is `initial_deviation`, around one below the target.
-    refine_candidates
-        False: where there are candidates, the best is what is found, whatever it costs.
     """
 
     exploration: Literal["sobol"] | Algorithm
@@ -49,12 +47,9 @@ class Hybrid(Optimizer):
     population: Population | None
     resolution: Share
     candidate_deviation: Deviation | None = None
-    refine_candidates: bool = True
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Explore and refine, again and again as long as that fails."""
-        if evaluations.count and not self.refine_candidates:
-            return "the last candidate"
         deviation = self.candidate_deviation if evaluations.count else None
         while True:
             if deviation is None and not evaluations.below_target:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -10,10 +10,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from simbias.core import Model
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
-from simbias.core.records import Array, Iteration, Learning, Rollout
-from simbias.search.lqr import Regulators, lqr_candidates
+from simbias.core.records import Iteration, Learning, Rollout
 from simbias.trial.claim import passes_for
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
@@ -64,8 +62,6 @@ class ModelBased(Method):
     lqr_candidates
         Number of models, the most probable one and draws, whose LQR policies (`simbias.search.lqr`) a search
         evaluates first.
-    regulators
-        LQR and LQI policies that a search evaluates first in place of these, but for those that failed.
     """
 
     max_iterations: Count = 10
@@ -80,7 +76,6 @@ class ModelBased(Method):
     lqr_candidates: CountOrZero = 0
     confidence: Confidence | None = None
     margin: NonNegative = 0.0
-    regulators: Regulators | None = None
 
     def __post_init__(self) -> None:
         if self.passes is not None and self.passes < self.experiments:
@@ -98,27 +93,17 @@ class ModelBased(Method):
             return self.passes or self.experiments
         return max(self.experiments, passes_for(self.confidence, policy))
 
-    def _candidates(self, study: Study, model: Model, refuted: Sequence[Array]) -> Iterator[Array]:
-        """Policies (p,) that a search on a model evaluates first."""
-        if self.regulators is None:
-            return lqr_candidates(model, self.lqr_candidates)
-        declared = study.first_model()
-        models = [declared, model] if model.nominal.estimates else [declared]
-        return self.regulators.candidates(models, refuted)
-
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""
         search_rng, hardware_rng = rng.spawn(2)
         data, model = study.no_data, study.first_model()
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
-        refuted: list[Array] = []
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
                 retries = self.retry_search, self.target_cost, self.posterior_scale
-                candidates = self._candidates(study, model, refuted)
-                found = search(study, model, search_rng, observer, candidates, *retries)
+                found = search(study, model, search_rng, observer, self.lqr_candidates, *retries)
             theta, simulation = found.optimum.parameters, model
             reset = found.predicted_cost > study.cost.max_cost and not self.keep_data
             if reset:
@@ -132,10 +117,10 @@ class ModelBased(Method):
             likelihoods: dict[str, float] = {}
             with clock("learning"):
                 if not succeeded:
-                    refuted.append(theta)
                     learned_from.append(rollouts)
-                    if self.model_selection:
-                        likelihoods = log_likelihoods(study, experiments, self.margin)
+                    likelihoods = (
+                        log_likelihoods(study, experiments, self.margin) if self.model_selection else {}
+                    )
                     model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
                 selection = study.samples.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset, likelihoods)

@@ -11,7 +11,6 @@ import numpy as np
 from simbias.core import Hardware
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Learning, Rollout
-from simbias.search.lqr import lqr_candidates
 from simbias.trial.hardware_cost import CostOnHardware
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
@@ -63,8 +62,7 @@ class MultiFidelity(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
-                candidates = lqr_candidates(model, self.lqr_candidates)
-                found = search(study, model, search_rng, observer, candidates)
+                found = search(study, model, search_rng, observer, self.lqr_candidates)
                 theta, simulation = found.optimum.parameters, model
                 if middle is not None:
                     scenario_rng, own_rng = middle_rng.spawn(2)
