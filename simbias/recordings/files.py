@@ -117,8 +117,8 @@ def _config(identified: Identified, identification: dict[str, Any]) -> Iterator[
         if key != "known":
             yield f"{key}: {json.dumps(value)}"
     yield "known:"
-    yield f"  parameters: {json.dumps([parameter.name for parameter in identified.parameters])}"
-    yield f"  mode: {json.dumps(identified.mode.tolist())}"
+    yield f"  parameters: {json.dumps(identified.known.parameters)}"
+    yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
-    for row in identified.spread.tolist():
+    for row in identified.known.spread:
         yield f"    - {json.dumps(row)}"

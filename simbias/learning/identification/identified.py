@@ -105,6 +105,12 @@ class Identified(Nominal):
         spread[np.ix_(shared, shared)] = qr(self.spread[shared].T, mode="economic")[1].T
         return Identified(self._prior, np.where(own, 0.0, self.mode), spread, self.diagnostics, self.errors)
 
+    @property
+    def known(self) -> Known:
+        """The posterior as numbers."""
+        names = [parameter.name for parameter in self.parameters]
+        return Known(names, self.mode.tolist(), self.spread.tolist())
+
     def of_share(self, own: bool) -> Identified:
         """The model, uncertain in what each recording has of its own alone, or in all else alone."""
         rows = np.array([parameter.of_recording == own for parameter in self.parameters], bool)

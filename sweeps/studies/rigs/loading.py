@@ -24,9 +24,15 @@ class Rig(NamedTuple):
     """A robot with its nominal model, and recordings by name."""
 
     study: Study
-    lab: Nominal  # as the lab identified it
+    lab_values: dict[str, float]  # of parameters, as the lab identified them; others are nominal
     development: dict[str, Rollout]
     test: dict[str, Rollout]  # empty unless they are asked for
+
+    @property
+    def lab(self) -> Nominal:
+        """The model that the lab identified."""
+        values = {parameter.name: parameter.value for parameter in self.prior.parameters} | self.lab_values
+        return self.prior.with_parameters(np.array(list(values.values())))
 
     @property
     def prior(self) -> Nominal:
@@ -48,9 +54,7 @@ def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
     study = simbias.load([*rig["composition"], "tracking=none", *nominal, *zeros], HERE / "robots")
     folder = checkouts / Path(rig["repository"]).name / rig["folder"]
     recordings = [_read(study, rig, folder, rig[part]) for part in ("development", "test")[: 1 + test]]
-    found = Rig(study, study.nominal, *recordings, *[{}] * (not test))
-    values = {parameter.name: parameter.value for parameter in found.prior.parameters} | rig["lab"]
-    return found._replace(lab=found.prior.with_parameters(np.array(list(values.values()))))
+    return Rig(study, rig["lab"], *recordings, *[{}] * (not test))
 
 
 def _read(

@@ -24,7 +24,7 @@ from simbias.simulation.open_loop import Windows
 from simbias.trial.study import Study
 
 MOST = 4.0  # prior standard deviations that a parameter may go
-STEPS = 40  # of its optimiser, at most
+STEPS = 10  # of its optimiser, at most; the last ones gain less than 1e-5 of the objective
 LEAST_INERTIA = 1e-6  # kg m^2 about the centre of mass, which the double pendulum's parameters may not leave
 HALF_PI = np.pi / 2  # Coulomb friction over c_f, of c_f arctan(100 v)
 
