@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import yaml
 
 import simbias
@@ -65,11 +66,20 @@ def _read(
     for place in places:
         own: Mapping[str, Any] = {"file": place} if isinstance(place, str) else place
         whole = max(reader.read(folder / own["file"]).pieces, key=lambda piece: piece.frames)
-        begin = study.task.frames(own.get("from", 0.0))
+        begin = study.task.frames(own.get("from", _begins(rig, folder / own["file"])))
         end = study.task.frames(own["until"]) if "until" in own else whole.frames
         states = whole.states[begin : end + 1]
         found[str(place)] = Rollout(states, whole.inputs[begin:end], measured=states, sensed=True)
     return found
+
+
+def _begins(rig: Mapping[str, Any], file: Path) -> float:
+    """The time in s at which a recording begins to be of a robot that moves as its model does."""
+    if "begins" not in rig:
+        return 0.0
+    table = pd.read_csv(file)
+    times = table[rig["columns"]["time"]].to_numpy()
+    return float(times[np.argmax(table[rig["begins"]].to_numpy() == 1)] - times[0])
 
 
 def _text(value: Any) -> str:

@@ -87,6 +87,8 @@ class DoublePendulumFile:
             about_centre = v[f"inertia_{i}"] - v[f"mass_{i}"] * v[f"centre_{i}"] ** 2
             v |= {f"about_centre_{i}": max(LEAST_INERTIA, about_centre)}
             v |= {f"loss_{i}": HALF_PI * v[f"friction_{i}"]}
+        driven = ("first", "second") if len(self._study.task.inputs) == 2 else (nominal._driven,)
+        v["motors"] = "".join(f'<motor name="{joint}" joint="{joint}"/>' for joint in driven)
         return self._text.format(**v, geared_inertia=v["gear_ratio"] ** 2 * v["rotor_inertia"])
 
     def compiled(self, values: Mapping[str, float]) -> mujoco.MjModel:
