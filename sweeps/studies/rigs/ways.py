@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import mujoco_sysid
 import numpy as np
 from loading import Rig
 from scipy.optimize import brentq, least_squares
@@ -82,6 +81,8 @@ def ordinary(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 
 def sysid(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """MuJoCo's toolbox over the same windows, of the parameters that the mechanism has."""
+    import mujoco_sysid  # lazily: the other ways need no such library
+
     model = mujoco_sysid.fit(rig.study, _posterior(rig.study).windows(rollouts))
     return Learned(model, [model] * len(rollouts))
 
