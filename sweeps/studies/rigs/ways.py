@@ -147,7 +147,7 @@ def of_lab(rig: Rig) -> Known:
     parameters = rig.prior.parameters
     values = {parameter.name: parameter.value for parameter in parameters} | rig.lab_values
     mode = [
-        0.0 if p.value == values[p.name] else float(brentq(lambda z, p=p: p.at(z) - values[p.name], -8, 8))
+        0.0 if p.value == values[p.name] else float(brentq(lambda z, p=p: p.at(z) - values[p.name], -30, 30))
         for p in parameters
     ]
     own = np.diag([float(p.of_recording) for p in parameters])
