@@ -48,7 +48,7 @@ def write(
     draws(assessment.identified).to_csv(folder / "draws.csv", index=False)
     option = configs / "identification" / f"{OPTION}.yaml"
     option.parent.mkdir(parents=True, exist_ok=True)
-    option.write_text("\n".join(option_lines(assessment.identified, identification)) + "\n")
+    option.write_text("\n".join(option_lines(assessment.identified.elsewhere(), identification)) + "\n")
     if excitation is not None:
         trajectory(assessment.task, excitation.rollout).to_csv(
             folder / "excitation.csv", index=False, float_format="%.6g"
