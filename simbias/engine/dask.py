@@ -130,11 +130,9 @@ def _check_workers(client: Client) -> None:
     """Refuse workers without simbias: they would die of what they are sent, and Dask wait for others."""
 
     def lacks_simbias() -> bool:  # defined here, it is sent as it is, and not as a name in simbias
-        try:
-            import simbias  # noqa: F401
-        except ImportError:
-            return True
-        return False
+        from importlib.util import find_spec
+
+        return find_spec("simbias") is None
 
     for worker, lacks in client.run(lacks_simbias).items():
         if lacks:
