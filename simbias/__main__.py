@@ -7,68 +7,31 @@ import gc
 import os
 import shlex
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from simbias import __version__, load_trial
-from simbias.config import Composition, ConfigError, Variations, options, sweeps
+from simbias.config import Composition, ConfigError, Variations
 from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
 from simbias.core.interruption import Interruption
+from simbias.terminal.arguments import RUN, parse
 
 if TYPE_CHECKING:
     from simbias.mlflow.tracking import Mlflow
     from simbias.terminal.identify import Request
 
-PROGRAM = "python -m simbias"
 GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 cost a fifth of a start
-RUN = "run"  # the command that is meant where none is named
-
-EXAMPLES = """\
-values that people change most (--cfg job shows all):
-  seed=3                               another trial
-  preset=cartpole                      another robot; 'preset=[cartpole,robust]': and another method
-  method.max_iterations=10             N_out; method.experiments=2 in each
-  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
-  task.horizon=5000                    T, frames of task.time_step in s
-  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
-  hardware.confirm=true                show what is predicted, and ask, before the first experiment
-  hardware.safety.states={angle: 0.5}  abort beyond; also inputs, input_rates (per s), criteria=true
-  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
-of the default robot:
-  hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
-  hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
-  hardware.feet=separate               two feet that can tip
-
-examples:
-  python -m simbias
-  python -m simbias bias=none hardware.noise.torque_variance=0.1 optimizer=nlopt_crs seed=3
-  python -m simbias --config-dir my_conf nominal=my_robot
-  python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
-  python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
-  python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
-  python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
-  python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
-  python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
-  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
-  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
-  python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
-  python -m simbias preview            # what the first experiment is predicted to do; none is made
-
-exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
-             (the same command resumes), 130 interrupted (likewise)
-of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2, 3 and 130 as above
-"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
     gc.set_threshold(GARBAGE)
-    parsed = _parsed(arguments)
+    parsed = parse(arguments, __version__)
     try:
         with Interruption():
-            status: int = parsed.command(parsed)
+            status = COMMANDS[parsed.command](parsed)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # who reads our output, `head` say, has seen enough
@@ -92,93 +55,6 @@ def _trace_of_own_code(error: ConfigError) -> str:
         return ""
     file = temporary_traceback(with_trace(error.__cause__))
     return f" (traceback in {file})" if file else ""
-
-
-def _parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments, and the `command` that is to be called with them; options may stand anywhere."""
-    own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
-    own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
-    allowed = "also let configs name classes of this module, as of those next to DIR; may be repeated"
-    own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
-    own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
-    own.add_argument("--version", action="version", version=f"simbias {__version__}")
-    known, rest = own.parse_known_args(arguments)
-    parser, commands = _parser(own, known.config_dir)
-    if not rest or rest[0] not in (*commands, "-h", "--help"):
-        rest = [RUN, *rest]
-    return argparse.Namespace(**{**vars(parser.parse_args(rest)), **vars(known)})
-
-
-def _parser(
-    own: argparse.ArgumentParser, config_dir: str | None
-) -> tuple[argparse.ArgumentParser, Collection[str]]:
-    """The command line's grammar and its commands; help tells of the options in a folder of configs too."""
-    text: dict[str, Any] = {
-        "parents": [own],
-        "epilog": _groups(config_dir) + EXAMPLES,
-        "formatter_class": argparse.RawDescriptionHelpFormatter,
-    }
-    about = "Learn a simulation's bias and optimise a policy with few hardware experiments."
-    usage = "%(prog)s [command] [override ...] [--config-dir DIR] [--allow MODULE] [--cfg job]"
-    parser = argparse.ArgumentParser(prog=PROGRAM, usage=usage, description=about, **text)
-    commands = parser.add_subparsers(metavar="command", title="commands")
-    run = commands.add_parser(RUN, help="run a trial or a sweep, or resume it: the default", **text)
-    check = commands.add_parser("check", help="put components through the conformance suite", parents=[own])
-    preview = commands.add_parser(
-        "preview", help="show what the first experiment is predicted to do", parents=[own]
-    )
-    export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
-    ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
-    pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
-    identify = commands.add_parser(
-        "identify", help="identify a model from recordings, and tell what of it to trust", parents=[own]
-    )
-    excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
-    report = commands.add_parser("report", help="write one HTML page of a trial or a sweep", parents=[own])
-    withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
-    new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
-    ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
-    ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
-    takes_overrides = {run: _run_or_show, check: _check, preview: _preview, export: _export, ui: _ui}
-    for each, command in takes_overrides.items():
-        each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
-        each.set_defaults(command=command)
-    pictures.add_argument("trial", help="its folder, or its run in MLflow")
-    pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
-    pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
-    pictures.set_defaults(command=_pictures)
-    report.add_argument("folder", type=Path, help="of a trial or a sweep, or that of all trials")
-    report.set_defaults(command=_report)
-    for each, into, command in ((identify, "identified", _identify), (excite, "excitation.csv", _excite)):
-        each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
-        each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
-        each.add_argument("--into", default=into, metavar="PATH", help=f"where results go: {into}")
-        each.set_defaults(command=command, held_out=[])
-    identify.add_argument(
-        "--held-out", nargs="+", default=[], metavar="FILE", help="predicted, never fitted to"
-    )
-    identify.add_argument("--attach", action="store_true", help="start a trial with what was identified")
-    identify.add_argument(
-        "--recover", action="store_true", help="simulate such recordings: which parameters would come back?"
-    )
-    excite.add_argument("--seconds", type=float, default=5.0, help="duration: 5")
-    withdraw.add_argument(
-        "file", type=Path, help="of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
-    )
-    withdraw.add_argument("--reason", default="", help="why, for who looks at the trial")
-    withdraw.set_defaults(command=_withdraw)
-    new.add_argument("name", help="of a Python module, as my_robot")
-    new.set_defaults(command=_new)
-    return parser, commands.choices
-
-
-def _groups(config_dir: str | None) -> str:
-    """The groups with their options, and the sweeps, as help shows them."""
-    groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
-    return (
-        f"groups and their options, the default first (group=option):\n{groups}\n\n"
-        f"sweeps, many trials in a grid (+sweep=name):\n  {' | '.join(sweeps(config_dir))}\n\n"
-    )
 
 
 def _check(parsed: argparse.Namespace) -> int:
@@ -326,6 +202,21 @@ def _command(parsed: argparse.Namespace) -> str:
     config_dir = ["--config-dir", parsed.config_dir] if parsed.config_dir else []
     allow = [word for module in parsed.allow for word in ("--allow", module)]
     return f"{python()} {shlex.join(['-m', 'simbias', *config_dir, *allow, *parsed.overrides])}"
+
+
+COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    RUN: _run_or_show,
+    "check": _check,
+    "preview": _preview,
+    "export": _export,
+    "ui": _ui,
+    "identify": _identify,
+    "excite": _excite,
+    "pictures": _pictures,
+    "report": _report,
+    "withdraw": _withdraw,
+    "new": _new,
+}
 
 
 if __name__ == "__main__":

@@ -67,6 +67,8 @@ class Evaluations:
         When the search ends.
     target_cost
         Cost that the best one has to be below before small improvements end the search.
+    ends_at_target
+        Whether the first cost below it ends the search.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class Evaluations:
         upper: Array,
         budget: Budget,
         target_cost: float = np.inf,
+        ends_at_target: bool = False,
     ) -> None:
         self.lower = np.array(lower, dtype=np.float64)
         self.upper = np.array(upper, dtype=np.float64)
@@ -95,7 +98,7 @@ class Evaluations:
         self._limit, self._relative_tolerance = budget.max_evaluations, budget.relative_tolerance
         self._last_step = np.inf if budget.max_steps is None else self._objective.steps + budget.max_steps
         self._deadline = np.inf if budget.max_seconds is None else time.monotonic() + budget.max_seconds
-        self._ends_at_target = False
+        self._ends_at_target = ends_at_target
         self._best_point: Array | None = None
         self.best_cost = np.inf
         self._worst_cost = -np.inf

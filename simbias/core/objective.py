@@ -16,6 +16,7 @@ class Objective(ABC):
     steps: int = 0  # simulated so far, for searches that are limited by them
     lockstep: bool = True  # whether the costs of many policies together take less time than one by one
     fresh: bool = False  # whether `rank` draws scenarios of its own
+    first_stage: Objective | None = None  # an easier one, at whose optimum a search of this one begins
 
     @abstractmethod
     def together(self, thetas: Array) -> Array:
@@ -56,6 +57,7 @@ class Mapped(Objective):
     ) -> None:
         self._objective, self._function = as_objective(objective), function
         self.lockstep, self.fresh = self._objective.lockstep, self._objective.fresh
+        self.first_stage = self._objective.first_stage
 
     @property
     def steps(self) -> int:  # type: ignore[override]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 
 from simbias.core.evaluations import Budget, Evaluations
 from simbias.core.model import Model
-from simbias.core.objective import Objective
+from simbias.core.objective import Objective, as_objective
 from simbias.core.records import Array, Indices, Optimum, Rollout
 
 Reduction = Literal["sum", "max"]
@@ -119,7 +120,8 @@ class Optimizer(Budget, ABC):
         It ends at the latest with the budget. Only a search whose best cost is below `target_cost` may end
         earlier because it converges: among policies that fail, costs of Eq. 8 lie on plateaus that look like
         convergence. The candidates (p,) are evaluated first, and a search that starts from a point starts
-        from the best.
+        from the best. An objective's first stage is searched before, until below the target, with a budget of
+        its own, and its best point is one more candidate.
 
         Raises
         ------
@@ -127,7 +129,17 @@ class Optimizer(Budget, ABC):
             If the box is empty or not finite, or a cost is not finite.
         """
         first = list(candidates)  # before the time limit counts: they may take a while to make
-        evaluations = Evaluations(objective, lower, upper, self, target_cost)
-        evaluations.try_first(first)
-        stopped_by = evaluations.run(lambda running: self.search(running, rng))
-        return evaluations.optimum(stopped_by)
+        easier, spent = as_objective(objective).first_stage, 0
+        if easier is not None:
+            first_stage = Evaluations(easier, lower, upper, self, target_cost, ends_at_target=True)
+            begun = self._minimum(first_stage, rng, first)
+            first, spent = [*first, begun.parameters], begun.evaluations
+        optimum = self._minimum(Evaluations(objective, lower, upper, self, target_cost), rng, first)
+        return replace(optimum, evaluations=optimum.evaluations + spent)
+
+    def _minimum(
+        self, evaluations: Evaluations, rng: np.random.Generator, candidates: Sequence[Array]
+    ) -> Optimum:
+        """The best point of one search, which begins with the candidates (p,)."""
+        evaluations.try_first(candidates)
+        return evaluations.optimum(evaluations.run(lambda running: self.search(running, rng)))

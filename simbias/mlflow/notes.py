@@ -30,9 +30,8 @@ def note(
     withdrawals: Sequence[Withdrawal] = (),
 ) -> str:
     """The verdict, the trial, withdrawals, and a row for each iteration, at most the last `SHOWN_ROWS`."""
-    verdict = f"**{'Running' if running else 'Killed'}**, after {_count(rows, 0)}."
     parts = [
-        verdict if summary is None else _verdict(rows, summary),
+        _under_way(rows, running) if summary is None else _verdict(summary),
         f"{markdown.text(description['title'])}. Seed {description['seed']}, trial `{description['hash']}`.",
     ]
     parts += [f"**Withdrawn**: {markdown.text(str(each))}." for each in withdrawals]
@@ -43,25 +42,16 @@ def note(
     return "\n\n".join([*parts, ARTIFACTS])
 
 
-def _verdict(rows: Sequence[Row], summary: TrialSummary) -> str:
+def _verdict(summary: TrialSummary) -> str:
     """How a trial ended or stopped."""
-    made = rows[-1]["total_experiments"] if rows else 0
-    count, reason = _count(rows, summary.experiments - made), summary.reason[:REASON_LENGTH]
-    test = f" {summary.test_words}" if summary.test_episodes else ""
-    if summary.outcome is Outcome.SUCCEEDED:
-        claim = f" By these, its last policy {summary.claim}." if summary.claim else ""
-        return f"**Succeeded** on hardware in iteration {rows[-1]['iteration']}, after {count}.{claim}{test}"
-    if summary.outcome is Outcome.NOT_SUCCEEDED:
-        return f"**Did not succeed**: no policy reached the goal on hardware, after {count}.{test}"
-    if summary.outcome is Outcome.WAITING:
-        return f"**Waiting**, after {count}: {markdown.text(reason)}"
-    if summary.outcome is Outcome.INTERRUPTED:
-        return f"**Interrupted**, after {count}."
-    return f"**Ended with an error**, after {count}: {markdown.code(reason)}"
+    reason = summary.reason[:REASON_LENGTH]
+    code = summary.outcome is Outcome.ERROR
+    why = f" {markdown.code(reason) if code else markdown.text(reason)}" if reason else ""
+    verdict = f"**{summary.outcome.verdict}** after {summary.effort}.{why}"
+    return " ".join([verdict, *summary.findings])
 
 
-def _count(rows: Sequence[Row], unfinished: int) -> str:
-    """How far the trial came."""
-    experiments = (rows[-1]["total_experiments"] if rows else 0) + unfinished
-    text = f"{counted(len(rows), 'iteration')} and {counted(experiments, 'hardware experiment')}"
-    return f"{text}, {unfinished} of them in an iteration that did not end" if unfinished else text
+def _under_way(rows: Sequence[Row], running: bool) -> str:
+    """How far a trial came that has neither ended nor stopped by itself."""
+    experiments = counted(rows[-1]["total_experiments"] if rows else 0, "hardware experiment")
+    return f"**{'Running' if running else 'Killed'}** after {counted(len(rows), 'iteration')}, {experiments}."

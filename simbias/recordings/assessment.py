@@ -104,8 +104,10 @@ def assess(
     else:
         models = [fit(others(all_parts, i), f"all but {part.name}") for i, part in enumerate(all_parts)]
     judged = [kept] if kept else all_parts
-    if kept or len(recordings) > 1:  # else the parts are of one recording
+    if kept or len(recordings) > 1:
         models = [model.elsewhere() for model in models]
+    else:  # parts of one recording, which are alike in what it has of its own
+        models = [model.of_recording(0) for model in models]
     return Assessment(
         study.task,
         study.nominal,

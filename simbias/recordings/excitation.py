@@ -11,7 +11,8 @@ from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
-from simbias.learning.identification.posterior import Posterior, Problem
+from simbias.learning.identification.posterior import Posterior
+from simbias.learning.identification.problem import Problem
 from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study

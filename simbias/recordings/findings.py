@@ -60,7 +60,9 @@ def findings(
             names[j]: float(R[i, j]) for j in range(len(names)) if j != i and abs(R[i, j]) > CORRELATED
         }
         doubts = [
-            _of_shrinkage(shrinkage),
+            _of_shrinkage(shrinkage)
+            if shrinkage or not parameter.of_recording
+            else "each recording has its own",
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from what was declared" if abs(fitted.mode[i]) > TAIL else "",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array, Flags, Rollout
@@ -17,7 +18,7 @@ SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
 REGION = 0.9  # probability of a predictive region
 DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a prediction
 COMMON = 0.03  # share of the common second moments in the measure of an error
-LARGEST_SPREAD = 1e6  # deviation, in place of one that is not finite
+LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
 FEWEST = 5  # errors that a region is estimated from, for each state
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
@@ -50,8 +51,7 @@ class Prediction:
     def coverage(self) -> float:
         """Share of a part's errors in the 90% region that those of the other parts span; nan if too few.
 
-        Errors are measured by their prediction's spread, and a little of the other parts' second moments; the
-        region holds 90% of the other parts' errors. So it is wider where small differences grow.
+        Regions are wider where small differences grow (`regions`).
         """
         held: list[Flags] = []
         for i, own in enumerate(self.identified):
@@ -61,7 +61,7 @@ class Prediction:
                 for each in (self.identified, self.spreads)
             )
             if len(own) and len(known) >= FEWEST * own.shape[1] and np.isfinite(known).all():
-                held.append(inside(own, self.spreads[i], known, spreads))
+                held.append(inside(own, regions(self.spreads[i], known, spreads)))
         return float(np.mean(np.concatenate(held))) if held else np.nan
 
 
@@ -94,12 +94,12 @@ def errors(
     return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
 
 
-def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int) -> Array:
-    """Covariance (w, n, n) of each prediction among draws of the model, from starts with noise."""
+def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True) -> Array:
+    """Covariance (w, n, n) of each prediction among draws of the model, from starts with noise if `noisy`."""
     windows, n = _windows(rollouts, frames), rollouts[0].states.shape[1]
     if not windows:
         return np.empty((0, n, n))
-    rng, noise = np.random.default_rng(SEED), noise_of(rollouts)
+    rng, noise = np.random.default_rng(SEED), noise_of(rollouts) if noisy else np.zeros(n)
     drawn = [PredictionModel(model.draw(rng), offset=noise * rng.standard_normal(n)) for _ in range(DRAWS)]
     made = predict([PredictionModel(model), *drawn], windows)[:, :, -1]
     e = np.clip(np.nan_to_num(made[1:] - made[0], nan=LARGEST_SPREAD), -LARGEST_SPREAD, LARGEST_SPREAD)
@@ -118,11 +118,33 @@ def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
     return Windows.of(cut, frames, 1) if cut else None
 
 
-def inside(wrong: Array, spreads: Array, known: Array, known_spreads: Array) -> Flags:
-    """Which errors (w, n), of spreads (w, n, n), lie in the 90% region of known ones (v, n), (v, n, n)."""
+def regions(spreads: Array, known: Array, known_spreads: Array, unseen: Array | float = 0.0) -> Array:
+    """Covariances (w, n, n) of errors: normal ones of these have the 90% regions that are told.
+
+    Known errors (v, n) scale the spread of predictions, (w, n, n) and (v, n, n), and a little of their own
+    second moments, so that regions hold 90% of another such error. That is a larger quantile of few of them
+    (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005); those of shifted
+    windows are not independent. What no known error holds, as other zeros of sensors, adds its spread
+    `unseen` (w, n, n) as it is.
+    """
+    known = np.clip(known, -LARGEST_ERROR, LARGEST_ERROR)
     moments = known.T @ known / len(known)
-    limit = np.quantile(_sizes(known, known_spreads, moments), REGION)
-    return _sizes(wrong, spreads, moments) <= limit
+    independent = len(known) / len(SHIFTS)
+    share = min(1.0, np.ceil(REGION * (independent + 1)) / independent)
+    limit = np.quantile(_sizes(known, known_spreads + COMMON * moments), share)
+    return limit / _normal_limit(known.shape[1]) * (spreads + COMMON * moments) + unseen
+
+
+def inside(wrong: Array, covariances: Array) -> Flags:
+    """Which errors (w, n) lie in the 90% regions of their covariances (w, n, n)."""
+    return _sizes(wrong, covariances) <= _normal_limit(wrong.shape[1])
+
+
+def surprises(wrong: Array, covariances: Array) -> Array:
+    """Negative log-densities (w,) in nats of errors (w, n) that are normal with covariances (w, n, n)."""
+    _, correlations, scale = _whitened(wrong, covariances)
+    volume = 0.5 * np.linalg.slogdet(correlations)[1] + np.sum(np.log(scale), axis=1)
+    return 0.5 * _sizes(wrong, covariances) + volume + 0.5 * wrong.shape[1] * np.log(2 * np.pi)
 
 
 def overall(made: Sequence[Prediction], part: int | None = None) -> float:
@@ -151,9 +173,22 @@ def _rmse(wrong: Array) -> Array:
     return np.sqrt(np.mean(wrong**2, axis=0)) if len(wrong) else np.zeros(wrong.shape[1])
 
 
-def _sizes(wrong: Array, spreads: Array, moments: Array) -> Array:
-    """Squared sizes (w,) of errors (w, n) in terms of spreads (w, n, n) and of common moments (n, n)."""
-    scale = np.sqrt(np.diag(moments)) + np.finfo(float).tiny
-    of_each = (spreads + COMMON * moments) / np.outer(scale, scale)
-    scaled = wrong / scale
-    return np.einsum("wi,wij,wj->w", scaled, np.linalg.pinv(of_each, hermitian=True), scaled)
+def _sizes(wrong: Array, covariances: Array) -> Array:
+    """Squared sizes (w,) of errors (w, n) in terms of covariances (w, n, n)."""
+    scaled, correlations, _ = _whitened(wrong, covariances)
+    return np.einsum("wi,wij,wj->w", scaled, np.linalg.pinv(correlations, hermitian=True), scaled)
+
+
+def _whitened(wrong: Array, covariances: Array) -> tuple[Array, Array, Array]:
+    """Errors (w, n) in standard deviations, correlations (w, n, n), and standard deviations (w, n)."""
+    scale = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) + np.finfo(float).tiny
+    return (
+        np.clip(wrong, -LARGEST_ERROR, LARGEST_ERROR) / scale,
+        covariances / (scale[:, :, None] * scale[:, None, :]),
+        scale,
+    )
+
+
+def _normal_limit(n: int) -> float:
+    """The squared size that 90% of normal errors of n states do not exceed."""
+    return float(chdtri(n, 1.0 - REGION))

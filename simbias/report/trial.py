@@ -8,7 +8,6 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from simbias.config.stored import read_folder
-from simbias.core.messages import counted
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.html import heading, items, page, paragraph, picture, table
 from simbias.pictures.trial.gallery import FIGURES
@@ -28,15 +27,9 @@ def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]
 def _parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     """From the verdict to the config."""
     summary = record.summary
-    yield paragraph(
-        f"Outcome: {summary.outcome}, after {counted(summary.experiments, 'hardware experiment')} "
-        f"({summary.hardware_seconds:.0f} s on hardware), {counted(summary.iterations, 'iteration')} and "
-        f"{summary.seconds:.0f} s. {summary.reason}"
-    )
-    if summary.claim:
-        yield paragraph(f"By its own experiments, its last policy {summary.claim}, at 95% confidence.")
-    if summary.test_words:
-        yield paragraph(summary.test_words)
+    yield paragraph(f"{summary.outcome.verdict} after {summary.effort}. {summary.reason}")
+    for finding in summary.findings:
+        yield paragraph(finding)
     notes = [*summary.diagnostics, *map(str, record.withdrawn)]
     if notes:
         yield items(notes)

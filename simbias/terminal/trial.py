@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from simbias.core import Model
-from simbias.core.messages import brief, counted
+from simbias.core.messages import brief
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
 from simbias.terminal.lines import say, temporary_traceback
@@ -145,23 +145,19 @@ class TrialConsole(Observer):
     def conclude(self, record: TrialRecord, where: str, replayed: bool = False) -> None:
         """The closing line: what came out, after how many experiments, and how to look at it."""
         summary = record.summary
-        succeeded = summary.outcome is Outcome.SUCCEEDED
-        verdict = "[green]Succeeded[/green]" if succeeded else "[red]Did not succeed[/red]"
-        experiments = f"after {counted(summary.experiments, 'hardware experiment')}"
-        effort = f"{counted(summary.iterations, 'iteration')}, {summary.seconds:.0f} s"
+        colour = "green" if summary.outcome is Outcome.SUCCEEDED else "red"
         words = self._study.task.words
         self._progress.update(self._bar, visible=False)
         last = record.iterations[-1:]
         names = {each.failure for iteration in last for each in iteration.experiments if each.failure}
         reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
         earlier = ", in an earlier run of this command; seed=N makes another trial" * replayed
-        say(self._console, f"\n{verdict} {experiments} ({effort}{reason}){earlier}.", markup=True)
-        if summary.claim:
-            say(self._console, f"By its own experiments, its last policy {summary.claim}.")
+        verdict = f"[{colour}]{summary.outcome.verdict}[/{colour}] after {summary.effort}{reason}{earlier}."
+        say(self._console, f"\n{verdict}", markup=True)
         for withdrawal in record.withdrawn:
             say(self._console, f"{withdrawal}.", "yellow")
-        if summary.test_words:
-            say(self._console, summary.test_words)
+        for finding in summary.findings:
+            say(self._console, finding)
         if where:
             say(self._console, f"Look at it:  {where}")
 

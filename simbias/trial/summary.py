@@ -23,13 +23,22 @@ COLUMNS = (  # of a table of iterations
 
 
 class Outcome(StrEnum):
-    """How a trial ended, or why it stopped."""
+    """How a trial ended, or why it stopped; `verdict` says it at the head of a sentence."""
 
     SUCCEEDED = "succeeded"
     NOT_SUCCEEDED = "not succeeded"
     WAITING = "waiting"  # for the result of an experiment; the same command resumes
     INTERRUPTED = "interrupted"  # likewise
     ERROR = "error"  # likewise, once its cause is mended
+
+    @property
+    def verdict(self) -> str:
+        """The outcome as the first word of a sentence about the trial."""
+        words = {
+            Outcome.NOT_SUCCEEDED: "Did not succeed",
+            Outcome.ERROR: "Stopped by an error",
+        }
+        return words.get(self, self.value.capitalize())
 
     @property
     def final(self) -> bool:
@@ -62,6 +71,18 @@ class TrialSummary:
     platforms: tuple[str, ...] = ()  # that it ran on: two if it was resumed elsewhere
     processor: str = ""  # model of the last one's
     diagnostics: tuple[str, ...] = ()  # what is odd about it
+
+    @property
+    def effort(self) -> str:
+        """Experiments made, with iterations and time in brackets."""
+        made = counted(self.experiments, "hardware experiment")
+        return f"{made} ({counted(self.iterations, 'iteration')}, {self.seconds:.0f} s)"
+
+    @property
+    def findings(self) -> list[str]:
+        """The claim of its last policy and the result of its test: a sentence each."""
+        claim = f"By its own experiments, its last policy {self.claim}."
+        return [claim] * bool(self.claim) + [self.test_words] * bool(self.test_words)
 
     @property
     def experiments_until_success(self) -> float:

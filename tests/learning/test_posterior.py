@@ -12,7 +12,7 @@ from pendulum import experiment, pendulum, truth, with_a_fall
 import simbias
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
-from simbias.learning.identification.posterior import Problem
+from simbias.learning.identification.problem import Problem
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import Windows
 from simbias.trial.model_selection import VARIANTS, log_likelihoods, most_likely

@@ -12,7 +12,8 @@ from pendulum import NOISE, pendulum
 from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
-from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.directions import undetermined
+from simbias.learning.identification.identified import Identified, KnownPrior
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
@@ -155,6 +156,27 @@ def test_a_zero_is_of_one_recording(study: Study) -> None:
     np.testing.assert_allclose(other.step(x, u), true.step(x, u), rtol=1e-12)
     np.testing.assert_allclose(here.step(x + zero, u), true.step(x, u) + zero, rtol=1e-9)
     assert np.std([other.draw(rng).step(x[:1], u[:1])[0, 1] for _ in range(99)]) > 0.0
+
+
+@pytest.mark.slow
+def test_recordings_that_are_fitted_together_have_their_own_zeros() -> None:
+    """Each zero comes back; of yet another recording the prior alone is known."""
+    study = pendulum(
+        *("identification=posterior", "identification.starts=4", "identification.rounds=2"),
+        "+identification.sensors={pos2: {zero: 0.05}}",
+    )
+    rig, rng = study.identification.prior(study.nominal), np.random.default_rng(1)  # type: ignore[attr-defined]
+    zeros = (0.08, -0.05, 0.0)
+    robots = [at(rig, friction_1=0.1, friction_2=0.1, **{"pos2.zero": zero}) for zero in zeros]
+    fitted = study.identification.fit(study.nominal, [recorded(robot, rng) for robot in robots])
+    assert isinstance(fitted, Identified)
+    for i, zero in enumerate(zeros):
+        found = fitted.of_recording(i).estimates[-1]
+        assert found.value == pytest.approx(zero, abs=0.02)
+        assert found.low < found.value < found.high < found.low + 0.03
+    assert fitted.estimates[-1].value == 0.0
+    assert not any("pos2.zero" in direction.weights for direction in undetermined(fitted))
+    assert [p.of_recording for p in KnownPrior(rig, fitted.known).parameters] == [False] * 11 + [True]
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:

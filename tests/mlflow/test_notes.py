@@ -33,20 +33,16 @@ def note(rows: list[dict[str, Any]], summary: TrialSummary | None = None, runnin
 def test_its_first_line_is_how_the_trial_stands() -> None:
     two, hot = [row(0), row(1, succeeded=True)], "RuntimeError: motor is `hot` | <b>"
     for outcome, reason, expected in [
-        (Outcome.SUCCEEDED, "", "**Succeeded** on hardware in iteration 1, after 2 iterations and 5 "),
-        (Outcome.NOT_SUCCEEDED, "", "**Did not succeed**: no policy reached the goal on hardware, after "),
-        (
-            Outcome.INTERRUPTED,
-            "",
-            "**Interrupted**, after 2 iterations and 5 hardware experiments, 1 of them ",
-        ),
-        (Outcome.WAITING, "run.csv is missing.", "**Waiting**, after 2 "),
-        (Outcome.WAITING, "run.csv is missing.", "that did not end: run.csv is missing."),
-        (Outcome.ERROR, hot, "that did not end: `RuntimeError: motor is  hot  | <b>`"),
+        (Outcome.SUCCEEDED, "", "**Succeeded** after 5 hardware experiments (2 iterations, 9 s)."),
+        (Outcome.NOT_SUCCEEDED, "", "**Did not succeed** after 5 hardware experiments (2 iterations, 9 s)."),
+        (Outcome.INTERRUPTED, "", "**Interrupted** after 5 "),
+        (Outcome.WAITING, "run.csv is missing.", "9 s). run.csv is missing."),
+        (Outcome.ERROR, hot, "9 s). `RuntimeError: motor is  hot  | <b>`"),
     ]:
-        assert expected in note(two, TrialSummary(outcome, reason, experiments=5)).split("\n\n")[0]
-    assert note([], running=True).startswith("**Running**, after 0 iterations and 0 hardware experiments.")
-    assert note(two).startswith("**Killed**, after 2 iterations")
+        summary = TrialSummary(outcome, reason, experiments=5, iterations=2, seconds=9.2)
+        assert expected in note(two, summary).split("\n\n")[0]
+    assert note([], running=True).startswith("**Running** after 0 iterations, 0 hardware experiments.")
+    assert note(two).startswith("**Killed** after 2 iterations, 4 hardware experiments.")
     tested = TrialSummary(Outcome.SUCCEEDED, experiments=4, test_episodes="11", test_words="All went well.")
     assert note(two, tested).split("\n\n")[0].endswith("All went well.")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from mechanisms import cart_pole, mjcf
 from pendulum import COLUMNS, experiment, pendulum, truth
 
@@ -18,7 +19,7 @@ from simbias.config import ConfigError
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.recordings.assessment import Assessment, assess
-from simbias.recordings.files import draws, write
+from simbias.recordings.files import draws, option_lines, write
 from simbias.recordings.horizons import Prediction
 from simbias.recordings.parts import parts
 from simbias.recordings.report import report
@@ -148,6 +149,15 @@ def test_a_trial_begins_with_what_was_identified(assessment: Assessment, tmp_pat
     assert len(pd.read_csv(tmp_path / "draws.csv")) == 100
     named = pd.read_csv(tmp_path / "parameters.csv").set_index("name")
     assert named.loc["friction_1", "trusted"]
+
+
+def test_names_of_a_model_are_no_keys_of_the_option(study: Study) -> None:
+    """An MJCF file may name its bodies as it likes, line breaks included."""
+    size = len(study.nominal.parameters)
+    identified = Identified(study.nominal, np.zeros(size), np.eye(size), {})
+    first, *others = identified.estimates
+    identified.estimates = (first._replace(name="pole\n_target_: os.system\u2028#"), *others)
+    assert list(yaml.safe_load("\n".join(option_lines(identified, {"rounds": 2})))) == ["rounds", "known"]
 
 
 def test_what_is_known_is_of_the_models_parameters(study: Study) -> None:

@@ -66,7 +66,7 @@ def test_an_unfinished_trial_has_a_page(trial: Path, tmp_path: Path) -> None:
     for name in ("trial.json", "attempts.jsonl"):
         (copy / name).write_bytes((trial / name).read_bytes())
     (file,) = write_report(copy)
-    assert "Outcome: interrupted, after 0 hardware experiments" in file.read_text()
+    assert "Interrupted after 0 hardware experiments" in file.read_text()
 
 
 def test_what_files_say_is_text_and_never_markup(trial: Path, tmp_path: Path) -> None:

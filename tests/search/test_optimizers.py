@@ -382,3 +382,26 @@ def test_fresh_scenarios_in_each_generation_lead_to_the_known_optimum(name: str)
     assert (first.parameters != other.parameters).any()
     for each in (first, other):
         assert each.cost == sphere(each.parameters) < 1.0 + 5 / 4  # a generation's own optimum is 5 away
+
+
+class Funnel(Objective):
+    """A funnel around the optimum, flat outside of its radius; it may have a wider one as a first stage."""
+
+    def __init__(self, radius: float, first_stage: Objective | None = None) -> None:
+        self.radius, self.first_stage, self.asked = radius, first_stage, 0
+
+    def together(self, thetas: Array) -> Array:
+        self.asked += len(thetas)
+        return np.minimum(1.0, np.linalg.norm(thetas - SHIFT, axis=1) / self.radius)
+
+
+@pytest.mark.parametrize("name", ["cma", "hybrid"])
+def test_a_search_begins_where_its_first_stage_ended(name: str) -> None:
+    """The first stage ends at its first cost below the target, which is within the funnel."""
+    assert minimize(make(name), Funnel(1.5), *BOX, target_cost=0.1).cost == 1.0
+    wide = Funnel(15.0)
+    funnel = Funnel(1.5, wide)
+    near = {"hybrid": {"candidate_deviation": 0.02}, "cma": {"initial_deviation": 0.02}}[name]
+    optimum = minimize(make(name, **near), funnel, *BOX, target_cost=0.1)
+    assert optimum.cost < 1e-3
+    assert 0 < optimum.evaluations - funnel.asked <= wide.asked  # the last generation is asked for together

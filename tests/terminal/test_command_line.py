@@ -14,8 +14,9 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS, PYTHONPATH, ROOT
 from omegaconf import OmegaConf
 
-from simbias.__main__ import EXAMPLES, main
+from simbias.__main__ import main
 from simbias.config import compose
+from simbias.terminal.arguments import EXAMPLES
 
 pytestmark = pytest.mark.slow
 

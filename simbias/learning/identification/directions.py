@@ -28,8 +28,12 @@ class Direction:
 
 
 def undetermined(fitted: Identified) -> list[Direction]:
-    """Orthogonal directions along which the posterior keeps half of the prior's deviation, widest first."""
-    variances, vectors = np.linalg.eigh(fitted.covariance)
+    """Orthogonal directions along which the posterior keeps half of the prior's deviation, widest first.
+
+    What each recording has of its own does not count.
+    """
+    shared = np.array([not parameter.of_recording for parameter in fitted.parameters], bool)
+    variances, vectors = np.linalg.eigh(fitted.covariance * np.outer(shared, shared))
     names = [parameter.name for parameter in fitted.parameters]
     return [
         Direction(float(np.sqrt(variance)), vector, _weights(names, vector))

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from scipy.linalg import qr
 
 from simbias.core import Nominal
 from simbias.core.parameters import Estimate, Parameter, values_at
 from simbias.core.ranges import Coordinate
-from simbias.core.records import Array
+from simbias.core.records import Array, Indices
 from simbias.learning.prediction_errors import ErrorDistribution
 
 QUANTILE = 1.6449  # 95% of a standard normal
@@ -45,6 +46,7 @@ class Identified(Nominal):
         self.parameters = prior.parameters
         self.state_size = self.model.state_size
         self.diagnostics = diagnostics
+        self.recordings: tuple[Identified, ...] = ()  # the model of each, if there are several that differ
         self.errors = errors  # of predictions over windows, at the mode
         self.spread = spread  # (p, p or more) square root of the covariance
         self.covariance = spread @ spread.T  # (p, p) of the coordinates
@@ -78,13 +80,46 @@ class Identified(Nominal):
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
         return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
 
+    @staticmethod
+    def of_recordings(
+        prior: Nominal, z: Array, spread: Array, places: Indices, errors: ErrorDistribution
+    ) -> Identified:
+        """The posterior of coordinates z (P,), among which are those of each recording at places (r, p).
+
+        Where recordings have something of their own, and there are several, it is the model of yet others.
+        """
+        each = tuple(Identified(prior, z[at], spread[at], {}, errors) for at in places)
+        if len(z) == places.shape[1]:
+            return each[0]
+        fitted = each[0].elsewhere()
+        fitted.recordings = each
+        return fitted
+
+    def of_recording(self, index: int) -> Identified:
+        """The model of a recording that it was identified from, with what is that one's own."""
+        return self.recordings[index] if self.recordings else self
+
     def elsewhere(self) -> Identified:
         """The model of other recordings: of what each has its own, the prior alone is known."""
         own = np.array([parameter.of_recording for parameter in self.parameters], bool)
-        spread = np.where(own[:, None], 0.0, self.spread)
+        if not own.any():
+            return self
+        shared, spread = np.flatnonzero(~own), np.diag(own.astype(float))
         # What this recording's values told of the others stays; their own spread is the prior's.
-        spread = np.hstack([spread, np.eye(len(own))[:, own]])
+        spread[np.ix_(shared, shared)] = qr(self.spread[shared].T, mode="economic")[1].T
         return Identified(self._prior, np.where(own, 0.0, self.mode), spread, self.diagnostics, self.errors)
+
+    @property
+    def known(self) -> Known:
+        """The posterior as numbers."""
+        names = [parameter.name for parameter in self.parameters]
+        return Known(names, self.mode.tolist(), self.spread.tolist())
+
+    def of_share(self, own: bool) -> Identified:
+        """The model, uncertain in what each recording has of its own alone, or in all else alone."""
+        rows = np.array([parameter.of_recording == own for parameter in self.parameters], bool)
+        spread = np.where(rows[:, None], self.spread, 0.0)
+        return Identified(self._prior, self.mode, spread, self.diagnostics, self.errors)
 
     def at(self, coordinates: Array) -> Nominal:
         """The model with its parameters at coordinates (p,)."""
@@ -115,7 +150,13 @@ class KnownPrior(Nominal):
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
         self.kernel, self.state_size = nominal.kernel, nominal.state_size
-        self.parameters = tuple(Parameter(name, "", 0.0, 1.0) for name in names)
+        own = [
+            parameter.of_recording and known.spread[i] == np.eye(len(names))[i].tolist()
+            for i, parameter in enumerate(nominal.parameters)
+        ]
+        self.parameters = tuple(
+            Parameter(name, "", 0.0, 1.0, of_recording=each) for name, each in zip(names, own, strict=True)
+        )
 
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n) of the model as declared."""
@@ -130,7 +171,9 @@ class KnownPrior(Nominal):
         if fitted is None:
             return Identified(self._nominal, self._mode, self._spread, {})
         mode, spread = self._coordinates(fitted.mode), self._spread @ fitted.spread
-        return Identified(self._nominal, mode, spread, fitted.diagnostics, fitted.errors)
+        whole = Identified(self._nominal, mode, spread, fitted.diagnostics, fitted.errors)
+        whole.recordings = tuple(self.posterior(each) for each in fitted.recordings)
+        return whole
 
     def _coordinates(self, values: Array) -> Array:
         return self._mode + self._spread @ values

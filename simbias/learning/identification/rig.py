@@ -4,8 +4,8 @@
 
 A state x is recorded as y. A motor has gain, offset, lag and delay (`simbias.simulation.actuator`), and its
 gear friction beyond the model's: Stribeck's, which falls with the velocity, and one in proportion to the
-torque. A delay that all sensors share is the motors' delay: their record cannot be told apart. Recordings
-that are fitted together share a sensor's zero, so it is to be learned from one alone.
+torque. A delay that all sensors share is the motors' delay: their record cannot be told apart. A sensor's
+zero is another one in each recording.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 
 from simbias.core import Cost, Evaluation, Model, Objective, Task
 from simbias.core.ranges import Count, RolloutSeconds, Share
+from simbias.search.evaluation.nominal_start import NominalStart
 from simbias.search.evaluation.scenarios import CostOfScenarios, Scenario
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.noise import QUIET, Noise, Variances
@@ -33,6 +34,8 @@ class Robust(Evaluation):
     fresh
         CMA-ES ranks each generation in scenarios of its own, so that no search fits its policies to a few.
         The generations' means are judged in those that are common, and the best of them is found.
+    from_nominal
+        A search begins at the optimum of one rollout on the model itself, from the mean start, without noise.
     seconds
         That the rollouts take at most, so that policies are found that last; None is the task's horizon.
     """
@@ -50,6 +53,7 @@ class Robust(Evaluation):
         screening: Count = 2,
         seconds: RolloutSeconds | None = None,
         fresh: bool = False,
+        from_nominal: bool = False,
     ) -> None:
         if seconds is not None:
             task = task.with_horizon(task.frames(seconds))
@@ -63,6 +67,7 @@ class Robust(Evaluation):
         self._sample_bias = sample_bias
         self._screening = screening
         self._fresh = fresh
+        self._from_nominal = from_nominal
 
     def objective(self, model: Model, cost: Cost, rng: np.random.Generator) -> Objective:
         """The aggregated cost in scenarios that are drawn here, once; fresh ones when they are met."""
@@ -72,8 +77,9 @@ class Robust(Evaluation):
         def draw() -> list[Scenario]:
             return [self._scenario(model, scenario_rng) for scenario_rng in rng.spawn(self.rollouts)]
 
+        easier = NominalStart(self._task).objective(model, cost, rng) if self._from_nominal else None
         fresh = draw if self._fresh else None
-        return CostOfScenarios(draw(), cost, self._worst, self._screening, fresh)
+        return CostOfScenarios(draw(), cost, self._worst, self._screening, fresh, easier)
 
     def _scenario(self, model: Model, rng: np.random.Generator) -> Scenario:
         """Draw what is uncertain; what is not asked for changes nothing in the rest."""

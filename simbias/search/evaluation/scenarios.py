@@ -35,8 +35,10 @@ class CostOfScenarios(Objective):
         worst: int = 1,
         screening: int = 1,
         draw: Callable[[], Sequence[Scenario]] | None = None,
+        first_stage: Objective | None = None,
     ) -> None:
         self._meet(scenarios)
+        self.first_stage = first_stage
         self._draw, self.fresh = draw, draw is not None
         self._cost = cost
         self._worst = worst  # number of the worst costs, which are averaged

@@ -1,0 +1,162 @@
+"""The mode and the spread of parameters, with the distribution of prediction errors given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+from scipy.optimize import least_squares
+
+from simbias.core import Nominal
+from simbias.core.parameters import Parameter, values_at
+from simbias.core.records import Array, Indices
+from simbias.learning.measurement_noise import Linearisation
+from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
+
+STEP = 1e-4  # of finite differences: of a coordinate, or of the standard deviation of a state
+LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
+SPREAD_ROUNDS = 2  # of estimating the errors' covariance, with the part that fitted parameters removed
+
+
+def coordinates_of(parameters: Sequence[Parameter], recordings: int) -> Indices:
+    """Places (recordings, parameters) of each recording's coordinates among those of all.
+
+    Those of the first recording come first, then what each other one has of its own.
+    """
+    p, own = len(parameters), np.flatnonzero([parameter.of_recording for parameter in parameters])
+    places = np.tile(np.arange(p), (recordings, 1))
+    for i in range(1, recordings):
+        places[i, own] = p + (i - 1) * len(own) + np.arange(len(own))
+    return places
+
+
+class Problem:
+    """Nonlinear least squares for the mode, with the errors' covariance given.
+
+    Coordinates z (p,) are those of the first recording, then of what each other one has of its own.
+    """
+
+    def __init__(self, nominal: Nominal, windows: Windows, errors: ErrorDistribution) -> None:
+        self._nominal = nominal
+        self._windows = windows
+        self._observed = windows.means
+        self.places = coordinates_of(nominal.parameters, len(windows.frames))  # (recordings, parameters)
+        self.errors = errors
+        self._last: tuple[bytes, Array, Array] | None = None
+
+    @property
+    def size(self) -> int:
+        """The number p of coordinates."""
+        return int(self.places.max(initial=-1)) + 1
+
+    @staticmethod
+    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Problem:
+        """The problem with the errors' covariance estimated at coordinates z (p,)."""
+        problem = Problem(nominal, windows, ErrorDistribution(np.empty((0, 0))))
+        problem.errors = ErrorDistribution.of(problem.prediction_errors(z[None])[0], windows, freedom)
+        return problem
+
+    def mode(self, z: Array, evaluations: int) -> Array:
+        """The most probable coordinates, searched from z."""
+        return least_squares(
+            lambda at: self._at(at)[0],
+            z,
+            lambda at: self._at(at)[1],
+            ftol=1e-5,
+            xtol=1e-4,
+            max_nfev=evaluations,
+        ).x
+
+    def information(self, z: Array) -> Array:
+        """Fisher information (p, p) about coordinates that these windows would hold if z were the truth."""
+        each = self.prediction_errors(z + STEP * np.eye(len(z) + 1, len(z), -1))
+        J = self.errors.whiten(each[1:] - each[0]).reshape(len(z), -1) / STEP
+        return self.errors.independent_share * J @ J.T
+
+    def precision(self, z: Array) -> Array:
+        """Curvature (p, p) of the negative logarithm of the density at z."""
+        J = self._at(z)[1]
+        return J.T @ J
+
+    def spread(self, z: Array) -> Array:
+        """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
+
+        G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
+        one that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960).
+        """
+        p, windows = len(z), self._windows
+        steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
+        n = len(steps)
+        each = self._predictions(
+            np.vstack([z + STEP * np.eye(p + 1, p, -1), np.tile(z, (n, 1))]),
+            np.vstack([np.zeros((p + 1, n)), np.diag(steps)]),
+        )
+        by_start = np.moveaxis((each[p + 1 :] - each[0]) / steps[:, None, None, None], 0, -1)
+        errors = each[0] - self._observed
+        white = self.errors.whiten(errors)
+        J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
+        by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
+        spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
+        H, weights = spread @ spread.T, self.errors.independent_share * self.errors.weights(white)
+        for _ in range(SPREAD_ROUNDS):
+            linearisation = Linearisation.of(by_start, by_parameters @ spread)
+            ratio = np.linalg.solve(
+                self.errors.factor, ErrorDistribution.of(errors, windows, FREEDOM, linearisation).factor
+            )
+            across = (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
+            scattered = H @ np.hstack([np.eye(p), across])
+            spread = qr(scattered.T, mode="economic")[1].T
+        return spread
+
+    def log_densities(self, z: Array) -> Array:
+        """Posterior log-density (k,) at coordinates z (k, p), up to a constant."""
+        white = self.errors.whiten(self.prediction_errors(z))
+        return -0.5 * (
+            np.sum(z**2, axis=1) + self.errors.independent_share * self.errors.losses(white).sum(axis=1)
+        )
+
+    def prediction_errors(self, z: Array) -> Array:
+        """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
+        return self._predictions(z) - self._observed
+
+    def _predictions(self, z: Array, offsets: Array | None = None) -> Array:
+        """Means (k, w, J, n) over chunks at coordinates z (k, p), from starts that are off by (k, n)."""
+        if self.size == self.places.shape[1]:  # no recording has anything of its own, or there is one alone
+            return predict(self._models(z, offsets), self._windows)
+        windows = self._windows
+        of_each = [
+            replace(windows, firsts=windows.firsts[[i]], leads=windows.leads[[i]], frames=windows.frames[[i]])
+            for i in range(len(self.places))
+        ]
+        made = [
+            predict(self._models(z[:, places], offsets), each)
+            for places, each in zip(self.places, of_each, strict=True)
+        ]
+        return np.concatenate(made, axis=1)
+
+    def _models(self, z: Array, offsets: Array | None) -> list[PredictionModel]:
+        """Models at coordinates (k, parameters), from starts that are off by (k, n)."""
+        models = [self._nominal.with_parameters(each) for each in values_at(self._nominal.parameters, z)]
+        if offsets is None:
+            return [PredictionModel(model) for model in models]
+        return [PredictionModel(model, offset=each) for model, each in zip(models, offsets, strict=True)]
+
+    def _at(self, z: Array) -> tuple[Array, Array]:
+        """Residuals (w d + p,), the prior's last, and their derivatives by z (p,)."""
+        if self._last is None or self._last[0] != z.tobytes():
+            p = len(z)
+            white = self.errors.whiten(self.prediction_errors(z + STEP * np.eye(p + 1, p, -1)))
+            J = (white[1:] - white[0]) / STEP
+            weights = self.errors.independent_share * self.errors.weights(white[0])
+            losses = self.errors.independent_share * self.errors.losses(white[0])
+            size = np.sum(white[0] ** 2, axis=1)
+            ratio = np.divide(losses, size, out=weights.copy(), where=size > 0)  # tends to the weights at 0
+            scale = np.sqrt(ratio)  # so that squares sum to the loss
+            slope = weights / scale
+            r, J = scale[:, None] * white[0], slope[:, None] * J
+            residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
+            self._last = z.tobytes(), residuals, derivatives
+        return self._last[1], self._last[2]

@@ -1,0 +1,146 @@
+"""The grammar of the command line: commands, their arguments, and what help says of them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from simbias.config import options, sweeps
+
+PROGRAM = "python -m simbias"
+RUN = "run"  # the command that is meant where none is named
+
+EXAMPLES = """\
+values that people change most (--cfg job shows all):
+  seed=3                               another trial
+  preset=cartpole                      another robot; 'preset=[cartpole,robust]': and another method
+  method.max_iterations=10             N_out; method.experiments=2 in each
+  optimizer.max_evaluations=1000       N_in, simulated rollouts of one policy search
+  task.horizon=5000                    T, frames of task.time_step in s
+  experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
+  hardware.confirm=true                show what is predicted, and ask, before the first experiment
+  hardware.safety.states={angle: 0.5}  abort beyond; also inputs, input_rates (per s), criteria=true
+  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
+of the default robot:
+  hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
+  hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
+  hardware.feet=separate               two feet that can tip
+
+examples:
+  python -m simbias
+  python -m simbias bias=none hardware.noise.torque_variance=0.1 optimizer=nlopt_crs seed=3
+  python -m simbias --config-dir my_conf nominal=my_robot
+  python -m simbias +sweep=table2 sweep.trials=2 bias=none engine.n_jobs=2
+  python -m simbias +sweep=table2 sweep.dry_run=true   # what would run, and how long
+  python -m simbias check --config-dir my_conf nominal=my_robot   # does it keep its contract?
+  python -m simbias new my_robot       # lay out a folder for a robot of your own, which runs as it is
+  python -m simbias export tracking.uri=sqlite:///other.db   # show the trials of ./trials in MLflow
+  python -m simbias ui                 # open MLflow; `ui HASH` at a trial or a sweep
+  python -m simbias pictures trials/7a29f4c5425f my_pictures   # PNG, SVG and GIF
+  python -m simbias identify RECORDINGS preset=double_pendulum   # a model from CSV files
+  python -m simbias withdraw trials/7a29f4c5425f/0004_experiment.npz --reason "a loose cable"
+  python -m simbias preview            # what the first experiment is predicted to do; none is made
+
+exit status: 0 the policy succeeded on hardware, 1 it did not, 2 bad input, 3 a hardware experiment is awaited
+             (the same command resumes), 130 interrupted (likewise)
+of a sweep:  0 all trials ran, whether they succeeded or not, 1 one raised an error, 2, 3 and 130 as above
+"""
+
+
+def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
+    """The `command` that is asked for and its arguments; options may stand anywhere.
+
+    Raises
+    ------
+    SystemExit
+        With status 2, if they cannot be parsed, or with 0 once help or the version is shown.
+    """
+    own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
+    own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
+    allowed = "also let configs name classes of this module, as of those next to DIR; may be repeated"
+    own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
+    own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
+    own.add_argument("--version", action="version", version=f"simbias {version}")
+    known, rest = own.parse_known_args(arguments)
+    parser, commands = _parser(own, known.config_dir)
+    if not rest or rest[0] not in (*commands, "-h", "--help"):
+        rest = [RUN, *rest]
+    return argparse.Namespace(**{**vars(parser.parse_args(rest)), **vars(known)})
+
+
+def _parser(
+    own: argparse.ArgumentParser, config_dir: str | None
+) -> tuple[argparse.ArgumentParser, Collection[str]]:
+    """The grammar and its commands; help tells of the options in a folder of configs too."""
+    text: dict[str, Any] = {
+        "parents": [own],
+        "epilog": _groups(config_dir) + EXAMPLES,
+        "formatter_class": argparse.RawDescriptionHelpFormatter,
+    }
+    about = "Learn a simulation's bias and optimise a policy with few hardware experiments."
+    usage = "%(prog)s [command] [override ...] [--config-dir DIR] [--allow MODULE] [--cfg job]"
+    parser = argparse.ArgumentParser(prog=PROGRAM, usage=usage, description=about, **text)
+    commands = parser.add_subparsers(dest="command", metavar="command", title="commands")
+    _add_composed(commands, own, text)
+    _add_of_recordings(commands, own)
+    _add_of_folders(commands, own)
+    return parser, commands.choices
+
+
+def _add_composed(commands: Any, own: argparse.ArgumentParser, text: Mapping[str, Any]) -> None:
+    """The commands that take overrides."""
+    run = commands.add_parser(RUN, help="run a trial or a sweep, or resume it: the default", **text)
+    check = commands.add_parser("check", help="put components through the conformance suite", parents=[own])
+    help_of_preview = "show what the first experiment is predicted to do"
+    preview = commands.add_parser("preview", help=help_of_preview, parents=[own])
+    export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
+    ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
+    ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
+    ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
+    for each in (run, check, preview, export, ui):
+        each.add_argument("overrides", nargs="*", metavar="override", help="group=option or group.key=value")
+
+
+def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
+    """The commands that identify a model, or prepare for it."""
+    help_of_identify = "identify a model from recordings, and tell what of it to trust"
+    identify = commands.add_parser("identify", help=help_of_identify, parents=[own])
+    excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
+    for each, into in ((identify, "identified"), (excite, "excitation.csv")):
+        each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
+        each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
+        each.add_argument("--into", default=into, metavar="PATH", help=f"where results go: {into}")
+        each.set_defaults(held_out=[])
+    held_out = "predicted, never fitted to"
+    identify.add_argument("--held-out", nargs="+", default=[], metavar="FILE", help=held_out)
+    identify.add_argument("--attach", action="store_true", help="start a trial with what was identified")
+    recover = "simulate such recordings: which parameters would come back?"
+    identify.add_argument("--recover", action="store_true", help=recover)
+    excite.add_argument("--seconds", type=float, default=5.0, help="duration: 5")
+
+
+def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
+    """The commands that read, change or make a folder."""
+    pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
+    pictures.add_argument("trial", help="its folder, or its run in MLflow")
+    pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
+    pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
+    report = commands.add_parser("report", help="write one HTML page of a trial or a sweep", parents=[own])
+    report.add_argument("folder", type=Path, help="of a trial or a sweep, or that of all trials")
+    withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
+    of_file = "of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
+    withdraw.add_argument("file", type=Path, help=of_file)
+    withdraw.add_argument("--reason", default="", help="why, for who looks at the trial")
+    new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
+    new.add_argument("name", help="of a Python module, as my_robot")
+
+
+def _groups(config_dir: str | None) -> str:
+    """The groups with their options, and the sweeps, as help shows them."""
+    groups = "\n".join(f"  {group:<14} {' | '.join(names)}" for group, names in options(config_dir).items())
+    return (
+        f"groups and their options, the default first (group=option):\n{groups}\n\n"
+        f"sweeps, many trials in a grid (+sweep=name):\n  {' | '.join(sweeps(config_dir))}\n\n"
+    )

@@ -1,0 +1,89 @@
+"""Rigs and their recordings, as `rigs.yaml` declares them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import yaml
+
+import simbias
+from simbias.core import Nominal
+from simbias.core.records import Rollout
+from simbias.lab.recorded import Recorded
+from simbias.learning.identification.posterior import Posterior
+from simbias.trial.study import Study
+
+HERE = Path(__file__).parent
+ZERO = 0.05  # rad, standard deviation of an encoder's zero
+
+
+class Rig(NamedTuple):
+    """A robot with its nominal model, and recordings by name."""
+
+    study: Study
+    lab_values: dict[str, float]  # of parameters, as the lab identified them; others are nominal
+    development: dict[str, Rollout]
+    test: dict[str, Rollout]  # empty unless they are asked for
+
+    @property
+    def lab(self) -> Nominal:
+        """The model that the lab identified."""
+        values = {parameter.name: parameter.value for parameter in self.prior.parameters} | self.lab_values
+        return self.prior.with_parameters(np.array(list(values.values())))
+
+    @property
+    def prior(self) -> Nominal:
+        """The nominal model with all uncertain parameters, those of motors and sensors too."""
+        assert isinstance(self.study.identification, Posterior)
+        return self.study.identification.prior(self.study.nominal)
+
+
+def declared() -> dict[str, dict[str, Any]]:
+    """Rigs by name, each with what is declared of its robot."""
+    read = yaml.safe_load((HERE / "rigs.yaml").read_text())
+    return {name: read["robots"][rig["robot"]] | rig for name, rig in read["rigs"].items()}
+
+
+def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
+    """A rig whose repository is checked out in a folder of its name; with its test recordings if `test`."""
+    nominal = [f"{key}={_text(value)}" for key, value in rig.items() if key.startswith("nominal.")]
+    zeros = [f"+identification.sensors.{angle}.zero={ZERO}" for angle in rig["zeros"]]
+    study = simbias.load([*rig["composition"], "tracking=none", *nominal, *zeros], HERE / "robots")
+    folder = checkouts / Path(rig["repository"]).name / rig["folder"]
+    recordings = [_read(study, rig, folder, rig[part]) for part in ("development", "test")[: 1 + test]]
+    return Rig(study, rig["lab"], *recordings, *[{}] * (not test))
+
+
+def _read(
+    study: Study, rig: Mapping[str, Any], folder: Path, places: Sequence[str | Mapping[str, Any]]
+) -> dict[str, Rollout]:
+    """The longest piece of each recording, or what lies between two of its times."""
+    reader, found = Recorded(study.task, str(folder), columns=rig["columns"]).reader, {}
+    for place in places:
+        own: Mapping[str, Any] = {"file": place} if isinstance(place, str) else place
+        whole = max(reader.read(folder / own["file"]).pieces, key=lambda piece: piece.frames)
+        begin = study.task.frames(own.get("from", _begins(rig, folder / own["file"])))
+        end = study.task.frames(own["until"]) if "until" in own else whole.frames
+        states = whole.states[begin : end + 1]
+        found[str(place)] = Rollout(states, whole.inputs[begin:end], measured=states, sensed=True)
+    return found
+
+
+def _begins(rig: Mapping[str, Any], file: Path) -> float:
+    """The time in s at which a recording begins to be of a robot that moves as its model does."""
+    if "begins" not in rig:
+        return 0.0
+    table = pd.read_csv(file)
+    times = table[rig["columns"]["time"]].to_numpy()
+    return float(times[np.argmax(table[rig["begins"]].to_numpy() == 1)] - times[0])
+
+
+def _text(value: Any) -> str:
+    """A value as an override's text."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_text(each)}" for key, each in value.items()) + "}"
+    return str(value)

@@ -1,0 +1,188 @@
+"""Ways to learn a model from recordings: ours, the lab's, and what others would do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from loading import Rig
+from scipy.optimize import brentq, least_squares
+
+from simbias.core import FittedBias, Nominal
+from simbias.core.parameters import values_at
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.identified import Identified, Known
+from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.horizons import errors, ratio, regions, spread
+from simbias.simulation.open_loop import PredictionModel, predict
+from simbias.trial.study import Study
+
+GUARDED = (0.1, 0.5)  # s
+MOST_RATIO = 1.0  # of errors with a residual over those without, on any recording, at any horizon
+MOST = 4.0  # prior standard deviations that least squares may go
+
+
+class Learned(NamedTuple):
+    """What was learned from recordings."""
+
+    model: Nominal  # of other recordings
+    own: Sequence[Nominal]  # of each recording that was learned from
+    bias: FittedBias | None = None
+
+    def errors(self, rollouts: Sequence[Rollout], frames: int) -> Array:
+        """Errors (w, n) of predictions of other recordings."""
+        return errors(self.model, rollouts, frames, self.bias)
+
+    def covariances(self, known: Sequence[Rollout], rollouts: Sequence[Rollout], frames: int) -> Array:
+        """Covariances (w, n, n) of these errors, sized by those of the recordings that are known."""
+        pairs = list(zip(self.own, known, strict=True))
+        wrong = np.concatenate([errors(model, [one], frames, self.bias) for model, one in pairs])
+        if not isinstance(self.model, Identified):
+            n = wrong.shape[1]
+            count = len(errors(self.model, rollouts, frames))
+            return regions(np.zeros((count, n, n)), wrong, np.zeros((len(wrong), n, n)))
+        spreads = np.concatenate([spread(model, [one], frames) for model, one in pairs])
+        shared, zeros = (self.model.of_share(own=own) for own in (False, True))
+        unseen = spread(zeros, rollouts, frames, noisy=False)
+        return regions(spread(shared, rollouts, frames), wrong, spreads, unseen)
+
+
+Way = Callable[[Rig, Sequence[Rollout]], Learned]
+
+
+def nominal(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """As drawn; nothing is learned."""
+    return Learned(rig.study.nominal, [rig.study.nominal] * len(rollouts))
+
+
+def lab(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """As the lab identified it, perhaps from these very recordings."""
+    return Learned(rig.lab, [rig.lab] * len(rollouts))
+
+
+def ordinary(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """Ordinary least squares over the same windows and parameters, in units of the nominal typical errors."""
+    windows = _posterior(rig.study).windows(rollouts)
+    parameters, observed = rig.prior.parameters, windows.means
+    scale = np.median(np.abs(predict([PredictionModel(rig.prior)], windows)[0] - observed), axis=(0, 1))
+
+    def residuals(z: Array) -> Array:
+        model = rig.prior.with_parameters(values_at(parameters, z))
+        made = (predict([PredictionModel(model)], windows)[0] - observed) / scale
+        return np.nan_to_num(made, nan=1e3, posinf=1e3, neginf=-1e3).ravel()
+
+    z = least_squares(residuals, np.full(len(parameters), 0.01), bounds=(-MOST, MOST), max_nfev=40).x
+    elsewhere = np.where([parameter.of_recording for parameter in parameters], 0.0, z)
+    here, there = (rig.prior.with_parameters(values_at(parameters, each)) for each in (z, elsewhere))
+    return Learned(there, [here] * len(rollouts))
+
+
+def sysid(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """MuJoCo's toolbox over the same windows, of the parameters that the mechanism has."""
+    import mujoco_sysid  # lazily: the other ways need no such library
+
+    model = mujoco_sysid.fit(rig.study, _posterior(rig.study).windows(rollouts))
+    return Learned(model, [model] * len(rollouts))
+
+
+def residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """A residual of the nominal model alone."""
+    study = rig.study
+    bias = study.bias.learn(study.no_data, rollouts, study.nominal)
+    return Learned(study.nominal, [study.nominal] * len(rollouts), bias)
+
+
+def identified(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """The posterior of the parameters."""
+    model = _fit(_posterior(rig.study), rig.study.nominal, rollouts)
+    return Learned(model.elsewhere(), [model.of_recording(i) for i in range(len(rollouts))])
+
+
+def with_residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """The posterior, and a residual of its mode."""
+    found = identified(rig, rollouts)
+    return found._replace(bias=_bias(rig.study, found, rollouts))
+
+
+def guarded(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """The same, without the residual where it may hurt.
+
+    Each recording is predicted by what is learned from the others, with and without the residual. It is left
+    out if it makes predictions of any of them worse, at any horizon.
+    """
+    found = with_residual(rig, rollouts)
+    for i, rollout in enumerate(rollouts):
+        of_rest = with_residual(rig, [*rollouts[:i], *rollouts[i + 1 :]])
+        for seconds in GUARDED:
+            k = rig.study.task.frames(seconds)
+            wrong = [each.errors([rollout], k) for each in (of_rest, of_rest._replace(bias=None))]
+            if len(wrong[0]) and ratio(*wrong) > MOST_RATIO:
+                return found._replace(bias=None)
+    return found
+
+
+WAYS: dict[str, Way] = {
+    "nominal": nominal,
+    "lab": lab,
+    "least squares": ordinary,
+    "mujoco.sysid": sysid,
+    "residual": residual,
+    "identified": identified,
+    "identified and residual": with_residual,
+    "identified and guarded residual": guarded,
+}
+OF_SEVERAL = ("lab", "identified", "identified and residual", "identified and guarded residual")
+OF_ONE = tuple(way for way in WAYS if way != "identified and guarded residual")  # nothing tells of others
+
+
+def with_zeros(rig: Rig, known: Known, rollout: Rollout) -> Nominal:
+    """What is known, after some of the very recording that is predicted, whose zeros it tells."""
+    return _fit(_posterior(rig.study).with_known(known), rig.study.nominal, [rollout])
+
+
+def of_lab(rig: Rig) -> Known:
+    """The lab's parameters, which are certain, and the prior of zeros."""
+    parameters = rig.prior.parameters
+    values = {parameter.name: parameter.value for parameter in parameters} | rig.lab_values
+    mode = [
+        0.0 if p.value == values[p.name] else float(brentq(lambda z, p=p: p.at(z) - values[p.name], -30, 30))
+        for p in parameters
+    ]
+    own = np.diag([float(p.of_recording) for p in parameters])
+    return Known([p.name for p in parameters], mode, own.tolist())
+
+
+def timed(way: Way, rig: Rig, rollouts: Sequence[Rollout]) -> tuple[Learned, float]:
+    """What a way learns, and the processor time in s that it takes."""
+    begin = time.process_time()
+    return way(rig, rollouts), time.process_time() - begin
+
+
+def _posterior(study: Study) -> Posterior:
+    """The study's identification."""
+    assert isinstance(study.identification, Posterior)
+    return study.identification
+
+
+def _fit(posterior: Posterior, nominal: Nominal, rollouts: Sequence[Rollout]) -> Identified:
+    """The model identified from recordings."""
+    model = posterior.fit(nominal, rollouts)
+    assert isinstance(model, Identified)
+    return model
+
+
+def _bias(study: Study, found: Learned, rollouts: Sequence[Rollout]) -> FittedBias:
+    """A residual of the model, from recordings without their zeros."""
+    level = [_without_zeros(study, model, one) for model, one in zip(found.own, rollouts, strict=True)]
+    return study.bias.learn(study.no_data, level, found.model)
+
+
+def _without_zeros(study: Study, model: Nominal, rollout: Rollout) -> Rollout:
+    """A recording as encoders without zeros would have made it."""
+    assert isinstance(model, Identified)
+    values = {estimate.name: estimate.value for estimate in model.estimates}
+    zeros = np.array([values.get(f"{state.name}.zero", 0.0) for state in study.task.states])
+    states = rollout.states - zeros
+    return Rollout(states, rollout.inputs, measured=states, sensed=True)
