@@ -72,6 +72,10 @@ class Identified(Nominal):
         """The model with other values (k,) of its parameters."""
         return self._prior.with_parameters(values)
 
+    def without_dry_friction(self) -> Nominal:
+        """The most probable model without it."""
+        return self.model.without_dry_friction()
+
     def narrowed(self, scale: float) -> Identified:
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
         return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
