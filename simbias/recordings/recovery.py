@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
@@ -44,6 +45,7 @@ class Take(NamedTuple):
     times: Array | None = None  # (k,) s after the start at which states are measured; None: in each frame
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
 def recover(
     study: Study,
     takes: Sequence[Take],
