@@ -64,7 +64,7 @@ def test_the_study_learns_from_one_and_from_several(
     assert ratios["one", "identified and zeros"] < ratios["one", "identified"]
     alone = found[(found["number"] == "one") & (found["way"] == "identified")]
     zeros = [float(each) for each in alone.drop_duplicates("learned")["zeros"]]
-    np.testing.assert_allclose(zeros, ZEROS, atol=0.02)
+    np.testing.assert_allclose(zeros, ZEROS, atol=0.03)
     assert "| simple_pendulum | 0.5 s |" in Path("table.md").read_text()
 
 

@@ -15,7 +15,7 @@ size comes from the recordings that were learned from; and the seconds of proces
 
 An encoder is switched on at a robot at rest, which friction keeps away from where it would hang. So each
 recording has zeros of its own: they are identified with the robot, and of others the prior is known. What
-is left of errors without them is seen where the first seconds of each predicted recording tell its zeros, to
+is left of errors without them is seen where the first fifth of each predicted recording tells its zeros, to
 the identified model and to the lab's, and the rest of it is predicted.
 """
 
@@ -38,7 +38,7 @@ from simbias.learning.identification.identified import Identified, Known
 from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, surprises
 
 COMPARED = (0.1, 0.5)  # s
-BEGINNING = 2.0  # s of a recording, which tell its zeros
+BEGINNING = 0.2  # share of a recording that tells its zeros
 ONE, SEVERAL = "one", "several"  # recordings that are learned from
 
 
@@ -81,7 +81,7 @@ def rows_with_zeros(
     rig: Rig, case: dict[str, Any], known: Known, left: Sequence[Rollout]
 ) -> Iterator[dict[str, Any]]:
     """Errors over the lab's of what follows the beginnings of recordings, which have told their zeros."""
-    begun = [cut(rig, rollout) for rollout in left]
+    begun = [cut(rollout) for rollout in left]
     for way, before in (("lab and zeros", of_lab(rig)), ("identified and zeros", known)):
         models = [with_zeros(rig, before, beginning) for beginning, _ in begun]
         for horizon in HORIZONS:
@@ -93,9 +93,9 @@ def rows_with_zeros(
                 yield case | {"way": way, "seconds": horizon, "ratio": ratio(wrong, plain)}
 
 
-def cut(rig: Rig, rollout: Rollout) -> tuple[Rollout, Rollout]:
+def cut(rollout: Rollout) -> tuple[Rollout, Rollout]:
     """The beginning of a recording, and the rest."""
-    k = rig.study.task.frames(BEGINNING)
+    k = round(BEGINNING * rollout.frames)
     return Rollout(rollout.states[: k + 1], rollout.inputs[:k]), Rollout(
         rollout.states[k:], rollout.inputs[k:]
     )
