@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import NOTHING, Own, own, prefixes
 from simbias.config.renamed import unknown
-from simbias.config.resources import check_no_primary, register_sweep, resource_folder, state
+from simbias.config.resources import check_aliases, check_no_primary, register_sweep, resource_folder, state
 from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ class Variations:
 
     def _compose(self, overrides: Sequence[str]) -> _Composed:
         """Hydra's work: once for each choice of options, while no file changes."""
-        files = state([resource_folder("conf"), resource_folder("sweeps"), *self._folders])
+        files = state([resource_folder("conf"), resource_folder("sweeps"), *map(Path.resolve, self._folders)])
         return _composed(tuple(overrides), self._config_dir, files)
 
 
@@ -199,6 +199,9 @@ def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset
     from omegaconf import OmegaConf
 
     if config_dir is not None:
+        for file in (Path(path) for path, *_ in files):
+            if file.is_relative_to(config_dir):
+                check_aliases(file)
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'file://{config_dir}')}]"]
     values = {each.key_or_group: each.value() for each in _parsed(overrides)}  # the last of each
     if isinstance(sweep := values.get("sweep"), str):

@@ -11,6 +11,7 @@ from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
 
 PRIMARY = "config.yaml"  # the one that names the defaults
+MAX_VALUES = 1_000_000  # of a YAML file, with those that its aliases stand for
 
 
 def resource_folder(folder: str) -> Path:
@@ -97,6 +98,36 @@ def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
                 with suppress(OSError):  # a link that leads nowhere
                     about = os.stat(path := os.path.join(root, name))
                     yield path, about.st_mtime_ns, about.st_size
+
+
+def check_aliases(file: Path) -> None:
+    """Refuse a file whose aliases of aliases stand for more values than anybody waits for.
+
+    OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file. One that is no YAML is named where it is asked for.
+    """
+    import yaml  # lazily: --help needs none
+
+    def size(node: yaml.Node) -> int:
+        if id(node) not in sizes:
+            sizes[id(node)] = 0  # of a node within itself, which OmegaConf refuses
+            parts = node.value if isinstance(node, yaml.CollectionNode) else []
+            nodes = [each for part in parts for each in (part if isinstance(part, tuple) else [part])]
+            sizes[id(node)] = 1 + sum(map(size, nodes))
+        return sizes[id(node)]
+
+    sizes: dict[int, int] = {}
+    try:
+        text = file.read_bytes() if file.is_file() else b""
+        values = size(yaml.compose(text, yaml.SafeLoader)) if b"&" in text else 0
+    except Exception:  # YAML's or the system's
+        return
+    if values > MAX_VALUES:
+        raise ConfigError(str(file), f"its aliases stand for {values:.0e} values; write out what is needed")
 
 
 def check_no_primary(config_dir: Path | str | None) -> None:

@@ -33,7 +33,7 @@ def packed(compositions: Iterable[Composition]) -> bytes:
         problem = f"{size / 2**20:.0f} MiB are too much to send to workers; let them share the disk"
         raise ConfigError("--config-dir", problem)
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as archive:
         for file, name in sorted(files.items()):
             archive.write(file, name)
     return stream.getvalue() if files else b""
@@ -77,4 +77,5 @@ def _files(path: Path) -> Iterator[Path]:
         yield path
     for root, inner, names in os.walk(path):
         inner[:] = [name for name in inner if not name.startswith((".", "__pycache__"))]
-        yield from (Path(root, name) for name in names if not name.startswith("."))
+        files = (Path(root, name) for name in names if not name.startswith("."))
+        yield from filter(Path.is_file, files)  # no pipe, and no link that leads nowhere

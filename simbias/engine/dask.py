@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 CONNECT_SECONDS = 5.0
+UNREADABLE = "deserialization"  # in Dask's words of a task that a worker cannot unpickle
 
 
 class Dask(Engine):
@@ -83,6 +84,11 @@ class Dask(Engine):
                         (waiting if losses[index] < MOST_LOSSES - 1 else suspects).append(index)
                         continue
                     yield index, WorkerLostError(f"its worker died {losses[index]} times")
+                except RuntimeError as error:
+                    if UNREADABLE not in str(error):
+                        raise
+                    problem = "a worker cannot read what it is sent; has it simbias, in the same version?"
+                    raise ConfigError("engine.address", problem) from error
                 else:
                     yield index, result
 
@@ -100,6 +106,7 @@ class Dask(Engine):
         except Exception as error:  # also of an address that is none
             raise ConfigError("engine.address", f"{self._address}: no scheduler answers") from error
         try:
+            _check_workers(client)
             if packed := code():
                 from simbias.engine.sent_code import SentCode
 
@@ -117,6 +124,19 @@ class Dask(Engine):
         except (CancelledError, OSError) as error:
             problem = f"{self._address or 'local'}: the scheduler is gone"
             raise ConfigError("engine.address", problem) from error
+
+
+def _check_workers(client: Client) -> None:
+    """Refuse workers without simbias: they would die of what they are sent, and Dask wait for others."""
+
+    def lacks_simbias() -> bool:  # defined here, it is sent as it is, and not as a name in simbias
+        from importlib.util import find_spec
+
+        return find_spec("simbias") is None
+
+    for worker, lacks in client.run(lacks_simbias).items():
+        if lacks:
+            raise ConfigError("engine.address", f"{worker} has no simbias; install it there, in this version")
 
 
 def _count_workers(client: Client) -> int:

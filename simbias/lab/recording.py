@@ -16,6 +16,7 @@ from simbias.lab.units import factor
 
 GAP = 5.0  # usual intervals between samples: what is longer is a gap
 FEWEST_FRAMES = 2  # of a gap
+RAREST = 1000.0  # frames from one sample to the next: a time in other units
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
 SLOWEST = 0.05  # s over which positions and velocities are compared
 TWICE = 2.0  # how much positions may differ from the integrals of velocities
@@ -110,7 +111,7 @@ class Reader:
         """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
         pieces: list[tuple[float, float]] = []
         for signal in found.values():
-            own = self._runs(signal)
+            own = self._runs(path, signal)
             pieces = (
                 [(max(a, c), min(b, d)) for a, b in pieces for c, d in own if min(b, d) > max(a, c)]
                 if pieces
@@ -124,12 +125,17 @@ class Reader:
             notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")
         return pieces
 
-    def _runs(self, signal: Signal) -> list[tuple[float, float]]:
+    def _runs(self, path: Path, signal: Signal) -> list[tuple[float, float]]:
         """When a signal's uninterrupted runs begin and end."""
         steps = np.diff(signal.times)
         if not (steps > 0).any():
             return []
         usual = float(np.median(steps[steps > 0]))
+        if usual > RAREST * self._task.time_step:
+            raise HardwareError(
+                f"{path}: expected samples about every {self._task.time_step:g} s, "
+                f"got one every {usual:.3g} s: is it another unit of time? Name it, as `time [ms]`"
+            )
         longest = max(GAP * usual, FEWEST_FRAMES * self._task.time_step)
         ends = np.flatnonzero(steps > longest)
         firsts, lasts = [0, *(ends + 1)], [*ends, len(steps)]

@@ -164,6 +164,15 @@ class SafetyLimitedPolicy(Policy):
         """Inputs and state of the policy, without limits."""
         return self.policy.act(theta, x, t, policy_state)
 
+    def act_within_criteria(
+        self, theta: Array, x: Array, t: float, policy_state: Array
+    ) -> tuple[Array, Array]:
+        """Inputs and state of the policy; beyond a failure criterion no numbers, which no limit lets pass."""
+        u, policy_state = self.policy.act(theta, x, t, policy_state)
+        limits = np.array([criterion.limit for criterion in self._task.criteria])
+        beyond = np.where(self._task.measure(x) <= limits, 0.0, np.nan)
+        return u + beyond.sum(axis=-1, keepdims=True), policy_state
+
     def outputs(self, x: Array) -> Array:
         """The policy's outputs z (..., q) at states x (..., n)."""
         return self.policy.outputs(x)

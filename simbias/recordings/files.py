@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from simbias.core import Task
+from simbias.core.messages import brief
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
@@ -47,7 +48,7 @@ def write(
     draws(assessment.identified).to_csv(folder / "draws.csv", index=False)
     option = configs / "identification" / f"{OPTION}.yaml"
     option.parent.mkdir(parents=True, exist_ok=True)
-    option.write_text("\n".join(_config(assessment.identified.elsewhere(), identification)) + "\n")
+    option.write_text("\n".join(option_lines(assessment.identified.elsewhere(), identification)) + "\n")
     if excitation is not None:
         trajectory(assessment.task, excitation.rollout).to_csv(
             folder / "excitation.csv", index=False, float_format="%.6g"
@@ -107,18 +108,18 @@ def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:
     return pd.DataFrame(table | {u.name: rollout.inputs[:, i] for i, u in enumerate(task.inputs)})
 
 
-def _config(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
+def option_lines(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
     """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
     yield "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
     yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
-        yield f"# {e.name}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {e.unit}"
+        yield f"# {brief(e.name)}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {brief(e.unit)}"
     for key, value in identification.items():
         if key != "known":
             yield f"{key}: {json.dumps(value)}"
     yield "known:"
-    yield f"  parameters: {json.dumps([parameter.name for parameter in identified.parameters])}"
-    yield f"  mode: {json.dumps(identified.mode.tolist())}"
+    yield f"  parameters: {json.dumps(identified.known.parameters)}"
+    yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
-    for row in identified.spread.tolist():
+    for row in identified.known.spread:
         yield f"    - {json.dumps(row)}"

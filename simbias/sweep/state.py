@@ -22,7 +22,7 @@ from simbias.sweep import results, tables
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.tracking import Export, Tracking
-from simbias.sweep.worker import GONE, Plan, Result, pack, unpack
+from simbias.sweep.worker import GONE, Plan, Result, code, pack, unpack
 from simbias.trial.folder import PICTURES, TrialFolder
 from simbias.trial.origin import provenance, tell_what_is_in_clear
 from simbias.trial.run import TrialRecord, read_trial
@@ -99,12 +99,13 @@ class SweepState:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
         composition = replace(trial.composition, from_environment=())  # which has been told
+        digests = None if shares_disk else code(composition)
         if folder is None:
-            return Plan(composition)
+            return Plan(composition, code=digests)
         marker = "" if shares_disk else str(self._marker)
         kept = pack(folder) if marker and TrialFolder(folder).steps() else b""
         pictures = _pictures(trial.repetition, self._store)
-        return Plan(composition, str(folder.absolute()), marker, kept, pictures)
+        return Plan(composition, str(folder.absolute()), marker, kept, pictures, digests)
 
     def keep(self, trial: Trial, result: Result) -> None:
         """Note a trial that ended or stopped, and export it."""

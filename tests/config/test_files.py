@@ -100,6 +100,17 @@ def test_components_that_nobody_can_read_are_named(tmp_path: Path) -> None:
             compose([], tmp_path)
 
 
+def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
+    aliases = "".join(f"b{i}: &b{i} [{','.join(9 * [f'*b{i - 1}'])}]\n" for i in range(1, 12))
+    for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
+        (tmp_path / group).mkdir()
+        (tmp_path / group / "mine.yaml").write_text(f"b0: &b0 [1]\n{aliases}")
+        with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: its aliases stand for 8e\+10 values"):
+            compose([use], tmp_path)
+        (tmp_path / group / "mine.yaml").write_text("b0: &b0 [1]\nb1: [*b0, *b0]")
+        assert compose([use], tmp_path)
+
+
 def test_an_error_that_cannot_speak_is_one_line() -> None:
     class Mute(Exception):  # noqa: N818
         def __str__(self) -> str:

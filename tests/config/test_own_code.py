@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
 import shutil
 import sys
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +16,9 @@ from sweeping import FOLDERS, write_sweep
 
 import simbias
 from simbias.__main__ import main
+from simbias.config import compose
 from simbias.config.own_code import digests
+from simbias.config.sent_code import packed
 from simbias.trial.folder import TrialFolder
 
 SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20", *FOLDERS]
@@ -94,3 +99,13 @@ def test_a_sweep_says_which_of_its_trials_ran_on_other_code(
     assert main(command) == 0
     line = "2 of 2 finished trials ran on code that has changed since (my_gains)"
     assert line in capsys.readouterr().err
+
+
+def test_what_is_sent_to_workers_are_files(folder: Path) -> None:
+    """No pipe, and no link that leads nowhere; files may be older than 1980, as in images."""
+    (folder / "conf" / "gone.yaml").symlink_to("nowhere")
+    os.mkfifo(folder / "conf" / "pipe")
+    os.utime(folder / "my_gains.py", (0, 0))
+    with zipfile.ZipFile(io.BytesIO(packed([compose(["hardware=mine"], folder / "conf")]))) as archive:
+        names = {"conf/hardware/mine.yaml", "my_gains.py", "my_hardware.py", "unrelated.py"}
+        assert set(archive.namelist()) == names

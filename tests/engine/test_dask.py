@@ -33,6 +33,14 @@ def where(_: int) -> int:
     return os.getpid()
 
 
+def hide(module: str) -> None:
+    sys.modules[module] = None  # type: ignore[assignment]  # (as Python takes it for not installed)
+
+
+def show(module: str) -> None:
+    del sys.modules[module]
+
+
 def wait_and_write(task: tuple[float, str]) -> None:
     seconds, file = task
     Path(file).touch()
@@ -71,6 +79,16 @@ def test_a_function_that_workers_lack_is_an_error(cluster: Any) -> None:
 
     with pytest.raises(ModuleNotFoundError, match="mine"):
         list(Dask(address=cluster.scheduler_address).run(raises, [1]))
+
+
+def test_workers_without_simbias_are_one_line(cluster: Any) -> None:
+    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+        client.run(hide, "simbias")
+        try:
+            with pytest.raises(ConfigError, match=r"engine\.address: tcp://.* has no simbias"):
+                list(Dask(address=cluster.scheduler_address).run(double, [1]))
+        finally:
+            client.run(show, "simbias")
 
 
 def test_workers_of_many_threads_are_refused() -> None:

@@ -21,7 +21,7 @@ from simbias.lab.requests.controller import c_header, harmless, python_module
 from simbias.lab.requests.folder import files
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.verification import difference
-from simbias.lab.safety import Bounds
+from simbias.lab.safety import Bounds, Safety, SafetyLimitedPolicy
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.simulation.compiler import formulas_of
 from simbias.trial.study import Study
@@ -197,6 +197,27 @@ def test_limits_are_in_the_request_and_held_by_its_controller(
     assert control(np.array([0.0, 0, 0.1, 0, 0, 0])) == pytest.approx(1.85, abs=0.01)
     with pytest.raises(ValueError, match="abort"):  # 3.6 N m in a frame of 1 ms
         control(np.array([0.0, 0, -0.1, 0, 0, 0]))
+
+
+def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
+    """C agrees with the policy at them: `why_no_code` compiles it."""
+    spinning = np.array([0.0, 0, 0, 31.0, 0, 0])
+    assert study.task.failure(spinning)
+    requests = [
+        ExperimentRequest(
+            study.task,
+            SafetyLimitedPolicy(study.policy, study.task, Safety(criteria=criteria).bounds(study.task)),
+            1e-3 * THETA,
+            study.task.start_mean,
+        )
+        for criteria in (False, True)
+    ]
+    assert [request.why_no_code for request in requests] == ["", ""]
+    assert np.isfinite(controller(requests[0])(spinning))
+    with pytest.raises(ValueError, match="abort"):
+        controller(requests[1])(spinning)
+    assert "no failure above" in files(requests[1])["README.txt"]
+    assert requests[0].name != requests[1].name
 
 
 @given(st.text(max_size=60), st.sampled_from(["", "*/", "\\", "\n", '"""', "??/", "/*", "\u2028", "\r"]))

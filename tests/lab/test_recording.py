@@ -65,6 +65,15 @@ def test_units_are_converted(study: Study, rollout: Rollout, tmp_path: Path) -> 
     np.testing.assert_allclose(piece.inputs, rollout.inputs[:-1], rtol=1e-9)
 
 
+def test_nanoseconds_for_seconds_are_refused(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """Frames of seconds that are none would not fit into memory."""
+    table = frame(rollout)
+    table["time"] *= 1e9
+    with pytest.raises(HardwareError, match=r"one\.csv: .* every 2e\+06 s: is it another unit of time\?"):
+        read(study, table, tmp_path)
+    assert read(study, table, tmp_path, time="time [ns]").pieces
+
+
 def test_rates_of_their_own_and_jitter(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     """Torques in every fourth line, positions at times that jitter: linear between what is there."""
     table, rng = frame(rollout), np.random.default_rng(0)

@@ -13,9 +13,10 @@ import pytest
 from sweeping import content
 
 from simbias.config import Composition, compose
+from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.sweep import worker
-from simbias.sweep.worker import Plan, pack, run_plan, unpack
+from simbias.sweep.worker import Plan, code, pack, run_plan, unpack
 from simbias.trial.folder import OUTCOME, TrialFolder
 from simbias.trial.run import Outcome
 
@@ -74,6 +75,15 @@ def test_a_worker_does_without_what_only_the_parent_needs(tmp_path: Path) -> Non
         command = [sys.executable, "-c", SCRIPT, str(tmp_path / f"trial {pictures}"), *pictures]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
+
+
+def test_a_worker_of_another_version_runs_no_trial(plan: Plan, trial: Composition) -> None:
+    build(trial)
+    same = code(trial)
+    result = run_plan(plan._replace(code={**same, "simbias": "another"}))
+    assert result.summary.reason.startswith("simbias has other code there")
+    assert not Path(str(plan.folder)).exists()
+    assert not run_plan(plan._replace(code=same)).summary.reason
 
 
 def test_a_worker_resumes_what_the_folder_holds(plan: Plan, whole: Path, tmp_path: Path) -> None:

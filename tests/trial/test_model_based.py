@@ -207,7 +207,7 @@ def test_a_search_that_is_replayed_designs_no_lqr(
     point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models: list[Model] = []
-    monkeypatch.setattr(lqr, "lqr_policies", lambda model: models.append(model) or lqr_policies(model))
+    monkeypatch.setattr(lqr, "lqr_policies", lambda model, **_: models.append(model) or lqr_policies(model))
     study = replace(
         point_mass, policy=OutputFeedback(point_mass.task), method=ModelBased(1, lqr_candidates=2)
     )

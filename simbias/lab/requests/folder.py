@@ -102,7 +102,12 @@ def _readme(request: ExperimentRequest) -> str:
         trajectory=TRAJECTORY,
         template=TEMPLATE,
         controller=fill(NO_CODE.format(why=why) if why else CODE, 110),
-        limits=_indented(f"{name} <= {v:g} {unit}" for name, v, unit in limits if np.isfinite(v)),
+        limits=_indented(
+            [
+                *(f"{name} <= {v:g} {unit}" for name, v, unit in limits if np.isfinite(v)),
+                *(["no failure above"] if bounds.criteria else []),
+            ]
+        ),
     )
 
 

@@ -61,7 +61,8 @@ class ExperimentRequest:
     @cached_property
     def formulas(self) -> Formulas | str:
         """The controller's formulas, or why it has none."""
-        return formulas_of(self.policy, self.task, self.theta)
+        aborting = self.bounds.criteria and isinstance(self.policy, SafetyLimitedPolicy)
+        return formulas_of(self.policy, self.task, self.theta, "act_within_criteria" if aborting else "act")
 
     @cached_property
     def why_no_code(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -49,7 +48,7 @@ def difference(policy: Policy, task: Task, theta: Array, bounds: Bounds, header:
 
     C is tried where there is a compiler, `cc`.
     """
-    limited = SafetyLimitedPolicy(getattr(policy, "policy", policy), task, replace(bounds, criteria=False))
+    limited = SafetyLimitedPolicy(getattr(policy, "policy", policy), task, bounds)
     sequences = _sequences(task)
     expected = [_run(limited.controller(theta, task.time_step), states, task) for states in sequences]
     names: dict[str, Any] = {}

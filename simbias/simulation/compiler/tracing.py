@@ -187,13 +187,13 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
     return _once(policy, "act", lambda: _part(policy, "act", trace, check))
 
 
-def formulas_of(policy: Policy, task: Task, theta: Array) -> Formulas | str:
+def formulas_of(policy: Policy, task: Task, theta: Array, method: str = "act") -> Formulas | str:
     """Formulas of the policy theta (p,) in each frame, or the reason why they cannot be written down."""
 
     def trace(subject: Callable) -> Formulas:
         return _formulas(Trace(), subject, policy, task, theta[None])
 
-    part = _part(policy, "act", trace, lambda subject, formulas: None)
+    part = _part(policy, method, trace, lambda subject, formulas: None)
     return part.kernel or part.why_not
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from simbias.core.ranges import Count, CountOrZero, Positive, Share
+from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.trial.claim import passes_for
 from simbias.trial.method import Method
@@ -57,6 +57,8 @@ class ModelBased(Method):
         Search on the model that predicts experiments best which it did not learn from: the nominal one as
         declared, with identified parameters, or with a bias too (`simbias.trial.model_selection`); else on
         the last.
+    margin
+        Standard errors by which a model has to predict better than a simpler one to be selected.
     from_last
         A search evaluates the last policy first, and may begin there.
     lqr_candidates
@@ -76,6 +78,7 @@ class ModelBased(Method):
     lqr_candidates: CountOrZero = 0
     from_last: bool = False
     confidence: Confidence | None = None
+    margin: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         if self.passes is not None and self.passes < self.experiments:
@@ -120,7 +123,9 @@ class ModelBased(Method):
             with clock("learning"):
                 if not succeeded:
                     learned_from.append(rollouts)
-                    likelihoods = log_likelihoods(study, experiments) if self.model_selection else {}
+                    likelihoods = (
+                        log_likelihoods(study, experiments, self.margin) if self.model_selection else {}
+                    )
                     model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
                 selection = study.samples.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset, likelihoods)

@@ -46,6 +46,8 @@ SHARES = {  # of the time
     "together": 0.05,
     "archives": 0.04,
     "words": 0.04,
+    "code": 0.08,
+    "recordings": 0.08,
 }
 
 

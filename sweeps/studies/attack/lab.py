@@ -47,7 +47,7 @@ STRANGE = [0.0, -0.0, 5e-324, 1e-300, 1e6, 1e300, -1e308, np.inf, -np.inf, np.na
 _STUDIES: dict[tuple[str, ...], Study | str] = {}
 
 
-def _study(*overrides: str) -> Study | str:
+def study_of(*overrides: str) -> Study | str:
     """The study of a config, or why there is none."""
     if overrides not in _STUDIES:
         try:
@@ -58,7 +58,7 @@ def _study(*overrides: str) -> Study | str:
     return _STUDIES[overrides]
 
 
-def _judged(surface: str, case: str, attack: Callable[[], str]) -> list[Result]:
+def judged(surface: str, case: str, attack: Callable[[], str]) -> list[Result]:
     """The result of an attack in this process: "" if all is well, a line that refuses, or what is wrong."""
     began, verdict = time.monotonic(), Verdict.RAN
     try:
@@ -90,7 +90,7 @@ def controllers(rng: random.Random, work: Path) -> list[Result]:
     case = f"{task} {kind} {' '.join(chosen)} {number}"
 
     def attack() -> str:
-        study = _study(task, f"policy={kind}", *chosen)
+        study = study_of(task, f"policy={kind}", *chosen)
         if isinstance(study, str):
             raise ValueError(study)
         own = np.random.default_rng(number)
@@ -106,7 +106,7 @@ def controllers(rng: random.Random, work: Path) -> list[Result]:
             return found
         return _against_python(request, code[MODULE], own)
 
-    return _judged("controllers", case, attack)
+    return judged("controllers", case, attack)
 
 
 def _limited(study: Study, rng: np.random.Generator) -> tuple[SafetyLimitedPolicy, Bounds]:
@@ -175,7 +175,7 @@ def _text(rows: list[list[str]], separator: str = ",", end: str = "\n") -> str:
 
 def experiments(rng: random.Random, work: Path) -> list[Result]:
     """A CSV file that is changed in one place: refused in a line with its name, or read as it was."""
-    study = _study("preset=cartpole", "task.horizon=20")
+    study = study_of("preset=cartpole", "task.horizon=20")
     assert not isinstance(study, str)
     request = ExperimentRequest(
         study.task, study.policy, np.zeros(study.policy.n_parameters), study.task.start_mean
@@ -202,7 +202,7 @@ def experiments(rng: random.Random, work: Path) -> list[Result]:
             same = same and np.allclose(found.inputs, right.inputs) and found.failure == right.failure
             return "" if same or harmless is None else f"taken in: {found.failed_at} {found.failure}"
 
-    return _judged("experiments", case, attack)
+    return judged("experiments", case, attack)
 
 
 def _changed(kind: str, rows: list[list[str]], rng: random.Random) -> tuple[str, bytes, bool | None]:

@@ -22,6 +22,8 @@ from faulty_hardware import DEADLY, FAULTS, MENDED, RAISED, RETURNED
 from sweeping import finish, start
 
 from attack import harm, lab
+from attack.code import code
+from attack.recordings import recordings
 from attack.values import QUICK
 from attack.verdict import Result, Verdict, attempt, judge
 from simbias.__main__ import main
@@ -373,6 +375,8 @@ def _ports(process: subprocess.Popen[str]) -> set[tuple[str, int]]:
 
 
 SURFACES: dict[str, Callable[[random.Random, Path], Sequence[Result]]] = {
+    "code": code,
+    "recordings": recordings,
     "controllers": lab.controllers,
     "experiments": lab.experiments,
     "disks": harm.disks,

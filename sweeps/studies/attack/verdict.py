@@ -24,6 +24,7 @@ STOP_SECONDS = 10.0  # that a trial or sweep has before it is interrupted: nobod
 START_SECONDS = 90.0  # that it has until it says what it runs: compiling may come before
 GRACE_SECONDS = 60.0  # that it then has to end
 LONGEST_LINE = 1000  # of an error: a line with a key, a problem, and a command that goes on
+HIT = "HIT"  # a file in the folder of a case, that only its harm would write
 BEGUN = r"seed \d+, trial|\d+ cells? x"  # what is printed when a trial or a sweep begins
 
 
@@ -113,6 +114,8 @@ def attempt(
             verdict = Verdict.WRONG
         late = status == 1 and not err.startswith("simbias: HardwareError")
         if verdict is Verdict.REFUSED and key and (late or key.partition(".")[0] not in err):
+            verdict = Verdict.WRONG
+        if list(Path(name).rglob(HIT)):
             verdict = Verdict.WRONG
         lines = (err.strip() or out.strip() or " ").splitlines()
         _unlock(folder)
