@@ -10,7 +10,7 @@ development recordings.
 
 Measured are, at each horizon, from measured states under measured inputs: errors of all states over those of
 the lab's own identified model, a geometric mean over states; how many errors lie in 90% regions; how many
-nats less surprising an error is than under the lab's model (medians over predictions), with regions whose
+nats less surprising an error is than under the lab's model (its negative log-likelihood), with regions whose
 size comes from the recordings that were learned from; and the seconds of processor time of learning.
 
 An encoder is switched on at a robot at rest, which friction keeps away from where it would hang. So each
@@ -71,7 +71,7 @@ def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
                 if not len(wrong):
                     continue
                 covariances, labs = (each.covariances(learned, left, k) for each in (found, reference))
-                nats = np.median(surprises(labs_wrong, labs)) - np.median(surprises(wrong, covariances))
+                nats = np.mean(surprises(labs_wrong, labs)) - np.mean(surprises(wrong, covariances))
                 held = float(np.mean(inside(wrong, covariances)))
                 own = {"ratio": ratio(wrong, labs_wrong), "coverage": held, "nats": float(nats)}
                 yield case | {"seconds": horizon} | own | {"residual": found.bias is not None}
