@@ -33,6 +33,7 @@ import loads
 import numpy as np
 import pandas as pd
 from loading import Rig, declared, load
+from threadpoolctl import threadpool_limits
 from ways import OF_ONE, OF_SEVERAL, WAYS, fit, lab, of_lab, timed
 
 from simbias.core import Nominal
@@ -151,6 +152,7 @@ def _range(values: Array, form: str) -> str:
     return f"{form.format(values.mean())} ({form.format(values.min())} to {form.format(values.max())})"
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as `identify`
 def main() -> None:
     """Write the table and the summary to the current folder."""
     parser = argparse.ArgumentParser(prog="rigs")

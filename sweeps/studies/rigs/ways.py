@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from loading import Rig
 from scipy.optimize import brentq, least_squares
-from threadpoolctl import threadpool_limits
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.parameters import values_at
@@ -153,8 +152,7 @@ def of_lab(rig: Rig) -> Known:
 def timed(way: Way, rig: Rig, rollouts: Sequence[Rollout]) -> tuple[Learned, float]:
     """What a way learns, and the processor time in s that it takes."""
     begin = time.process_time()
-    with threadpool_limits(1, user_api="blas"):  # as `identify`
-        return way(rig, rollouts), time.process_time() - begin
+    return way(rig, rollouts), time.process_time() - begin
 
 
 def _posterior(study: Study) -> Posterior:
