@@ -15,9 +15,9 @@ from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.messages import with_type
+from simbias.core.platform import package_digest
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import OUTCOME, TrialFolder
-from simbias.trial.origin import package_digest
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 

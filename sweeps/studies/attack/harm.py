@@ -383,9 +383,9 @@ def _safe(folder: Path) -> bool:
 
 
 def _of_sweep(word: str, label: str) -> Result:
-    """The page of a sweep whose title and labels are such words."""
+    """The page of a sweep whose labels are such words."""
     axes = {"x": {"keys": ["hardware.inertia_error"], "values": [[0.0], [0.1]], "labels": [label, word]}}
-    sweep = {"trials": 1, "axes": axes, "figures": {}, "report": {"title": word}}
+    sweep = {"trials": 1, "axes": axes, "figures": {}}
     command = ["--config-dir", "conf", "+sweep=mine", "engine=sequential", *QUICK, FOLDERS]
 
     def before() -> None:
