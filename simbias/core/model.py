@@ -61,6 +61,10 @@ class Nominal(ABC):
         """The model with other values (k,) of its `parameters`, in their units."""
         raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
+    def without_dry_friction(self) -> Nominal:
+        """The model as it is while its joints slide: at rest, dry friction is steeper than any damping."""
+        return self
+
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model that might be the right one, as far as its parameters are known; this one if they are."""
         if not self.parameters:

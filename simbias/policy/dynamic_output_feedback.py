@@ -9,7 +9,7 @@ from pydantic import Field
 
 from simbias.core import Policy, Task
 from simbias.core.records import Array
-from simbias.policy.gains import inverse_signed_exponential, least_squares_gains, signed_exponential
+from simbias.policy.gains import TINY, inverse_signed_exponential, least_squares_gains, signed_exponential
 
 RATE = "/s"  # what the units of rates end with
 
@@ -114,21 +114,33 @@ class DynamicOutputFeedback(Policy):
     def imitating(self, states: Array, inputs: Array) -> Array:
         """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n).
 
-        They have neither filter nor integral.
+        They have no filter; of several integrals, rho is the one that comes nearest to all.
         """
         z, ones = self.outputs(states), np.ones((*states.shape[:2], 1))
-        H, g, u_0 = [], [], []
+        w = np.pad(np.cumsum(self.integrated(states), axis=1), ((0, 0), (1, 0), (0, 0)))[:, :-1]
+        H, g, u_0, G = [], [], [], []
         for u in np.moveaxis(inputs, -1, 0):
             total = np.pad(np.cumsum(u, axis=1), ((0, 0), (self._delay + 1, 0)))
             past = total[:, self._delay :] - total[:, : total.shape[1] - self._delay]
-            features = [z, past[:, :-1, None], self._constant * ones]
+            features = [z, past[:, :-1, None], self._constant * ones, w]
             gains = least_squares_gains(np.concatenate(features, axis=-1), u)
             H.append(gains[: self._q])
             g.append(gains[self._q] / self._task.time_step)
             u_0.append(gains[self._q + 1])
-        parts = [inverse_signed_exponential(np.concatenate(H)), np.zeros(self._filters + self._integrates)]
+            G.append(gains[self._q + 2 :] / self._task.time_step)
+        parts = [inverse_signed_exponential(np.concatenate(H)), np.zeros(int(self._filters))]
+        parts += [self._rate(np.array(H), np.array(G))] * self._integrates
         parts += [np.array(g)] * (self._delay > 0) + [np.array(u_0)] * self._constant
         return np.clip(np.concatenate(parts), *self.bounds)
+
+    def integrated(self, x: Array) -> Array:
+        """The outputs (..., i) that are integrated, at states x (..., n)."""
+        return self.outputs(x)[..., (self._integrated > 0) & self._integrates]
+
+    def _rate(self, H: Array, G: Array) -> Array:
+        """rho (1,) for which rho H comes nearest to the gains G (m, i) of the integrals."""
+        own = H[:, self._integrated > 0]
+        return np.array([np.sum(G * own) / (np.sum(own**2) + TINY)])
 
     def _parameters(self, theta: Array) -> tuple[Array, ...]:
         """H (..., m, q); what y and rho w take of z in a frame, (..., q); g in 1/frame and u_0, (..., m)."""

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from threadpoolctl import threadpool_limits
+
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Rollout
@@ -59,6 +61,7 @@ class Assessment:
         return undetermined(self.identified)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
 def assess(
     study: Study,
     recordings: Mapping[str, Rollout],

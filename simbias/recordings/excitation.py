@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal
 from simbias.core.parameters import values_at
@@ -69,6 +70,7 @@ class Designer:
         self._bounds = study.conditions.safety.bounds(study.task)
         self._noise = noise
 
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices, as in `assess`
     def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation | None:
         """The best of a number of trajectories of this duration in s; None if none keeps the limits."""
         best: tuple[float, Array, Excitation] | None = None

@@ -118,8 +118,8 @@ def option_lines(identified: Identified, identification: dict[str, Any]) -> Iter
         if key != "known":
             yield f"{key}: {json.dumps(value)}"
     yield "known:"
-    yield f"  parameters: {json.dumps([parameter.name for parameter in identified.parameters])}"
-    yield f"  mode: {json.dumps(identified.mode.tolist())}"
+    yield f"  parameters: {json.dumps(identified.known.parameters)}"
+    yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
-    for row in identified.spread.tolist():
+    for row in identified.known.spread:
         yield f"    - {json.dumps(row)}"

@@ -18,7 +18,7 @@ SHIFTS = (0.0, 0.5)  # of a window, by which all are shifted for more of them
 REGION = 0.9  # probability of a predictive region
 DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a prediction
 COMMON = 0.03  # share of the common second moments in the measure of an error
-LARGEST_SPREAD = 1e6  # deviation, in place of one that is not finite
+LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
 FEWEST = 5  # errors that a region is estimated from, for each state
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
@@ -127,6 +127,7 @@ def regions(spreads: Array, known: Array, known_spreads: Array, unseen: Array | 
     windows are not independent. What no known error holds, as other zeros of sensors, adds its spread
     `unseen` (w, n, n) as it is.
     """
+    known = np.clip(known, -LARGEST_ERROR, LARGEST_ERROR)
     moments = known.T @ known / len(known)
     independent = len(known) / len(SHIFTS)
     share = min(1.0, np.ceil(REGION * (independent + 1)) / independent)
@@ -181,7 +182,11 @@ def _sizes(wrong: Array, covariances: Array) -> Array:
 def _whitened(wrong: Array, covariances: Array) -> tuple[Array, Array, Array]:
     """Errors (w, n) in standard deviations, correlations (w, n, n), and standard deviations (w, n)."""
     scale = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) + np.finfo(float).tiny
-    return wrong / scale, covariances / (scale[:, :, None] * scale[:, None, :]), scale
+    return (
+        np.clip(wrong, -LARGEST_ERROR, LARGEST_ERROR) / scale,
+        covariances / (scale[:, :, None] * scale[:, None, :]),
+        scale,
+    )
 
 
 def _normal_limit(n: int) -> float:

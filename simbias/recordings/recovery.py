@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
@@ -44,6 +45,7 @@ class Take(NamedTuple):
     times: Array | None = None  # (k,) s after the start at which states are measured; None: in each frame
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
 def recover(
     study: Study,
     takes: Sequence[Take],
@@ -63,17 +65,22 @@ def recover(
     assert isinstance(study.identification, Posterior)
     nominal = study.identification.prior(study.nominal)
     rng, parameters = np.random.default_rng(study.seed), nominal.parameters
+    own = np.array([parameter.of_recording for parameter in parameters], bool)
     true, modes, deviations = [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
-        z = rng.standard_normal(len(parameters))
-        robot = nominal.with_parameters(values_at(parameters, z))
-        made = [record(study, PredictionModel(robot), take, noise, rng) for take in takes]
-        fitted = study.identification.fit(study.nominal, [rollout for rollout in made if rollout.frames])
+        z, made = rng.standard_normal(len(parameters)), list[tuple[Array, Rollout]]()
+        for i, take in enumerate(takes):
+            here = np.where(own, rng.standard_normal(len(z)), z) if i and own.any() else z
+            robot = PredictionModel(nominal.with_parameters(values_at(parameters, here)))
+            made.append((here, record(study, robot, take, noise, rng)))
+        made = [(here, rollout) for here, rollout in made if rollout.frames]
+        fitted = study.identification.fit(study.nominal, [rollout for _, rollout in made])
         if isinstance(fitted, Identified):
-            true.append(z)
-            modes.append(fitted.mode)
-            deviations.append(np.sqrt(np.diag(fitted.covariance)))
+            first = fitted.of_recording(0)
+            true.append(made[0][0])
+            modes.append(first.mode)
+            deviations.append(np.sqrt(np.diag(first.covariance)))
     if not true:
         raise ConfigError("", "no robot that was drawn from the prior lasts for a window without failing")
     errors, spreads = np.abs(np.array(modes) - true), np.array(deviations)

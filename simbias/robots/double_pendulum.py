@@ -148,8 +148,16 @@ class DoublePendulum(Nominal):
     def with_parameters(self, values: Array) -> DoublePendulum:
         """The model with other values (k,) of its parameters."""
         names = [parameter.name for parameter in self.parameters]
+        return self._with(dict(zip(names, values.tolist(), strict=True)))
+
+    def without_dry_friction(self) -> DoublePendulum:
+        """The model without Coulomb friction of its joints."""
+        return self._with({"friction_1": 0.0, "friction_2": 0.0})
+
+    def _with(self, values: dict[str, float]) -> DoublePendulum:
+        """The model with some other values."""
         other = copy(self)
-        other._values = self._values | dict(zip(names, values.tolist(), strict=True))
+        other._values = self._values | values
         other.kernel = other._compiled()
         return other
 

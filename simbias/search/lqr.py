@@ -44,11 +44,12 @@ class Linear(NamedTuple):
 def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     """LQR policies (p,) of `count` models to try first: the most probable one, and draws of its parameters.
 
-    They are designed once the first is asked for, which a search that is replayed does not do.
+    They are designed as joints stick, as those of the published trials were, once the first is asked for,
+    which a search that is replayed does not do.
     """
     rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
     models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
-    policies = [theta for each in models for theta in lqr_policies(each)]
+    policies = [theta for each in models for theta in lqr_policies(each, sticking=True)]
     if models and not policies:
         message = f"searches begin without LQR: {type(model.policy).__name__} imitates none"
         warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
@@ -56,12 +57,19 @@ def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
 
 
 def lqr_policies(
-    model: Model, input_weights: Sequence[float] = INPUT_WEIGHTS, integral_weight: float = 0.0
+    model: Model,
+    input_weights: Sequence[float] = INPUT_WEIGHTS,
+    integral_weight: float = 0.0,
+    sticking: bool = False,
 ) -> list[Array]:
     """Policies (p,) that imitate the LQR of each weight; none where the model has no such.
 
-    With an integral's weight it is LQI: the integrals of what the policy integrates are states too.
+    With an integral's weight it is LQI: the integrals of what the policy integrates are states too. The model
+    is linearised as its joints slide: at rest, dry friction looks like damping that they do not have in
+    motion, and regulators that count on it fall. `sticking` linearises it at rest all the same.
     """
+    if not sticking:
+        model = replace(model, nominal=model.nominal.without_dry_friction())
     try:
         linear = linearised(model)
         if integral_weight:

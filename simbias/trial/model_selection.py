@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from simbias.core.records import Array, Rollout
-from simbias.learning.prediction_errors import ErrorDistribution
+from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.steps import ModelVariant, learn
 from simbias.trial.study import Study
@@ -23,8 +23,11 @@ VARIANTS: Mapping[str, ModelVariant] = {  # by name, the simplest first
 }
 
 
-def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, float]:
+def log_likelihoods(study: Study, experiments: Sequence[Rollout], margin: float = 0.0) -> dict[str, float]:
     """Mean log-likelihoods (nats) of a window that was not learned from, of each variant by name.
+
+    Of each but the simplest, `margin` standard errors of what it gains over the best simpler one are taken
+    off: few windows may favour a model by chance.
 
     The experiments are left out in turn or, if there are few, their parts. The errors of a window are assumed
     to be distributed as those of the others when these are left out (`simbias.learning.prediction_errors`).
@@ -36,19 +39,36 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout]) -> dict[str, f
     folds = _folds(experiments, frames)
     windows = [Windows.of(fold, frames, chunk) for fold in folds]
     values: dict[str, float] = {}
+    best, reached = np.zeros(0), 0.0  # its log-likelihoods (w,), and what has been taken off their mean
     for name, variant in VARIANTS.items() if len(folds) > 1 else ():
         errors = [
             _errors(study, variant, [r for other in folds if other is not fold for r in other], own)
             for fold, own in zip(folds, windows, strict=True)
         ]
-        total = 0.0
+        each = []
         for fold, own in enumerate(errors):
             others = [other for other in range(len(folds)) if other != fold]
             seen = Windows.of([r for other in others for r in folds[other]], frames, chunk)
             distribution = ErrorDistribution.of(np.concatenate([errors[other] for other in others]), seen)
-            total += float(distribution.log_likelihoods(own).sum())
-        values[name] = total / sum(map(len, errors))
+            each.append(distribution.log_likelihoods(own))
+        total = sum(float(own.sum()) for own in each)
+        of_windows = np.concatenate(each)
+        less = reached + margin * _standard_error(of_windows - best, windows) if values else 0.0
+        values[name] = total / len(of_windows) - less
+        if values[name] == max(values.values()):
+            best, reached = of_windows, less
     return values
+
+
+def _standard_error(gains: Array, folds: Sequence[Windows]) -> float:
+    """Of the mean of gains (w,), those of successive windows correlated."""
+    e = (gains - gains.mean())[:, None]
+    experiments, count = [], 0
+    for windows in folds:
+        experiments.append(windows.experiments + count)
+        count += 1 + max(windows.experiments)
+    independent = len(e) / correlation_time(e, np.concatenate(experiments))
+    return float(np.sqrt(np.mean(e**2) / max(independent - 1.0, 1e-9)))
 
 
 def most_likely(values: Mapping[str, float]) -> ModelVariant:

@@ -215,6 +215,33 @@ def test_model_selection_prefers_what_predicts(study: Study) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("declared_is_true", [True, False])
+def test_the_margin_lets_through_what_is_there_alone(declared_is_true: bool) -> None:
+    """By one standard error, of three short experiments: four times of four as it should."""
+    study = pendulum("identification=posterior", "bias=none")
+    chosen = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        robot = study.nominal if declared_is_true else truth(study.nominal, rng)[0]
+        values = log_likelihoods(study, [experiment(robot, rng, 100) for _ in range(3)], margin=1.0)
+        chosen.append(most_likely(values).identifies)
+    assert sum(chosen) == (0 if declared_is_true else 4)
+
+
+def test_the_margin_is_taken_off_the_gain_of_what_is_less_simple(study: Study) -> None:
+    rng = np.random.default_rng(5)
+    robot, _ = truth(study.nominal, rng)
+    rollouts = [experiment(robot, rng, 100) for _ in range(3)]
+    study = pendulum("identification=posterior", "bias=none")
+    without, one, two = (log_likelihoods(study, rollouts, margin) for margin in (0.0, 1.0, 2.0))
+    first, second = "declared models", "identified parameters"
+    assert without[first] == one[first] == two[first]
+    error = without[second] - one[second]
+    assert 0.1 < error < 30.0  # nats
+    assert two[second] == pytest.approx(without[second] - 2 * error)
+
+
+@pytest.mark.slow
 def test_lag_and_delay_of_the_bongoboard_are_identified() -> None:
     """Hidden states: simulated from the commands, through true and measured states."""
     spreads = {"lag": 0.02, "delay": 0.02, "motor_gain": 0.3}

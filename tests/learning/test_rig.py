@@ -13,7 +13,7 @@ from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
-from simbias.learning.identification.identified import Identified, Known, KnownPrior
+from simbias.learning.identification.identified import Identified, KnownPrior
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
@@ -176,8 +176,7 @@ def test_recordings_that_are_fitted_together_have_their_own_zeros() -> None:
         assert found.low < found.value < found.high < found.low + 0.03
     assert fitted.estimates[-1].value == 0.0
     assert not any("pos2.zero" in direction.weights for direction in undetermined(fitted))
-    known = Known([p.name for p in rig.parameters], fitted.mode.tolist(), fitted.spread.tolist())
-    assert [p.of_recording for p in KnownPrior(rig, known).parameters] == [False] * 11 + [True]
+    assert [p.of_recording for p in KnownPrior(rig, fitted.known).parameters] == [False] * 11 + [True]
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:

@@ -144,10 +144,11 @@ def test_an_unknown_output_cannot_be_integrated() -> None:
         DynamicOutputFeedback(Cart(), integral_rate=1.0, integrated=["height"])
 
 
-def test_it_imitates_its_own_inputs() -> None:
-    """Of records of a law with a constant and a memory of inputs, the parameters come back."""
+@pytest.mark.parametrize("rate", [0.0, 0.7])
+def test_it_imitates_its_own_inputs(rate: float) -> None:
+    """Of records of a law with an integral, a constant and a memory of inputs, the parameters come back."""
     policy = DynamicOutputFeedback(Cart(), integral_rate=1.0, delay_seconds=0.01, constant=1.0)
-    theta = np.array([*hat(-4.0, 2.0), 0.0, -30.0, 7.0])
+    theta = np.array([*hat(-4.0, 2.0), rate, -30.0, 7.0])
     states = np.random.default_rng(0).normal(size=(3, 50, 2))
     answers = np.array([inputs(policy, theta.tolist(), record) for record in states])[..., None]
     np.testing.assert_allclose(policy.imitating(states, answers), theta, rtol=1e-6, atol=1e-9)

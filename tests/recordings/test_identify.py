@@ -12,6 +12,7 @@ import pytest
 import yaml
 from mechanisms import cart_pole, mjcf
 from pendulum import COLUMNS, experiment, pendulum, truth
+from scipy.stats import multivariate_normal
 
 import simbias
 from simbias.__main__ import main
@@ -20,7 +21,7 @@ from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.recordings.assessment import Assessment, assess
 from simbias.recordings.files import draws, option_lines, write
-from simbias.recordings.horizons import Prediction
+from simbias.recordings.horizons import Prediction, inside, regions, surprises
 from simbias.recordings.parts import parts
 from simbias.recordings.report import report
 from simbias.recordings.words import verdict
@@ -120,6 +121,29 @@ def test_regions_hold_what_they_promise() -> None:
     assert coverage(wide, [none] * 3) < 0.75
     assert coverage(wide, [spreads, spreads, 25 * spreads]) == pytest.approx(0.9, abs=0.03)
     assert np.isnan(coverage([each[:3] for each in e], [none[:3]] * 3))
+
+
+def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
+    """Errors of other recordings scatter more, by zeros of their own, of which the deviation is known."""
+    rng, zeros = np.random.default_rng(0), np.diag([4.0, 0.01])
+    known, none = rng.standard_normal((4000, 2)), np.zeros((4000, 2, 2))
+    wrong = rng.standard_normal((4000, 2)) + rng.standard_normal((4000, 2)) * np.sqrt(np.diag(zeros))
+    assert np.mean(inside(wrong, regions(none, known, none))) < 0.7
+    covariances = regions(none, known, none, zeros)
+    assert np.mean(inside(wrong, covariances)) == pytest.approx(0.9, abs=0.02)
+    np.testing.assert_allclose(covariances[0], np.eye(2) + zeros, rtol=0.05, atol=0.05)
+    expected = multivariate_normal([0.0, 0.0], covariances[0]).logpdf(wrong)
+    np.testing.assert_allclose(surprises(wrong, covariances), -expected, rtol=1e-9)
+
+
+def test_few_errors_give_regions_that_hold_another_one() -> None:
+    """Of twenty, half of which are independent, the region reaches to the largest."""
+    rng, none = np.random.default_rng(0), np.zeros((20, 2, 2))
+    held = []
+    for _ in range(300):
+        known = np.repeat(rng.standard_normal((10, 2)), 2, axis=0)
+        held.append(np.mean(inside(rng.standard_normal((20, 2)), regions(none, known, none))))
+    assert np.mean(held) == pytest.approx(0.88, abs=0.05)
 
 
 def test_too_short_recordings_are_one_line(study: Study) -> None:

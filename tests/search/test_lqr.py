@@ -7,12 +7,21 @@ import pytest
 from point_mass import PointMass, WithoutWind
 
 import simbias
-from simbias.core import Model, Policy, SlowWarning
+from simbias.core import Model, Nominal, Policy, SlowWarning
+from simbias.core.parameters import values_at
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
+from simbias.learning.identification.identified import Identified
 from simbias.policy.gains import signed_exponential
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.search.lqr import INPUT_WEIGHTS, linearised, lqr_candidates, lqr_gains, lqr_policies, rest
+from simbias.search.lqr import (
+    INPUT_WEIGHTS,
+    linearised,
+    lqr_candidates,
+    lqr_gains,
+    lqr_policies,
+    rest,
+)
 from simbias.trial.study import Study
 
 SLOPE = ["nominal.uncertainty.slope=0.025", "task.outputs=states"]
@@ -128,14 +137,58 @@ def test_one_of_them_balances_where_searches_find_none(
 ) -> None:
     """From eight starts, for five seconds, with the gap known."""
     study, model = bongoboard(*overrides, **values)
+    assert max(held(study, model.nominal, theta) for theta in lqr_policies(model)) == 8
+
+
+def held(study: Study, nominal: Nominal, theta: Array) -> int:
+    """How many of eight starts a policy holds in simulation."""
     rng = np.random.default_rng(1)
     starts = [study.task.draw_start(rng) for _ in range(8)]
+    return sum(study.simulate(theta, None, start, nominal).failure is None for start in starts)
 
-    def held(theta: Array) -> int:
-        rollouts = [study.simulate(theta, None, start, model.nominal) for start in starts]
-        return sum(rollout.failure is None for rollout in rollouts)
 
-    assert max(map(held, lqr_policies(model))) == 8
+@pytest.mark.slow
+def test_dry_friction_is_no_damping_to_count_on() -> None:
+    """Regulators of the acrobot that were designed for it as it sticks fall, simulated with that friction."""
+    study = simbias.load(["preset=acrobot", "bias=none", "tracking=none"])
+    rubbing = {"friction_1": 0.02, "friction_2": 0.02}  # N m
+    values = np.array([rubbing.get(each.name, each.value) for each in study.nominal.parameters])
+    nominal = study.nominal.with_parameters(values)
+    sliding, sticking = (
+        lqr_policies(study.model(None, nominal), (100.0,), sticking=each)[0] for each in (False, True)
+    )
+    assert held(study, nominal, sliding) >= 7
+    assert held(study, nominal, sticking) == 0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "dry"),
+    [
+        (["nominal.uncertainty.ankle_friction=5"], ["ankle_friction"]),
+        (["preset=acrobot"], ["friction_1", "friction_2"]),
+        (["preset=pendulum_swingup", "nominal=pendulum"], ["hinge.friction"]),
+        (
+            [
+                "preset=acrobot",
+                "identification.motors={torque: {velocity: d_angle_2, stribeck: 0.1, load: 0.1}}",
+            ],
+            ["friction_1", "friction_2", "torque.stribeck", "torque.load"],
+        ),
+    ],
+)
+def test_without_dry_friction_all_else_stays(overrides: list[str], dry: list[str]) -> None:
+    study = simbias.load([*overrides, "tracking=none"])
+    nominal = study.first_model().nominal
+    rng = np.random.default_rng(0)
+    values = values_at(nominal.parameters, rng.standard_normal(len(nominal.parameters)))
+    smooth = np.where([each.name in dry for each in nominal.parameters], 0.0, values)
+    assert np.sum(smooth != values) == len(dry)
+    x, u = 0.1 * rng.normal(size=(5, len(study.task.states))), rng.normal(size=(5, len(study.task.inputs)))
+    expected = nominal.with_parameters(smooth).step(x, u)
+    np.testing.assert_array_equal(nominal.with_parameters(values).without_dry_friction().step(x, u), expected)
+    spread = np.eye(len(values))
+    at = Identified(nominal, rng.standard_normal(len(values)), spread, {})
+    assert np.any(at.without_dry_friction().step(x, u) != at.step(x, u))
 
 
 def test_searches_that_begin_without_lqr_say_so() -> None:

@@ -72,6 +72,10 @@ class Identified(Nominal):
         """The model with other values (k,) of its parameters."""
         return self._prior.with_parameters(values)
 
+    def without_dry_friction(self) -> Nominal:
+        """The most probable model without it."""
+        return self.model.without_dry_friction()
+
     def narrowed(self, scale: float) -> Identified:
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
         return Identified(self._prior, self.mode, scale * self.spread, self.diagnostics, self.errors)
@@ -104,6 +108,12 @@ class Identified(Nominal):
         # What this recording's values told of the others stays; their own spread is the prior's.
         spread[np.ix_(shared, shared)] = qr(self.spread[shared].T, mode="economic")[1].T
         return Identified(self._prior, np.where(own, 0.0, self.mode), spread, self.diagnostics, self.errors)
+
+    @property
+    def known(self) -> Known:
+        """The posterior as numbers."""
+        names = [parameter.name for parameter in self.parameters]
+        return Known(names, self.mode.tolist(), self.spread.tolist())
 
     def of_share(self, own: bool) -> Identified:
         """The model, uncertain in what each recording has of its own alone, or in all else alone."""

@@ -98,6 +98,12 @@ class Posterior(Identification):
         other._set_window(window)
         return other
 
+    def with_known(self, known: Known) -> Posterior:
+        """A copy that begins with an earlier posterior."""
+        other = copy(self)
+        other._known = known
+        return other
+
     def windows(self, rollouts: Sequence[Rollout]) -> Windows:
         """Experiments, cut as predictions are compared with them."""
         return Windows.of(rollouts, self._window, self._chunk)

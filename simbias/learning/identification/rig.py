@@ -161,6 +161,15 @@ class Rig(Nominal):
         other._assemble()
         return other
 
+    def without_dry_friction(self) -> Rig:
+        """The rig without friction of its motors, and of its mechanics."""
+        other = copy(self)
+        other._nominal = self._nominal.without_dry_friction()
+        dry = [name for name in self._values if name.endswith((".stribeck", ".load"))]
+        other._values = self._values | dict.fromkeys(dry, 0.0)
+        other._assemble()
+        return other
+
     def _truth(self, y: Array, acting: Array) -> tuple[Array, Array]:
         """States (..., n) behind a record, and what acts (..., m) on the mechanics."""
         n = len(self._states)

@@ -16,6 +16,7 @@ from simbias.robots.bongoboard.disturbed_equations import coefficients
 from simbias.robots.bongoboard.task import Robot
 
 LOSSES = ("ankle_damping", "ankle_stiffness", "ankle_friction", "rolling_resistance")
+DRY = ("ankle_friction", "rolling_resistance")  # those that do not fade as the robot comes to rest
 _FIRST = 1 + len(LOSSES)  # of the lumped coefficients among the parameters
 _EQUATIONS = len(LOSSES)  # where those of the equations begin: with a number in place of the time step
 _SLIDING = 0.05  # rad/s, at which dry friction has 0.7 of its strength: a step that is not sudden

@@ -75,7 +75,8 @@ class LagrangianBongoboard(Nominal):
 
         Of losses, payload and motor, it has those that are present, or none if none of a kind is.
         """
-        known = {**self._declared, **values}
+        self._known = known = {**self._declared, **values}
+        self._present = present
         robot = replace(self._robot, **{name: known[name] for name in MASSES})
         self._is_disturbed = not MECHANICAL.keys().isdisjoint(present)
         if self._is_disturbed:
@@ -102,6 +103,10 @@ class LagrangianBongoboard(Nominal):
         changed = copy(self)
         changed._build(values, present)
         return changed
+
+    def without_dry_friction(self) -> LagrangianBongoboard:
+        """The model without friction of the ankles and rolling resistance."""
+        return self._with({**self._known, **dict.fromkeys(losses.DRY, 0.0)}, self._present)
 
     def draw(self, rng: np.random.Generator) -> LagrangianBongoboard:
         """A model as uncertain as declared: masses and inertias, each on its own, the feet's, and the rest.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from typing import final
 
@@ -15,7 +16,7 @@ from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
 from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
 from simbias.robots.mujoco.mjcf import Mechanism
-from simbias.robots.mujoco.parameters import QUANTITIES, Factors, Values, changes, mujoco, values_of
+from simbias.robots.mujoco.parameters import QUANTITIES, Factors, Values, changes, mujoco, names_of, values_of
 
 FEW = 64  # states, for which threads take longer to begin than they save
 
@@ -106,8 +107,16 @@ class Mujoco(Nominal):
     def with_parameters(self, values: Array) -> Mujoco:
         """The model with other values (k,) of its parameters."""
         names = [parameter.name for parameter in self.parameters]
+        return self._with(dict(zip(names, np.asarray(values).tolist(), strict=True)))
+
+    def without_dry_friction(self) -> Mujoco:
+        """The model without friction of its joints; contacts keep theirs."""
+        return self._with({f"{name}.friction": 0.0 for name in names_of(self._robot.model, "joint")})
+
+    def _with(self, values: Mapping[str, float]) -> Mujoco:
+        """The model with some other values."""
         changed = copy(self)
-        changed._robot = self._robot.with_values(dict(zip(names, np.asarray(values).tolist(), strict=True)))
+        changed._robot = self._robot.with_values(values)
         changed._model = EngineModel(changed._robot.model)
         changed.kernel = kernel(changed._robot, changed._model, self._places)
         return changed

@@ -36,6 +36,8 @@ class Lqr(Method):
         disturbance leaves no error. 0: no integral.
     max_iterations
         Designs, with identification; without, there is one.
+    sticking
+        Dry friction is taken for the damping that it looks like at rest (`simbias.search.lqr`).
     """
 
     input_weight: Scale = INPUT_WEIGHTS[1]
@@ -43,6 +45,7 @@ class Lqr(Method):
     identified: bool = False
     max_iterations: Count = 10
     integral_weight: NonNegative = 0.0
+    sticking: bool = True
 
     def __post_init__(self) -> None:
         if not self.identified:
@@ -63,7 +66,8 @@ class Lqr(Method):
                 if experiments:
                     model = study.model(None, study.identification.fit(study.nominal, experiments))
             with clock("design"):
-                policies = lqr_policies(model, (self.input_weight,), self.integral_weight)
+                weights = (self.input_weight,), self.integral_weight
+                policies = lqr_policies(model, *weights, sticking=self.sticking)
             if not policies:
                 kind = "LQI" if self.integral_weight else "LQR"
                 problem = f"{type(study.policy).__name__} imitates no {kind}, or the model has none"

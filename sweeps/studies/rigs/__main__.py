@@ -14,7 +14,9 @@ nats less surprising an error is than under the lab's model (medians over predic
 size comes from the recordings that were learned from; and the seconds of processor time of learning.
 
 An encoder is switched on at a robot at rest, which friction keeps away from where it would hang. So each
-recording has zeros of its own: they are identified with the robot, and of others the prior is known.
+recording has zeros of its own: they are identified with the robot, and of others the prior is known. What
+is left of errors without them is seen where the first fifth of each predicted recording tells its zeros, to
+the identified model and to the lab's, and the rest of it is predicted.
 """
 
 from __future__ import annotations
@@ -28,13 +30,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from loading import Rig, declared, load
-from ways import WAYS, lab, timed
+from ways import OF_ONE, OF_SEVERAL, WAYS, lab, of_lab, timed, with_zeros
 
+from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
-from simbias.learning.identification.identified import Identified
-from simbias.recordings.horizons import HORIZONS, inside, ratio, surprises
+from simbias.learning.identification.identified import Identified, Known
+from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, surprises
 
 COMPARED = (0.1, 0.5)  # s
+BEGINNING = 0.2  # share of a recording that tells its zeros
 ONE, SEVERAL = "one", "several"  # recordings that are learned from
 
 
@@ -55,64 +59,85 @@ def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
     """A row for each case, way to learn, and horizon."""
     for number, name, known, left in cases(rig):
         learned, reference = list(known.values()), lab(rig, list(known.values()))
-        for way in ways:
+        for way in [way for way in ways if way in (OF_ONE if number == ONE else OF_SEVERAL)]:
             found, seconds = timed(WAYS[way], rig, learned)
-            zeros = [_zeros(model) for model in found.own] if isinstance(found.own[0], Identified) else ""
+            case = {"number": number, "learned": name, "way": way, "cpu": seconds, "zeros": _zeros(found.own)}
             for horizon in HORIZONS:
                 k = rig.study.task.frames(horizon)
-                wrong, of_lab = (each.errors(left, k) for each in (found, reference))
-                covariances, labs = (each.covariances(learned, left, k) for each in (found, reference))
+                wrong, labs_wrong = (each.errors(left, k) for each in (found, reference))
                 if not len(wrong):
                     continue
-                yield {
-                    "number": number,
-                    "learned": name,
-                    "way": way,
-                    "seconds": horizon,
-                    "ratio": ratio(wrong, of_lab),
-                    "coverage": float(np.mean(inside(wrong, covariances))),
-                    "nats": float(
-                        np.median(surprises(of_lab, labs)) - np.median(surprises(wrong, covariances))
-                    ),
-                    "cpu": seconds,
-                    "residual": found.bias is not None,
-                    "zeros": zeros,
-                }
+                covariances, labs = (each.covariances(learned, left, k) for each in (found, reference))
+                nats = np.median(surprises(labs_wrong, labs)) - np.median(surprises(wrong, covariances))
+                held = float(np.mean(inside(wrong, covariances)))
+                own = {"ratio": ratio(wrong, labs_wrong), "coverage": held, "nats": float(nats)}
+                yield case | {"seconds": horizon} | own | {"residual": found.bias is not None}
+            if way == "identified" and isinstance(found.model, Identified):
+                yield from rows_with_zeros(rig, case, found.model.known, left)
         print(number, name, file=sys.stderr, flush=True)
 
 
-def _zeros(model: Identified) -> str:
-    """The zeros of a recording, in the sensors' units."""
-    return " ".join(f"{each.value:.4f}" for each in model.estimates if each.name.endswith(".zero"))
+def rows_with_zeros(
+    rig: Rig, case: dict[str, Any], known: Known, left: Sequence[Rollout]
+) -> Iterator[dict[str, Any]]:
+    """Errors over the lab's of what follows the beginnings of recordings, which have told their zeros."""
+    begun = [cut(rollout) for rollout in left]
+    for way, before in (("lab and zeros", of_lab(rig)), ("identified and zeros", known)):
+        models = [with_zeros(rig, before, beginning) for beginning, _ in begun]
+        for horizon in HORIZONS:
+            k = rig.study.task.frames(horizon)
+            pairs = [(model, rest) for model, (_, rest) in zip(models, begun, strict=True)]
+            wrong = np.concatenate([errors(model, [rest], k) for model, rest in pairs])
+            plain = np.concatenate([errors(rig.lab, [rest], k) for _, rest in pairs])
+            if len(wrong):
+                yield case | {"way": way, "seconds": horizon, "ratio": ratio(wrong, plain)}
+
+
+def cut(rollout: Rollout) -> tuple[Rollout, Rollout]:
+    """The beginning of a recording, and the rest."""
+    k = round(BEGINNING * rollout.frames)
+    return Rollout(rollout.states[: k + 1], rollout.inputs[:k]), Rollout(
+        rollout.states[k:], rollout.inputs[k:]
+    )
+
+
+def _zeros(models: Sequence[Nominal]) -> str:
+    """The zeros of recordings, in the sensors' units."""
+    identified = [model for model in models if isinstance(model, Identified)]
+    own = [[e.value for e in model.estimates if e.name.endswith(".zero")] for model in identified]
+    return "; ".join(" ".join(f"{zero:.4f}" for zero in each) for each in own)
 
 
 def summary(table: pd.DataFrame) -> str:
     """Tables as markdown: mean (least to greatest) over what was learned from."""
     text = ""
-    for number, of_number in table.groupby("number", sort=False):
-        ways = list(dict.fromkeys(of_number["way"]))
-        text += f"Learned from {number}: errors over the lab's.\n\n"
-        text += "| robot | horizon | " + " | ".join(ways) + " |\n" + "| --- " * (2 + len(ways)) + "|\n"
-        compared = of_number[of_number["seconds"].isin(COMPARED)]
-        for (rig, horizon), own in compared.groupby(["rig", "seconds"], sort=False):
-            cells = [_range(own[own["way"] == way]["ratio"].to_numpy(), "{:.2f}") for way in ways]
-            text += f"| {rig} | {horizon:g} s | " + " | ".join(cells) + " |\n"
-        text += f"\nLearned from {number}: nats less surprising than by the lab's model, and seconds.\n\n"
-        text += "| robot | | " + " | ".join(ways) + " |\n" + "| --- " * (2 + len(ways)) + "|\n"
-        for rig, own in compared.groupby("rig", sort=False):
-            for horizon in COMPARED:
-                at = own[own["seconds"] == horizon]
-                cells = [_range(at[at["way"] == way]["nats"].to_numpy(), "{:.1f}") for way in ways]
-                text += f"| {rig} | {horizon:g} s | " + " | ".join(cells) + " |\n"
-            cells = [f"{own[own['way'] == way]['cpu'].mean():.1f}" for way in ways]
-            text += f"| {rig} | seconds | " + " | ".join(cells) + " |\n"
-        text += f"\nLearned from {number}: errors of the identified model that its 90% regions hold.\n\n"
+    for number, own in table.groupby("number", sort=False):
+        compared = own[own["seconds"].isin(COMPARED)]
+        rated = compared[compared["nats"].notna()]
+        text += f"Learned from {number}: errors over the lab's.\n\n{_by_way(compared, 'ratio', '{:.2f}')}\n"
+        text += f"Learned from {number}: nats less surprising than by the lab's model.\n\n"
+        text += f"{_by_way(rated, 'nats', '{:.1f}')}\n"
+        costs = own[own["way"].isin(WAYS)].groupby(["way"], sort=False)["cpu"].mean()
+        text += (
+            "Seconds of processor time: " + ", ".join(f"{way} {s:.1f}" for way, s in costs.items()) + ".\n\n"
+        )
+        text += f"Learned from {number}: errors of the identified model that its 90% regions hold.\n\n"
         text += "| robot | " + " | ".join(f"{each:g} s" for each in HORIZONS) + " |\n"
         text += "| --- " * (1 + len(HORIZONS)) + "|\n"
-        for rig, own in of_number[of_number["way"] == "identified"].groupby("rig", sort=False):
-            shares = [100 * own[own["seconds"] == each]["coverage"].to_numpy() for each in HORIZONS]
+        for rig, of_rig in own[own["way"] == "identified"].groupby("rig", sort=False):
+            shares = [100 * of_rig[of_rig["seconds"] == each]["coverage"].to_numpy() for each in HORIZONS]
             text += f"| {rig} | " + " | ".join(_range(each, "{:.0f}") for each in shares) + " |\n"
         text += "\n"
+    return text
+
+
+def _by_way(table: pd.DataFrame, column: str, form: str) -> str:
+    """A table of a column: rigs and horizons down, ways across."""
+    ways = list(dict.fromkeys(table["way"]))
+    text = "| robot | horizon | " + " | ".join(ways) + " |\n" + "| --- " * (2 + len(ways)) + "|\n"
+    for (rig, horizon), own in table.groupby(["rig", "seconds"], sort=False):
+        cells = [_range(own[own["way"] == way][column].to_numpy(), form) for way in ways]
+        text += f"| {rig} | {horizon:g} s | " + " | ".join(cells) + " |\n"
     return text
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import yaml
 
 import simbias
@@ -24,9 +25,15 @@ class Rig(NamedTuple):
     """A robot with its nominal model, and recordings by name."""
 
     study: Study
-    lab: Nominal  # as the lab identified it
+    lab_values: dict[str, float]  # of parameters, as the lab identified them; others are nominal
     development: dict[str, Rollout]
     test: dict[str, Rollout]  # empty unless they are asked for
+
+    @property
+    def lab(self) -> Nominal:
+        """The model that the lab identified."""
+        values = {parameter.name: parameter.value for parameter in self.prior.parameters} | self.lab_values
+        return self.prior.with_parameters(np.array(list(values.values())))
 
     @property
     def prior(self) -> Nominal:
@@ -48,9 +55,7 @@ def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
     study = simbias.load([*rig["composition"], "tracking=none", *nominal, *zeros], HERE / "robots")
     folder = checkouts / Path(rig["repository"]).name / rig["folder"]
     recordings = [_read(study, rig, folder, rig[part]) for part in ("development", "test")[: 1 + test]]
-    found = Rig(study, study.nominal, *recordings, *[{}] * (not test))
-    values = {parameter.name: parameter.value for parameter in found.prior.parameters} | rig["lab"]
-    return found._replace(lab=found.prior.with_parameters(np.array(list(values.values()))))
+    return Rig(study, rig["lab"], *recordings, *[{}] * (not test))
 
 
 def _read(
@@ -61,11 +66,20 @@ def _read(
     for place in places:
         own: Mapping[str, Any] = {"file": place} if isinstance(place, str) else place
         whole = max(reader.read(folder / own["file"]).pieces, key=lambda piece: piece.frames)
-        begin = study.task.frames(own.get("from", 0.0))
+        begin = study.task.frames(own.get("from", _begins(rig, folder / own["file"])))
         end = study.task.frames(own["until"]) if "until" in own else whole.frames
         states = whole.states[begin : end + 1]
         found[str(place)] = Rollout(states, whole.inputs[begin:end], measured=states, sensed=True)
     return found
+
+
+def _begins(rig: Mapping[str, Any], file: Path) -> float:
+    """The time in s at which a recording begins to be of a robot that moves as its model does."""
+    if "begins" not in rig:
+        return 0.0
+    table = pd.read_csv(file)
+    times = table[rig["columns"]["time"]].to_numpy()
+    return float(times[np.argmax(table[rig["begins"]].to_numpy() == 1)] - times[0])
 
 
 def _text(value: Any) -> str:

@@ -24,7 +24,7 @@ from simbias.simulation.open_loop import Windows
 from simbias.trial.study import Study
 
 MOST = 4.0  # prior standard deviations that a parameter may go
-STEPS = 40  # of its optimiser, at most
+STEPS = 10  # of its optimiser, at most; the last ones gain less than 1e-5 of the objective
 LEAST_INERTIA = 1e-6  # kg m^2 about the centre of mass, which the double pendulum's parameters may not leave
 HALF_PI = np.pi / 2  # Coulomb friction over c_f, of c_f arctan(100 v)
 
@@ -87,6 +87,8 @@ class DoublePendulumFile:
             about_centre = v[f"inertia_{i}"] - v[f"mass_{i}"] * v[f"centre_{i}"] ** 2
             v |= {f"about_centre_{i}": max(LEAST_INERTIA, about_centre)}
             v |= {f"loss_{i}": HALF_PI * v[f"friction_{i}"]}
+        driven = ("first", "second") if len(self._study.task.inputs) == 2 else (nominal._driven,)
+        v["motors"] = "".join(f'<motor name="{joint}" joint="{joint}"/>' for joint in driven)
         return self._text.format(**v, geared_inertia=v["gear_ratio"] ** 2 * v["rotor_inertia"])
 
     def compiled(self, values: Mapping[str, float]) -> mujoco.MjModel:

@@ -6,23 +6,22 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import mujoco_sysid
 import numpy as np
 from loading import Rig
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
+from threadpoolctl import threadpool_limits
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
-from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.horizons import errors, ratio, regions, spread
-from simbias.recordings.parts import others, parts
 from simbias.simulation.open_loop import PredictionModel, predict
 from simbias.trial.study import Study
 
 GUARDED = (0.1, 0.5)  # s
-MOST_RATIO = 1.0  # of errors with a residual over those without, on any recording or third, at any horizon
+MOST_RATIO = 1.0  # of errors with a residual over those without, on any recording, at any horizon
 MOST = 4.0  # prior standard deviations that least squares may go
 
 
@@ -83,6 +82,8 @@ def ordinary(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 
 def sysid(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """MuJoCo's toolbox over the same windows, of the parameters that the mechanism has."""
+    import mujoco_sysid  # lazily: the other ways need no such library
+
     model = mujoco_sysid.fit(rig.study, _posterior(rig.study).windows(rollouts))
     return Learned(model, [model] * len(rollouts))
 
@@ -96,7 +97,7 @@ def residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 
 def identified(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The posterior of the parameters."""
-    model = _fit(rig.study, rollouts)
+    model = _fit(_posterior(rig.study), rig.study.nominal, rollouts)
     return Learned(model.elsewhere(), [model.of_recording(i) for i in range(len(rollouts))])
 
 
@@ -109,17 +110,15 @@ def with_residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 def guarded(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The same, without the residual where it may hurt.
 
-    Each recording, or third of a single one, is predicted by what is learned from the others, with and
-    without the residual. It is left out if it makes predictions of any of them worse, at any horizon.
+    Each recording is predicted by what is learned from the others, with and without the residual. It is left
+    out if it makes predictions of any of them worse, at any horizon.
     """
-    found, study, split = with_residual(rig, rollouts), rig.study, parts(dict(enumerate(rollouts)))
-    for i, part in enumerate(split):
-        rest = others(split, i)
-        of_rest = with_residual(rig, rest)
-        model = of_rest.model if len(rollouts) > 1 else of_rest.own[0]
+    found = with_residual(rig, rollouts)
+    for i, rollout in enumerate(rollouts):
+        of_rest = with_residual(rig, [*rollouts[:i], *rollouts[i + 1 :]])
         for seconds in GUARDED:
-            k = study.task.frames(seconds)
-            wrong = [errors(model, part.rollouts, k, bias) for bias in (of_rest.bias, None)]
+            k = rig.study.task.frames(seconds)
+            wrong = [each.errors([rollout], k) for each in (of_rest, of_rest._replace(bias=None))]
             if len(wrong[0]) and ratio(*wrong) > MOST_RATIO:
                 return found._replace(bias=None)
     return found
@@ -135,12 +134,32 @@ WAYS: dict[str, Way] = {
     "identified and residual": with_residual,
     "identified and guarded residual": guarded,
 }
+OF_SEVERAL = ("lab", "identified", "identified and residual", "identified and guarded residual")
+OF_ONE = tuple(way for way in WAYS if way != "identified and guarded residual")  # nothing tells of others
+
+
+def with_zeros(rig: Rig, known: Known, rollout: Rollout) -> Nominal:
+    """What is known, after some of the very recording that is predicted, whose zeros it tells."""
+    return _fit(_posterior(rig.study).with_known(known), rig.study.nominal, [rollout])
+
+
+def of_lab(rig: Rig) -> Known:
+    """The lab's parameters, which are certain, and the prior of zeros."""
+    parameters = rig.prior.parameters
+    values = {parameter.name: parameter.value for parameter in parameters} | rig.lab_values
+    mode = [
+        0.0 if p.value == values[p.name] else float(brentq(lambda z, p=p: p.at(z) - values[p.name], -30, 30))
+        for p in parameters
+    ]
+    own = np.diag([float(p.of_recording) for p in parameters])
+    return Known([p.name for p in parameters], mode, own.tolist())
 
 
 def timed(way: Way, rig: Rig, rollouts: Sequence[Rollout]) -> tuple[Learned, float]:
     """What a way learns, and the processor time in s that it takes."""
     begin = time.process_time()
-    return way(rig, rollouts), time.process_time() - begin
+    with threadpool_limits(1, user_api="blas"):  # as `identify`
+        return way(rig, rollouts), time.process_time() - begin
 
 
 def _posterior(study: Study) -> Posterior:
@@ -149,9 +168,9 @@ def _posterior(study: Study) -> Posterior:
     return study.identification
 
 
-def _fit(study: Study, rollouts: Sequence[Rollout]) -> Identified:
+def _fit(posterior: Posterior, nominal: Nominal, rollouts: Sequence[Rollout]) -> Identified:
     """The model identified from recordings."""
-    model = study.identification.fit(study.nominal, rollouts)
+    model = posterior.fit(nominal, rollouts)
     assert isinstance(model, Identified)
     return model
 

@@ -1,0 +1,102 @@
+"""The study of public rigs, as a command, on a simulated pendulum in their place; and its baselines."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT
+
+from simbias.core.parameters import values_at
+from simbias.core.records import Rollout
+
+STUDY = ROOT / "sweeps" / "studies" / "rigs"
+ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
+
+
+@pytest.fixture
+def modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(STUDY)
+
+
+def recording(zero: float, seed: int) -> pd.DataFrame:
+    """Two seconds of a pendulum that is not quite the described one, as its lab would have written them."""
+    from loading import declared, load
+
+    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT, test=False)
+    true = {"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8, "angle.zero": zero}
+    values = {parameter.name: parameter.value for parameter in rig.prior.parameters} | true
+    robot, rng = rig.prior.with_parameters(np.array(list(values.values()))), np.random.default_rng(seed)
+    t = 0.005 * np.arange(400)
+    u = sum(rng.uniform(0.5, 1.5) * np.sin(rng.uniform(2, 12) * t + rng.uniform(0, 6)) for _ in range(4))
+    states = [np.array([zero, 0.0])]
+    for each in u:
+        states.append(robot.step(states[-1], np.array([each])))
+    noisy = np.array(states[:-1]) + np.array([2e-4, 0.02]) * rng.standard_normal((400, 2))
+    return pd.DataFrame({"time": t, "position": noisy[:, 0], "velocity": noisy[:, 1], "torque": u})
+
+
+@pytest.mark.slow
+def test_the_study_learns_from_one_and_from_several(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None
+) -> None:
+    """Zeros come back, what is identified beats the described model, and nothing of the test is read."""
+    from loading import declared
+
+    rig = declared()["simple_pendulum"]
+    for i, name in enumerate(rig["development"]):
+        file = tmp_path / "torque_limited_simple_pendulum" / rig["folder"] / name
+        file.parent.mkdir(parents=True)
+        recording(ZEROS[i], i).to_csv(file, index=False)
+    monkeypatch.chdir(tmp_path)
+    ways = ["nominal", "lab", "identified"]
+    monkeypatch.setattr(sys, "argv", ["rigs", ".", "--rigs", "simple_pendulum", "--ways", *ways])
+    runpy.run_path(str(STUDY), run_name="__main__")
+    found = pd.read_csv("rigs.csv")
+    assert (found.groupby(["number", "way"])["learned"].nunique() == 3).all()
+    ratios = found[found["seconds"] == 0.1].groupby(["number", "way"])["ratio"].mean()
+    assert ratios["one", "lab"] == ratios["several", "lab"] == 1.0
+    assert ratios["one", "identified"] < 0.7 * ratios["one", "nominal"]
+    assert ratios["one", "identified and zeros"] < ratios["one", "identified"]
+    alone = found[(found["number"] == "one") & (found["way"] == "identified")]
+    zeros = [float(each) for each in alone.drop_duplicates("learned")["zeros"]]
+    np.testing.assert_allclose(zeros, ZEROS, atol=0.03)
+    assert "| simple_pendulum | 0.5 s |" in Path("table.md").read_text()
+
+
+@pytest.mark.slow
+def test_mujocos_own_identification_finds_a_double_pendulum(modules: None) -> None:
+    """Of its own file: what has friction and another mass predicts better than the described model."""
+    from loading import declared, load
+    from ways import nominal, sysid
+
+    rig = load(declared()["design_C.1"] | {"development": []}, ROOT, test=False)
+    rng, parameters = np.random.default_rng(0), rig.prior.parameters
+    true = {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7}
+    values = {parameter.name: parameter.value for parameter in parameters} | true
+    robot = rig.prior.with_parameters(np.array(list(values.values())))
+    t = 0.002 * np.arange(500)[:, None]
+    u = sum(rng.uniform(0.5, 1.0, 2) * np.sin(rng.uniform(3, 20, 2) * t) for _ in range(4))
+    states = [np.zeros(4)]
+    for each in u:
+        states.append(robot.step(states[-1], each))
+    rollout = Rollout(np.array(states), u)
+    before, after = (np.abs(way(rig, [rollout]).errors([rollout], 50)).mean() for way in (nominal, sysid))
+    assert after < 0.3 * before
+
+
+def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
+    """Each rig can be composed without its recordings, and coordinates give the lab's values back."""
+    from loading import declared, load
+    from ways import of_lab
+
+    for name, declaration in declared().items():
+        rig = load(declaration | {"development": []}, ROOT, test=False)
+        known = of_lab(rig)
+        made = dict(zip(known.parameters, values_at(rig.prior.parameters, np.array(known.mode)), strict=True))
+        for parameter, value in rig.lab_values.items():
+            assert made[parameter] == pytest.approx(value, rel=1e-6), name
