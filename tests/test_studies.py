@@ -36,6 +36,17 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     return run_study
 
 
+def test_two_sweeps_of_the_same_cells_are_compared(study: Study) -> None:
+    """With itself, a sweep has no difference, in any cell."""
+    text = study("two_sweeps", "learners", "learners")
+    assert "difference: 0.00 [" in text
+    assert "cells with more, with fewer: 0, 0; sign test, p = 1.00" in text
+    assert text.rstrip().endswith("p >= 1.00")
+    box2d = study("two_sweeps", "table2", "table2_box2d")
+    assert "difference: -0.64 [-1.43, 0.15]" in box2d
+    assert "equivalent over cells within experiments of: 2" in box2d
+
+
 def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
     status, _, err = run("+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential", folder=tmp_path)
     assert status == 0, err

@@ -217,15 +217,15 @@ def test_model_selection_prefers_what_predicts(study: Study) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("declared_is_true", [True, False])
 def test_the_margin_lets_through_what_is_there_alone(declared_is_true: bool) -> None:
-    """By one standard error, of three short experiments: in ten of ten cases as it should."""
+    """By one standard error, of three short experiments: four times of four as it should."""
     study = pendulum("identification=posterior", "bias=none")
     chosen = []
-    for seed in range(10):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         robot = study.nominal if declared_is_true else truth(study.nominal, rng)[0]
         values = log_likelihoods(study, [experiment(robot, rng, 100) for _ in range(3)], margin=1.0)
         chosen.append(most_likely(values).identifies)
-    assert sum(chosen) == (0 if declared_is_true else 10)
+    assert sum(chosen) == (0 if declared_is_true else 4)
 
 
 def test_the_margin_is_taken_off_the_gain_of_what_is_less_simple(study: Study) -> None:
