@@ -2,8 +2,8 @@
 
 `python sweeps/studies/published.py SWEEP ... [--trials 1] [--out FILE]` runs the first trials of each cell
 again, and compares each with the published one: outcome, experiments, iterations, time on the hardware and,
-if both were tested, the episodes of their last policies. The exit status is 0 if all agree. FILE gets a row for each
-trial.
+if both were tested, the episodes of their last policies. The exit status is 0 if all agree. FILE gets a row
+for each trial.
 """
 
 from __future__ import annotations
