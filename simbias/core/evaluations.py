@@ -215,6 +215,8 @@ class Evaluations:
 
     def run(self, search: Callable[[Self], str]) -> str:
         """Run a search on these; why it ended, in words."""
+        if self._ends_at_target and self.below_target:
+            return TARGET
         try:
             self.check_budget()
             return search(self)

@@ -39,7 +39,10 @@ def quote(value: object) -> str:
 def redact(text: str, address: str = "") -> str:
     """Text without users, passwords and tokens of addresses; also without those of a known address."""
     login = re.match(r"(?!sqlite)[^:]*://(.*)@", address, re.DOTALL)
-    known = [login[1], login[1].partition(":")[2]] if login else []
+    ends = (
+        [login[1], re.split("[/?#]", login[1])[0]] if login else []
+    )  # where a password may end, to a parser
+    known = [part for end in ends for part in (end, end.partition(":")[2])]
     for secret in (*known, *(value for _, value in SECRET_VALUE.findall(address))):
         for each in (secret, unquote(secret)):
             text = text.replace(each, "") if len(each) >= SHORTEST_SECRET else text

@@ -1,7 +1,8 @@
-"""The platform on which the last bits of a result depend: processor and linear algebra."""
+"""The platform on which a result depends, to its last bits: processor, linear algebra, simbias's code."""
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from contextlib import suppress
 from functools import cache
@@ -10,6 +11,8 @@ from typing import Any
 
 # Vector instructions by which sums are ordered, and fused products: another set, other last bits.
 FEATURES = ("fma", "avx", "avx2", "avx512f", "neon", "sve")
+PACKAGE = Path(__file__).resolve().parent.parent
+DIGITS = 12  # hexadecimal
 
 
 @cache
@@ -59,3 +62,12 @@ def processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
+
+
+@cache
+def package_digest() -> str:
+    """A hash of simbias's own code, by which another version is known."""
+    digest = hashlib.sha256()
+    for file in sorted(PACKAGE.rglob("*.py")):
+        digest.update(f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes())
+    return digest.hexdigest()[:DIGITS]

@@ -127,16 +127,23 @@ class Dask(Engine):
 
 
 def _check_workers(client: Client) -> None:
-    """Refuse workers without simbias: they would die of what they are sent, and Dask wait for others."""
+    """Refuse workers of another simbias: they might die of what they are sent, and Dask wait for others.
 
-    def lacks_simbias() -> bool:  # defined here, it is sent as it is, and not as a name in simbias
-        from importlib.util import find_spec
+    Those that come later refuse each trial themselves.
+    """
 
-        return find_spec("simbias") is None
+    def digest_there() -> str | None:  # defined here, it is sent as it is, and not as a name in simbias
+        try:
+            from simbias.core.platform import package_digest
+        except ImportError:
+            return None
+        return package_digest()
 
-    for worker, lacks in client.run(lacks_simbias).items():
-        if lacks:
-            raise ConfigError("engine.address", f"{worker} has no simbias; install it there, in this version")
+    here = digest_there()
+    for worker, digest in client.run(digest_there).items():
+        if digest != here:
+            problem = f"{worker} has another simbias than this one, or none; install this version there"
+            raise ConfigError("engine.address", problem)
 
 
 def _count_workers(client: Client) -> int:

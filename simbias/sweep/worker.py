@@ -15,13 +15,13 @@ from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.messages import with_type
+from simbias.core.platform import package_digest
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import OUTCOME, TrialFolder
-from simbias.trial.origin import package_digest
 from simbias.trial.run import run_trial
 from simbias.trial.summary import Outcome, TrialSummary
 
-OTHER_CODE = "{} has other code there than where the sweep was started{}"
+OTHER_CODE = "{} has other code there than where the sweep was started"
 GONE = "the folder {} is gone: was it moved while the sweep ran? Move it back, and start the sweep again"
 
 
@@ -33,9 +33,7 @@ class Plan(NamedTuple):
     marker: str = ""  # a file beside it: seen only by workers that share the disk
     kept: bytes = b""  # what the folder holds so far, for the others
     pictures: tuple[str, ...] = ()  # to draw at its end
-    code: Mapping[str, str] | None = (
-        None  # digests that have to be the worker's, too; None: it is on this machine
-    )
+    code: Mapping[str, str] | None = None  # digests that are the worker's, too; None: it is on this machine
 
 
 class Result(NamedTuple):
@@ -52,7 +50,6 @@ def run_plan(plan: Plan) -> Result:
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
         folder = None if plan.folder is None else Path(plan.folder)
         apart = bool(plan.marker) and not Path(plan.marker).exists()
-        where = f" (on {gethostname()}, in {Path.cwd()}; its PYTHONPATH finds modules)" if apart else ""
         try:
             if folder is not None and not apart and not folder.parent.exists():
                 return lost(GONE.format(folder.parent))
@@ -61,7 +58,7 @@ def run_plan(plan: Plan) -> Result:
             study = build(plan.composition)
             theirs = {} if plan.code is None else code(plan.composition)
             if other := [name for name, digest in theirs.items() if digest != plan.code.get(name)]:
-                return lost(OTHER_CODE.format(", ".join(other), where))
+                return lost(OTHER_CODE.format(", ".join(other)) + _where(apart))
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:
                 from simbias.pictures.trial.gallery import illustrate  # lazily: most trials have none
@@ -70,9 +67,14 @@ def run_plan(plan: Plan) -> Result:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            return lost(f"{with_type(error)}{where}")
+            return lost(with_type(error) + _where(apart))
     packed = pack(folder) if folder is not None and apart else b""
     return Result(record.summary, "" if folder else record.traceback, packed)
+
+
+def _where(apart: bool) -> str:
+    """The machine and folder of a worker that shares no disk."""
+    return f" (on {gethostname()}, in {Path.cwd()}; its PYTHONPATH finds modules)" if apart else ""
 
 
 def code(composition: Composition) -> Mapping[str, str]:

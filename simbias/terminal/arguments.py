@@ -67,7 +67,13 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     parser, commands = _parser(own, known.config_dir)
     if not rest or rest[0] not in (*commands, "-h", "--help"):
         rest = [RUN, *rest]
-    return argparse.Namespace(**{**vars(parser.parse_args(rest)), **vars(known)})
+    parsed, behind = parser.parse_known_args(rest)
+    words = vars(parsed).get("words", vars(parsed).get("overrides"))
+    if behind and (words is None or any(word.startswith("-") for word in behind)):
+        parser.error(f"unrecognized arguments: {' '.join(behind)}")
+    elif behind:
+        words += behind  # an option of the command's own, where argparse takes no more of them
+    return argparse.Namespace(**{**vars(parsed), **vars(known)})
 
 
 def _parser(

@@ -62,15 +62,6 @@ def changed_code(before: Mapping[str, Any], study: Study) -> str:
     return ", ".join(sorted(name for name in {*then, *now} if then.get(name) != now.get(name)))
 
 
-@cache
-def package_digest() -> str:
-    """A hash of simbias's own code, by which workers of another version are known."""
-    digest = hashlib.sha256()
-    for file in sorted(PACKAGE.rglob("*.py")):
-        digest.update(f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes())
-    return digest.hexdigest()[:DIGITS]
-
-
 def provenance() -> dict[str, Any]:
     """User, commit and versions, as far as they are known."""
     user: dict[str, str] = {}

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import tee
+from itertools import chain, tee
 from typing import NamedTuple
 
 import numpy as np
@@ -28,17 +28,19 @@ def search(
     retries: int = 0,
     target_cost: float | None = None,
     posterior_scale: float = 1.0,
+    last: Sequence[Array] = (),
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
     A search that ends above the target cost, by default Z_max, is made again with other random numbers, up to
     `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
-    before. The best one is returned, with the evaluations of all. Each first evaluates the LQR policies
-    of `lqr_candidates` models (`simbias.search.lqr`).
+    before. The best one is returned, with the evaluations of all. Each first evaluates the last policies
+    (p,), and the LQR policies of `lqr_candidates` models (`simbias.search.lqr`).
     """
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
-    drawn, candidates = model, lqr.lqr_candidates(model, lqr_candidates)
+    drawn = model
+    candidates: Iterator[Array] = chain(last, lqr.lqr_candidates(model, lqr_candidates))
     while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
         if searches:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import time
@@ -33,12 +34,17 @@ def where(_: int) -> int:
     return os.getpid()
 
 
-def hide(module: str) -> None:
-    sys.modules[module] = None  # type: ignore[assignment]  # (as Python takes it for not installed)
+def hide() -> None:
+    sys.modules["simbias.core.platform"] = None  # type: ignore[assignment]  # (as if it were not there)
 
 
-def show(module: str) -> None:
-    del sys.modules[module]
+def alter() -> None:
+    module = importlib.import_module("simbias.core.platform")
+    module.package_digest = lambda: "another"  # type: ignore[attr-defined]
+
+
+def restore() -> None:
+    del sys.modules["simbias.core.platform"]
 
 
 def wait_and_write(task: tuple[float, str]) -> None:
@@ -81,14 +87,17 @@ def test_a_function_that_workers_lack_is_an_error(cluster: Any) -> None:
         list(Dask(address=cluster.scheduler_address).run(raises, [1]))
 
 
-def test_workers_without_simbias_are_one_line(cluster: Any) -> None:
+@pytest.mark.parametrize("change", ["hide", "alter"])
+def test_workers_of_another_simbias_are_one_line(cluster: Any, change: str) -> None:
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        client.run(hide, "simbias")
+        client.run(globals()[change])
         try:
-            with pytest.raises(ConfigError, match=r"engine\.address: tcp://.* has no simbias"):
+            with pytest.raises(
+                ConfigError, match=r"engine\.address: tcp://.* has another simbias .*, or none"
+            ):
                 list(Dask(address=cluster.scheduler_address).run(double, [1]))
         finally:
-            client.run(show, "simbias")
+            client.run(restore)
 
 
 def test_workers_of_many_threads_are_refused() -> None:

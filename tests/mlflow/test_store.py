@@ -162,6 +162,7 @@ def test_no_password_is_shown() -> None:
         "postgresql://me:%73e%40cret@host/x": "se@cret",
         "mysql+pymysql://host/x?user=me&password=se%20cret&ssl=1": "se%20cret",
         "https://a-long-token@host": "a-long-token",
+        "http://me:secr#et@host": "secr",
     }.items():
         said = redact(f"no answer from {address}: wrong password {secret}", address)
         assert said.startswith("no answer from ")

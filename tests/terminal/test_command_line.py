@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from simbias.__main__ import main
 from simbias.config import compose
-from simbias.terminal.arguments import EXAMPLES
+from simbias.terminal.arguments import EXAMPLES, parse
 
 pytestmark = pytest.mark.slow
 
@@ -92,6 +92,20 @@ def test_own_components_run(line: Any) -> None:
     assert checked == line("check", *POINT_MASS, *own)
     assert "task point_mass: 1 check failed" in checked[1]  # EveryFifth counts few samples
     assert line("run", *own, *POINT_MASS, "--cfg", "job") == line(*POINT_MASS, "--cfg", "job", *own)
+
+
+def test_options_may_stand_anywhere() -> None:
+    places = ["one.csv", "preset=cartpole", "seed=1"]
+    for words in (
+        ["--into", "x", *places],
+        [*places[:1], "--into", "x", *places[1:]],
+        [*places, "--into", "x"],
+    ):
+        parsed = parse(["identify", *words], "0")
+        assert (parsed.words, parsed.into) == (places, "x")
+    for wrong in (["--recovers", "seed=1"], ["seed=1", "--port", "3"]):
+        with pytest.raises(SystemExit):
+            parse(["identify", *wrong], "0")
 
 
 def test_help_is_quick_and_complete(tmp_path: Path) -> None:

@@ -185,6 +185,24 @@ def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
     np.testing.assert_array_equal(evaluated[: len(expected)], expected)
 
 
+def test_a_search_may_begin_with_the_last_policy(point_mass: Study) -> None:
+    searches: list[list[np.ndarray]] = []
+
+    class Recorded(NominalStart):
+        def objective(self, model, cost, rng):
+            objective, evaluated = super().objective(model, cost, rng), []
+            searches.append(evaluated)
+            return lambda theta: evaluated.append(theta) or objective(theta)
+
+    task = PointMass(horizon=FRAMES)
+    study = replace(point_mass, task=task, evaluation=Recorded(task), bias=NoBias())
+    for from_last in (True, False):
+        searches.clear()
+        method = ModelBased(2, from_last=from_last)
+        first, _ = replace(study, method=method, hardware=ScriptedHardware([0.9] * 4)).run()
+        assert np.array_equal(searches[1][0], first.parameters) == from_last
+
+
 def test_a_search_that_is_replayed_designs_no_lqr(
     point_mass: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

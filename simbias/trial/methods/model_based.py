@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
-from simbias.core.records import Iteration, Learning, Rollout
+from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.trial.claim import passes_for
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
@@ -59,6 +59,8 @@ class ModelBased(Method):
         the last.
     margin
         Standard errors by which a model has to predict better than a simpler one to be selected.
+    from_last
+        A search evaluates the last policy first, and may begin there.
     lqr_candidates
         Number of models, the most probable one and draws, whose LQR policies (`simbias.search.lqr`) a search
         evaluates first.
@@ -74,6 +76,7 @@ class ModelBased(Method):
     passes: Count | None = None
     model_selection: bool = False
     lqr_candidates: CountOrZero = 0
+    from_last: bool = False
     confidence: Confidence | None = None
     margin: NonNegative = 0.0
 
@@ -99,12 +102,14 @@ class ModelBased(Method):
         data, model = study.no_data, study.first_model()
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
+        last: list[Array] = []
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
                 retries = self.retry_search, self.target_cost, self.posterior_scale
-                found = search(study, model, search_rng, observer, self.lqr_candidates, *retries)
+                found = search(study, model, search_rng, observer, self.lqr_candidates, *retries, last)
             theta, simulation = found.optimum.parameters, model
+            last = [theta] if self.from_last else []
             reset = found.predicted_cost > study.cost.max_cost and not self.keep_data
             if reset:
                 data, learned_from = study.no_data, []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import os
@@ -9,18 +10,21 @@ import random
 import resource
 import shutil
 import signal
+import sqlite3
 import sys
 import time
 import warnings
 import zipfile
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import closing, redirect_stderr, redirect_stdout, suppress
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from attack.recordings import table
 from attack.values import QUICK
 from attack.verdict import Result, attempt
 from simbias.__main__ import main
@@ -28,7 +32,7 @@ from simbias.engine import workplace
 
 FOLDERS = "tracking=folders"
 TRIAL = [*QUICK, "cost.max_cost=1e-3", "method.max_iterations=2"]  # it never succeeds
-TOLD = "Did not succeed after 4 hardware experiments"
+TESTED = [*TRIAL, "policy_test.episodes=3"]  # with test episodes after its end
 STORES = [[FOLDERS], [FOLDERS], [FOLDERS], ["tracking=mlflow"]]
 OTHERS = ("attempts", "trial", "outcome", ".lock", "error_0000", "error_0001")  # have times, or are empty
 
@@ -71,25 +75,33 @@ def _timeless(content: Any) -> Any:
     return [_timeless(each) for each in content] if isinstance(content, list) else content
 
 
-_WHOLE: dict[str, str] = {}
+_WHOLE: dict[str, dict[str, str]] = {}  # by the trial's last override
 
 
-def _is_whole(folder: Path) -> bool:
+def _is_whole(folder: Path, trial: list[str] = TRIAL) -> bool:
     """Whether the trial is that of a run that nothing befell, with nothing left behind."""
-    return "Did not succeed" in (folder / "stdout").read_text() and _steps(folder) == _WHOLE
+    return "Did not succeed" in (folder / "stdout").read_text() and _steps(folder) == _WHOLE[trial[-1]]
 
 
-def _uninterrupted(work: Path) -> None:
+def _uninterrupted(work: Path, trial: list[str] = TRIAL) -> None:
     """Make the trial once that all others are held against."""
-    if not _WHOLE:
-        folder, here = work.parent / "whole", Path.cwd()
+    if trial[-1] not in _WHOLE:
+        folder, here = work.parent / f"whole {trial[-1]}", Path.cwd()
         folder.mkdir()
         os.chdir(folder)
         try:
-            os.waitpid(_silently([*TRIAL, FOLDERS]), 0)
+            os.waitpid(_silently([*trial, FOLDERS]), 0)
         finally:
             os.chdir(here)
-        _WHOLE.update(_steps(folder))
+        _WHOLE[trial[-1]] = _steps(folder)
+
+
+def _is_exported_once(folder: Path) -> bool:
+    """Whether MLflow's store shows the one trial, ended, with no metric twice."""
+    with closing(sqlite3.connect(folder / "mlflow.db")) as database:
+        runs = database.execute("SELECT status FROM runs WHERE lifecycle_stage = 'active'").fetchall()
+        steps = "SELECT count(*) FROM metrics GROUP BY run_uuid, key, step HAVING count(*) > 1"
+        return runs == [("FINISHED",)] and not database.execute(steps).fetchall()
 
 
 # Crashes and disks
@@ -121,8 +133,9 @@ def _broken() -> None:
 
 
 def disks(rng: random.Random, work: Path) -> list[Result]:
-    """A trial that dies, or whose disk fails, at its n-th write; the same command goes on."""
-    _uninterrupted(work)
+    """A trial or an export that dies, or whose disk fails, at its n-th write; the same command goes on."""
+    trial = rng.choice([TRIAL, TESTED])
+    _uninterrupted(work, trial)
     n, store = rng.randint(1, 40), rng.choice(STORES)
     kind = rng.choice(["killed", "killed", "full", "broken", "small"])
     size = int(10 ** rng.uniform(1.0, 5.0))
@@ -132,16 +145,20 @@ def disks(rng: random.Random, work: Path) -> list[Result]:
         "broken": lambda: _at(n, _broken),
         "small": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY)),
     }
-    command = [*TRIAL, *store]
+    exported = rng.random() < 0.3
+    command = ["export"] if exported else [*trial, *store]
 
     def twice_before() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        if exported:
+            os.waitpid(_silently([*trial, FOLDERS]), 0)
         for _ in range(rng.choice([1, 2])):
             os.waitpid(_silently(command, befalls[kind]), 0)
 
-    case = f"{kind} at {size if kind == 'small' else n}, {store[0]}"
-    again = attempt("disks", f"{case}, again", command, twice_before, None, _is_whole, seconds=40.0)
-    if kind == "killed":
+    case = f"{kind} at {size if kind == 'small' else n}, {'export' if exported else store[0]}, {trial[-1]}"
+    inspect = _is_exported_once if exported else partial(_is_whole, trial=trial)
+    again = attempt("disks", f"{case}, again", command, twice_before, None, inspect, seconds=40.0)
+    if kind == "killed" or exported:
         return [again]
 
     def befall() -> None:
@@ -157,11 +174,18 @@ def disks(rng: random.Random, work: Path) -> list[Result]:
 def together(rng: random.Random, work: Path) -> list[Result]:
     """Two processes with one trial, or one whose experiment is withdrawn under a kill."""
     _uninterrupted(work)
-    store, kind = rng.choice(STORES), rng.choice(["two", "withdrawn", "withdrawn twice", "moved"])
-    command, n = [*TRIAL, *store], rng.randint(1, 8)
+    store = rng.choice(STORES)
+    kind = rng.choice(["two", "withdrawn", "withdrawn twice", "moved", "moved while it runs"])
+    command, n, steps = [*TRIAL, *store], rng.randint(1, 8), rng.randint(1, 6)
+    taken = rng.choice(
+        ["trials", "trials", "mlflow.db", "mlartifacts"] if store[-1] != FOLDERS else ["trials"]
+    )
     place = rng.choice(["0001_experiment.npz", "0002_experiment.npz", "0005_experiment.npz"])
 
     def before() -> None:
+        if kind == "moved while it runs":
+            _taken_away(command, taken, steps)
+            return
         if kind == "two":
             delay = rng.uniform(0.0, 0.5)
             other = _silently(command)
@@ -183,10 +207,24 @@ def together(rng: random.Random, work: Path) -> list[Result]:
         if kind == "withdrawn twice":
             os.waitpid(_silently(withdrawal), 0)
 
-    inspect = _is_whole if kind in ("two", "moved") else _has_ended
+    inspect = _has_ended if kind.startswith("withdrawn") else _is_whole
     return [
         attempt("together", f"{kind} {place} {n}, {store[0]}", command, before, None, inspect, seconds=60.0)
     ]
+
+
+def _taken_away(command: list[str], taken: str, steps: int) -> None:
+    """Move a folder or a store away while a trial runs, after so many of its files, and back at its end."""
+    child = _silently(command)
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end and len(list(Path().glob("trials/*/*"))) < 3 + steps:
+        time.sleep(0.002)
+    with suppress(OSError):  # it may be none yet
+        os.rename(taken, "away")
+    os.waitpid(child, 0)
+    if Path("away").exists():
+        assert not Path(taken).exists(), f"{taken} is in two places"
+        os.rename("away", taken)
 
 
 def _has_ended(folder: Path) -> bool:
@@ -313,6 +351,9 @@ def words(rng: random.Random, work: Path) -> list[Result]:
     word, unit = rng.choice(WORDS), rng.choice(WORDS)
     store = [FOLDERS] if rng.random() < 0.9 else STORES[-1]
     command = ["--config-dir", "conf", "preset=cartpole", "task=own", *TRIAL, *store]
+    kind = rng.choice(["trial", "trial", "sweep", "recording"])
+    if kind != "trial":
+        return [_of_sweep(word, unit) if kind == "sweep" else _of_recording(word, unit)]
 
     def before() -> None:
         Path("conf/task").mkdir(parents=True)
@@ -326,13 +367,53 @@ def words(rng: random.Random, work: Path) -> list[Result]:
             os.waitpid(_silently(command), 0)
             Path("trial").symlink_to(experiment.parent)
 
-    def safe(folder: Path) -> bool:
-        for page in folder.glob("trials/**/*.html"):
-            scripts = _Scripts()
-            scripts.feed(page.read_text(encoding="utf-8"))
-            if scripts.found:
-                return False
-        return bool(list(folder.glob("trials/**/*.html"))) and "\x1b" not in (folder / "stdout").read_text()
-
     report = ["report", "--config-dir", "conf", "trial"]
-    return [attempt("words", f"{word!r}, {unit!r}, {store[0]}", report, before, None, safe, seconds=60.0)]
+    return [attempt("words", f"{word!r}, {unit!r}, {store[0]}", report, before, None, _safe, seconds=60.0)]
+
+
+def _safe(folder: Path) -> bool:
+    """Whether there is a page, in none anything would run, and nothing moves the terminal."""
+    pages = list(folder.glob("**/*.html"))
+    for page in pages:
+        scripts = _Scripts()
+        scripts.feed(page.read_text(encoding="utf-8"))
+        if scripts.found:
+            return False
+    return bool(pages) and "\x1b" not in (folder / "stdout").read_text()
+
+
+def _of_sweep(word: str, label: str) -> Result:
+    """The page of a sweep whose labels are such words."""
+    axes = {"x": {"keys": ["hardware.inertia_error"], "values": [[0.0], [0.1]], "labels": [label, word]}}
+    sweep = {"trials": 1, "axes": axes, "figures": {}}
+    command = ["--config-dir", "conf", "+sweep=mine", "engine=sequential", *QUICK, FOLDERS]
+
+    def before() -> None:
+        Path("conf/sweeps").mkdir(parents=True)
+        Path("conf/sweeps/mine.yaml").write_text(json.dumps({"sweep": sweep}))
+        with open("stderr", "w") as said, redirect_stderr(said), redirect_stdout(io.StringIO()):
+            main(command)  # which may refuse the words; then there is no page to look at
+        Path("stderr").write_text("")
+        if not list(Path("trials").glob("sweeps/*")):
+            os._exit(2)
+
+    return attempt(
+        "words", f"sweep {label!r}, {word!r}", ["report", "trials"], before, None, _safe, seconds=60.0
+    )
+
+
+def _of_recording(word: str, unit: str) -> Result:
+    """The page of `identify` of a recording whose name and columns are such words."""
+    name = f"{word[:80].replace('/', '|')}.csv"
+    columns = json.dumps({"pos1": f"{word} [rad]", "tau1": "tau1 [N m]"})
+    command = ["identify", name, "preset=double_pendulum", "tracking=none", "--columns", columns]
+    quick = ["identification.starts=1", "identification.rounds=1"]
+
+    def before() -> None:
+        rows = table(random.Random(0))
+        rows[0][1] = word
+        with Path(name).open("w", newline="") as file:
+            csv.writer(file).writerows(rows)
+
+    case = f"recording {word!r}"
+    return attempt("words", case, [*command, *quick], before, None, _safe, seconds=60.0)

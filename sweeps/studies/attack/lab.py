@@ -16,7 +16,7 @@ import numpy as np
 from attack.verdict import Result, Verdict
 from simbias.config import compose
 from simbias.config.build import build
-from simbias.core import HardwareError
+from simbias.core import HardwareError, Policy, Task
 from simbias.core.messages import brief, with_type
 from simbias.core.records import Array
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
@@ -76,10 +76,50 @@ def judged(surface: str, case: str, attack: Callable[[], str]) -> list[Result]:
 # Controllers
 
 
+ONE = [
+    *(np.sin, np.cos, np.tanh, np.abs, np.sign, np.floor, np.negative, np.arctan, np.square),
+    *(lambda a: np.sqrt(np.abs(a)), lambda a: np.exp(np.minimum(a, 3.0)), lambda a: np.clip(a, -1.0, 0.5)),
+]
+TWO = [
+    *(np.add, np.subtract, np.multiply, np.minimum, np.maximum, np.arctan2, np.copysign),
+    *(lambda a, b: np.where(a > b, a, b * b), lambda a, b: a / (1.0 + np.abs(b))),
+    lambda a, b: np.where((a < 0) & ~(b >= 0), b, a),
+]
+
+
+class Formula(Policy):
+    """A law of random operations, with a state of two values and the time, as somebody writes it in NumPy."""
+
+    n_parameters, state_size = 3, 2
+    bounds = (-np.ones(3), np.ones(3))
+
+    def __init__(self, task: Task, number: int) -> None:
+        self._task, self._number = task, number
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        rng = random.Random(self._number)
+        known = [given[..., i : i + 1] for given in (x, theta, policy_state) for i in range(given.shape[-1])]
+        known += [0.0 * x[..., :1] + t, 0.0 * x[..., :1] + rng.uniform(-3, 3)]
+
+        def value(depth: int) -> Any:
+            if depth == 0 or rng.random() < 0.1:
+                return rng.choice(known)
+            if rng.random() < 0.4:
+                return rng.choice(ONE)(value(depth - 1))
+            return rng.choice(TWO)(value(depth - 1), value(depth - 1))
+
+        u = np.concatenate([10.0 * value(rng.randint(1, 5)) for _ in self._task.inputs], axis=-1)
+        kept = np.concatenate([np.clip(value(rng.randint(1, 4)), -5.0, 5.0) for _ in range(2)], axis=-1)
+        return np.clip(u, *self._task.input_bounds), kept
+
+    def outputs(self, x: Array) -> Array:
+        return x
+
+
 def controllers(rng: random.Random, work: Path) -> list[Result]:
     """C and Python of a random policy with random limits, over frames near, at and beyond these."""
-    kind, task = rng.choice(sorted(POLICIES)), rng.choice(TASKS)
-    values = {**POLICIES[kind]}
+    kind, task = rng.choice([*sorted(POLICIES), "formula", "formula"]), rng.choice(TASKS)
+    values = {**POLICIES.get(kind, {})}
     if kind in ("mlp", "rbf", "switched"):
         values["observer"] = rng.choice(OBSERVERS)
         values["units"] = rng.randint(1, 6)
@@ -90,12 +130,13 @@ def controllers(rng: random.Random, work: Path) -> list[Result]:
     case = f"{task} {kind} {' '.join(chosen)} {number}"
 
     def attack() -> str:
-        study = study_of(task, f"policy={kind}", *chosen)
+        study = study_of(task, *([f"policy={kind}"] if kind in POLICIES else []), *chosen)
         if isinstance(study, str):
             raise ValueError(study)
         own = np.random.default_rng(number)
-        policy, bounds = _limited(study, own)
-        lower, upper = study.policy.bounds
+        law = study.policy if kind in POLICIES else Formula(study.task, number)
+        policy, bounds = _limited(law, study.task, own)
+        lower, upper = law.bounds
         theta = own.uniform(lower, upper) * own.choice([0.0, 0.01, 0.3, 1.0])
         theta = np.clip(theta, lower, upper)
         request = ExperimentRequest(study.task, policy, theta, study.task.start_mean)
@@ -109,16 +150,15 @@ def controllers(rng: random.Random, work: Path) -> list[Result]:
     return judged("controllers", case, attack)
 
 
-def _limited(study: Study, rng: np.random.Generator) -> tuple[SafetyLimitedPolicy, Bounds]:
-    """The study's policy with random limits, the inputs' own on either side."""
-    task = study.task
+def _limited(policy: Policy, task: Task, rng: np.random.Generator) -> tuple[SafetyLimitedPolicy, Bounds]:
+    """The policy with random limits, the inputs' own on either side, and failure criteria or not."""
     lower, upper = (np.array(edge, dtype=np.float64) for edge in task.input_bounds)
     size = np.maximum(np.abs(lower), np.abs(upper))
     lower = np.where(rng.random(len(size)) < 0.5, np.maximum(lower, -size * rng.uniform(0.2, 1.0)), lower)
     rates = rng.choice([np.inf, 1e9, 1e4, 1e2], len(size))
     states = rng.choice([np.inf, 10.0, 1.0], len(task.states))
-    bounds = Bounds((lower, upper), rates, states, False)
-    return SafetyLimitedPolicy(study.policy, task, bounds), bounds
+    bounds = Bounds((lower, upper), rates, states, bool(rng.random() < 0.5))
+    return SafetyLimitedPolicy(policy, task, bounds), bounds
 
 
 def _against_python(request: ExperimentRequest, module: str, rng: np.random.Generator) -> str:

@@ -50,8 +50,8 @@ LINKS = {"link": "../secret.csv", "device": "/dev/zero", "circle": ""}
 SECRET = "time,pos1\n0,1\n"  # beside the recordings
 
 
-def _table(rng: random.Random) -> list[list[str]]:
-    """A recording as it should be: header and rows of two sines."""
+def table(rng: random.Random) -> list[list[str]]:
+    """The cells of a recording as it should be: header and rows of two sines."""
     rate, t = rng.choice([0.002, 0.01]), np.arange(300)
     w = np.array([3.0, 5.0])
     at = rate * t[:, None]
@@ -111,7 +111,7 @@ def _bounded() -> Iterator[None]:
 
 def _changed(rng: random.Random, folder: Path) -> tuple[str, Path, str]:
     """A table with a strange cell, time, unit or row."""
-    rows, file = _table(rng), folder / rng.choice(["one.csv", "<img src=x>.csv", "ü \n.csv", "a=b.csv"])
+    rows, file = table(rng), folder / rng.choice(["one.csv", "<img src=x>.csv", "ü \n.csv", "a=b.csv"])
     kind = rng.choice(["cell", "cell", "time", "time", "unit", "rows", "bytes", "name"])
     row, column, case = rng.randrange(1, len(rows)), rng.randrange(len(NAMES)), ""
     raw = None
@@ -157,7 +157,7 @@ def _changed(rng: random.Random, folder: Path) -> tuple[str, Path, str]:
 
 def _archive(rng: random.Random, folder: Path) -> tuple[str, Path, str]:
     """A file of another kind than its name says: archives with paths, bombs, links, devices, pipes."""
-    text = _text(_table(rng)).encode()
+    text = _text(table(rng)).encode()
     kind = rng.choice(
         ["zip", "tar", "cut", "bomb", "twice", "link", "device", "pipe", "circle", "folder", "pickle"]
     )
@@ -240,7 +240,7 @@ def _bag(rng: random.Random, folder: Path) -> tuple[str, Path, str]:
 def _columns(rng: random.Random, folder: Path) -> tuple[str, Path, str]:
     """Columns of another kind than a mapping of names."""
     file = folder / "one.csv"
-    file.write_text(_text(_table(rng)))
+    file.write_text(_text(table(rng)))
     name, value = rng.choice([*NAMES, "x", ""]), rng.choice(VALUES)
     given = rng.choice(
         [f"{{{name}: {value}}}", value, f"{{{name}: '{name} [{rng.choice(UNITS)}]'}}", "&a {a: *a}"]
@@ -278,7 +278,7 @@ def _options(rng: random.Random) -> Result:
     name = rng.choice(["one.csv", "a=b.csv", "<b>.csv"])
 
     def prepare() -> None:
-        Path(name).write_text(_text(_table(rng)))
+        Path(name).write_text(_text(table(rng)))
 
     words = [name, PENDULUM, "tracking=none", "identification.starts=1", "identification.rounds=1", *option]
     return attempt("recordings", f"{command} {option}", [command, *words], prepare, key="")

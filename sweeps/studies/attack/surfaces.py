@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import random
 import shutil
@@ -13,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing, redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 
 import psutil
@@ -21,6 +22,7 @@ import soak
 from faulty_hardware import DEADLY, FAULTS, MENDED, RAISED, RETURNED
 from sweeping import finish, start
 
+import simbias
 from attack import harm, lab
 from attack.code import code
 from attack.recordings import recordings
@@ -295,7 +297,7 @@ _UNINTERRUPTED: dict = {}
 
 def strangers(rng: random.Random, work: Path) -> list[Result]:
     """Strangers at the ports of a sweep's local cluster; or a port that is no scheduler."""
-    return _silent_port(rng) if rng.random() < 0.4 else _visited_cluster(rng)
+    return rng.choice([_silent_port, _visited_cluster, _other_workers])(rng)
 
 
 def _silent_port(rng: random.Random) -> list[Result]:
@@ -353,6 +355,45 @@ def _visited_cluster(rng: random.Random) -> list[Result]:
 
 
 START_SECONDS = 60.0
+OTHERS = {  # simbias of another version: a file and what of it is replaced
+    "version": ("cost/quadratic.py", "", "# changed\n"),
+    "plan": ("sweep/worker.py", '    marker: str = ""', '    mark: str = ""'),
+    "gone": ("sweep/worker.py", "def run_plan", "def run_one"),
+}
+
+
+def _other_workers(rng: random.Random) -> list[Result]:
+    """A cluster whose workers, and whose scheduler or not, have another simbias: no trial counts."""
+    kind, both = rng.choice(sorted(OTHERS)), rng.random() < 0.5
+    folder = Path(work_folder())
+    package = Path(simbias.__file__).parent
+    shutil.copytree(package, folder / "simbias", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("conf", "sweeps"):
+        (folder / name).symlink_to(package.parent / name)
+    name, before, after = OTHERS[kind]
+    file = folder / "simbias" / name
+    file.write_text(file.read_text().replace(before, after, 1))
+    other, address = os.environ | {"PYTHONPATH": str(folder)}, folder / "scheduler.json"
+    with ExitStack() as stack:
+        for role, options in (("scheduler", ["--port=0", "--no-dashboard"]), ("worker", ["--nthreads=1"])):
+            (folder / role).mkdir()
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", role, *options, f"--scheduler-file={address}"],
+                cwd=folder / role,
+                env=other if both or role == "worker" else None,
+                stderr=subprocess.DEVNULL,
+            )
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+            while not address.exists():
+                time.sleep(0.1)
+        at = f"engine.address={json.loads(address.read_text())['address']}"
+        command = ["+sweep=smoke", "engine=dask", at, "tracking=folders", *QUICK[:3], "sweep.trials=1"]
+        case = f"workers{' and scheduler' * both} of another version: {kind}"
+        result = attempt("strangers", case, command, seconds=60.0)
+    shutil.rmtree(folder)
+    wrong = result.verdict is Verdict.RAN and result.status == 0
+    return [Result(**{**vars(result), "verdict": Verdict.WRONG}) if wrong else result]
 
 
 def work_folder() -> str:
