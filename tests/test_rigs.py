@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -40,23 +41,31 @@ def recording(zero: float, seed: int) -> pd.DataFrame:
     return pd.DataFrame({"time": t, "position": noisy[:, 0], "velocity": noisy[:, 1], "torque": u})
 
 
-@pytest.mark.slow
-def test_the_study_learns_from_one_and_from_several(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None
-) -> None:
-    """Zeros come back, what is identified beats the described model, and nothing of the test is read."""
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None) -> Callable[..., pd.DataFrame]:
+    """Runs the study on simulated recordings of the simple pendulum; those of the test have no zeros."""
     from loading import declared
 
     rig = declared()["simple_pendulum"]
-    for i, name in enumerate(rig["development"]):
+    zeros = dict.fromkeys(rig["test"], 0.0) | dict(zip(rig["development"], ZEROS, strict=True))
+    for i, (name, zero) in enumerate(zeros.items()):
         file = tmp_path / "torque_limited_simple_pendulum" / rig["folder"] / name
         file.parent.mkdir(parents=True)
-        recording(ZEROS[i], i).to_csv(file, index=False)
+        recording(zero, i).to_csv(file, index=False)
     monkeypatch.chdir(tmp_path)
-    ways = ["nominal", "lab", "identified"]
-    monkeypatch.setattr(sys, "argv", ["rigs", ".", "--rigs", "simple_pendulum", "--ways", *ways])
-    runpy.run_path(str(STUDY), run_name="__main__")
-    found = pd.read_csv("rigs.csv")
+
+    def run_study(*arguments: str) -> pd.DataFrame:
+        monkeypatch.setattr(sys, "argv", ["rigs", ".", "--rigs", "simple_pendulum", *arguments])
+        runpy.run_path(str(STUDY), run_name="__main__")
+        return pd.read_csv("rigs.csv")
+
+    return run_study
+
+
+@pytest.mark.slow
+def test_the_study_learns_from_one_and_from_several(study: Callable[..., pd.DataFrame]) -> None:
+    """Zeros come back, and what is identified beats the described model."""
+    found = study("--ways", "nominal", "lab", "identified")
     assert (found.groupby(["number", "way"])["learned"].nunique() == 3).all()
     ratios = found[found["seconds"] == 0.1].groupby(["number", "way"])["ratio"].mean()
     assert ratios["one", "lab"] == ratios["several", "lab"] == 1.0
@@ -66,6 +75,15 @@ def test_the_study_learns_from_one_and_from_several(
     zeros = [float(each) for each in alone.drop_duplicates("learned")["zeros"]]
     np.testing.assert_allclose(zeros, ZEROS, atol=0.03)
     assert "| simple_pendulum | 0.5 s |" in Path("table.md").read_text()
+
+
+@pytest.mark.slow
+def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFrame]) -> None:
+    """By what each development recording tells, and by what all of them tell; in development they are not."""
+    for part, several in (([], 3), (["--test"], 1)):
+        found = study(*part, "--ways", "lab")
+        assert found.groupby("number")["learned"].nunique().to_dict() == {"one": 3, "several": several}
+        assert (found["ratio"] == 1.0).all()
 
 
 @pytest.mark.slow

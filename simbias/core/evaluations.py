@@ -166,7 +166,10 @@ class Evaluations:
         if self.remaining <= len(points):  # one is left for the generation's mean
             raise SearchEnded(EVALUATION_LIMIT)
         self.count += len(points)
-        return self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
+        costs = self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
+        for point, cost in zip(points, costs, strict=True):
+            _check_finite(point, cost)
+        return costs
 
     def inside(self, point: Array) -> Array:
         """The point (p,) or the nearest one in the box, as an array of its own; quicker than np.clip."""
@@ -194,8 +197,7 @@ class Evaluations:
         if not self.remaining:
             raise SearchEnded(EVALUATION_LIMIT)
         self.count += 1
-        if not math.isfinite(cost):
-            raise ValueError(f"the cost is {cost} at the point {point.tolist()}")
+        _check_finite(point, cost)
         self._worst_cost = max(self._worst_cost, cost)
         if cost < self.best_cost:
             change = (self.best_cost - cost) / max(abs(cost), np.finfo(np.float64).tiny)
@@ -215,6 +217,8 @@ class Evaluations:
 
     def run(self, search: Callable[[Self], str]) -> str:
         """Run a search on these; why it ended, in words."""
+        if self._ends_at_target and self.below_target:
+            return TARGET
         try:
             self.check_budget()
             return search(self)
@@ -243,3 +247,9 @@ class Evaluations:
             stopped_by = f"{stopped_by}, with no cost below {self.target_cost:g}"
         flat = self.count > 1 and self._worst_cost == self.best_cost
         return Optimum(self._best_point, self.best_cost, self.count, stopped_by, flat)
+
+
+def _check_finite(point: Array, cost: float) -> None:
+    """Refuse a cost that is no number: by it nothing can be ranked."""
+    if not math.isfinite(cost):
+        raise ValueError(f"the cost is {cost} at the point {point.tolist()}")

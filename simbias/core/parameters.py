@@ -14,6 +14,7 @@ import numpy as np
 from simbias.core.records import Array
 
 LARGEST = 100.0  # exponent: a search for the mode may come by where a parameter would overflow
+FARTHEST = 37.0  # coordinate of a half-normal: beyond, its tail is no number, and the parameter infinite
 
 Prior = Literal["normal", "log_normal", "half_normal", "uniform"]
 
@@ -43,7 +44,7 @@ class Parameter(NamedTuple):
         from scipy.special import ndtr, ndtri  # lazily: most trials need none
 
         if self.prior == "half_normal":
-            return self.value - self.spread * ndtri(ndtr(-z) / 2)
+            return self.value - self.spread * ndtri(ndtr(-np.minimum(z, FARTHEST)) / 2)
         return self.value + self.spread * ndtr(z)
 
 

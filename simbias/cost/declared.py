@@ -19,7 +19,7 @@ class Declared(Cost):
     """Z = c (T - t_fail) / T + the mean of `running` + the largest `peak`, if positive, + the last `final`.
 
     Expressions are those of `simbias.simulation.compiler.expressions`: of states, inputs, the time t in s,
-    the error of each quantity of the task's goal as `angle_error`, constants, and names `where` says.
+    the error of each quantity of the task's goal as `angle_error`, and constants.
 
     Parameters
     ----------
@@ -38,7 +38,6 @@ class Declared(Cost):
         peak: Expression = "0",
         final: Expression = "0",
         constants: dict[str, Coordinate] | None = None,
-        where: dict[str, Expression] | None = None,
     ) -> None:
         self.max_cost = max_cost
         self.horizon, self.time_step = task.horizon, task.time_step
@@ -46,7 +45,7 @@ class Declared(Cost):
         quantities = [each.name for each in (*task.states, *task.inputs)]
         names = [*quantities, "t", *(f"{goal.name}_error" for goal in task.goals)]
         texts = {"running": running, "peak": peak, "final": final}
-        self._expressions = Expressions(texts, names, constants, where)
+        self._expressions = Expressions(texts, names, constants)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The values (..., 3) of the expressions in frames."""

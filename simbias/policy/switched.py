@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, final
+from typing import final
 
 import numpy as np
-from pydantic import Field
 from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Policy, Task
@@ -15,8 +14,6 @@ from simbias.policy.network import Bound, Network, Units
 from simbias.policy.networks import Kind
 from simbias.policy.observer import ObserverKind
 from simbias.simulation.linearization import linearization
-
-Factor = Annotated[float, Field(ge=0, le=10)]
 
 LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest where the regulator is not cut off
 
@@ -37,8 +34,6 @@ class Switched(Policy):
         being 1.
     hysteresis
         At least 1.
-    gains
-        How far each of the regulator's gains is searched, as the logarithm of a factor; 0: not at all.
 
     Raises
     ------
@@ -56,7 +51,6 @@ class Switched(Policy):
         observer: ObserverKind = "none",
         input_weight: Positive = 10.0,
         hysteresis: Positive = 2.0,
-        gains: Factor = 0.0,
     ) -> None:
         if task.goals != task.states:
             raise ValueError("the task's goal has to be about all states, in their order")
@@ -64,30 +58,21 @@ class Switched(Policy):
         self._swing_up = Network(task, nominal, kind, units, bound, observer=observer)
         self._K, self._S = _regulator(task, nominal, input_weight)
         lower, upper = self._swing_up.bounds
-        self._level, factors = len(lower), np.full(self._K.size if gains else 0, gains)
-        self.bounds = np.r_[lower, LEVELS[0], -factors], np.r_[upper, LEVELS[1], factors]
-        self.n_parameters = len(self.bounds[0])
+        self.bounds = np.append(lower, LEVELS[0]), np.append(upper, LEVELS[1])
+        self.n_parameters = len(lower) + 1
         self.state_size = self._swing_up.state_size + 1
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n); the observer's state, and 1 where the regulator is on."""
         kept, on = policy_state[..., :-1], policy_state[..., -1:]
-        network, level = theta[..., : self._level], theta[..., self._level : self._level + 1]
-        estimate = self._swing_up.estimate(network, x, t, kept)
+        estimate = self._swing_up.estimate(theta[..., :-1], x, t, kept)
         e = self._task.error(estimate, t)
         V = ((e @ self._S) * e).sum(axis=-1, keepdims=True)
-        near = np.exp(level) * (1.0 + (self._hysteresis - 1.0) * on) > V
-        regulated = np.clip(-self._regulate(theta[..., self._level + 1 :], e), *self._task.input_bounds)
-        u = np.where(near, regulated, self._swing_up.ask(network, estimate, t))
+        near = np.exp(theta[..., -1:]) * (1.0 + (self._hysteresis - 1.0) * on) > V
+        regulated = np.clip(-(e @ self._K.T), *self._task.input_bounds)
+        u = np.where(near, regulated, self._swing_up.ask(theta[..., :-1], estimate, t))
         kept = self._swing_up.keep(x, estimate, u)
         return u, np.concatenate([kept, np.where(near, 1.0, 0.0)], axis=-1)
-
-    def _regulate(self, factors: Array, e: Array) -> Array:
-        """K e (..., m), each gain times the exponential of its factor if these are searched."""
-        if self.n_parameters == self._level + 1:
-            return e @ self._K.T
-        K = self._K * np.exp(factors).reshape(*factors.shape[:-1], *self._K.shape)
-        return (K @ e[..., None])[..., 0]
 
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""

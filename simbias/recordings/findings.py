@@ -59,14 +59,14 @@ def findings(
         partners = {
             names[j]: float(R[i, j]) for j in range(len(names)) if j != i and abs(R[i, j]) > CORRELATED
         }
+        elsewhere = parameter.of_recording and not shrinkage  # nothing is known but the prior
+        disagree = _distance(by_part, i) > DISAGREEMENT and not parameter.of_recording
         doubts = [
-            _of_shrinkage(shrinkage)
-            if shrinkage or not parameter.of_recording
-            else "each recording has its own",
+            "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from what was declared" if abs(fitted.mode[i]) > TAIL else "",
-            "recordings disagree" if _distance(by_part, i) > DISAGREEMENT else "",
+            "recordings disagree" if disagree else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
         ]
         found.append(

@@ -91,6 +91,7 @@ def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[st
         yield "No trajectory was found that keeps the limits."
         return
     gained = excitation.gained(before)
+    gained[[finding.prior.of_recording for finding in assessment.findings]] = 0.0  # of no use to others
     told = [f"{names[i]} (by {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if gained[i] > WORTH]
     seconds = excitation.rollout.frames * assessment.task.time_step
     if told:

@@ -39,7 +39,8 @@ def search(
     """
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
-    drawn, candidates = model, chain(last, lqr.lqr_candidates(model, lqr_candidates))
+    drawn = model
+    candidates: Iterator[Array] = chain(last, lqr.lqr_candidates(model, lqr_candidates))
     while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
         if searches:

@@ -384,6 +384,18 @@ def test_fresh_scenarios_in_each_generation_lead_to_the_known_optimum(name: str)
         assert each.cost == sphere(each.parameters) < 1.0 + 5 / 4  # a generation's own optimum is 5 away
 
 
+class Broken(ShiftedSphere):
+    """A sphere that a generation meets where nothing can be computed."""
+
+    def rank(self, thetas: Array) -> Array:
+        return np.full(len(thetas), np.nan)
+
+
+def test_a_generation_that_cannot_be_ranked_is_said() -> None:
+    with pytest.raises(ValueError, match=r"the cost is nan at the point \["):
+        minimize(make("cma"), Broken(0), *BOX)
+
+
 class Funnel(Objective):
     """A funnel around the optimum, flat outside of its radius; it may have a wider one as a first stage."""
 

@@ -10,13 +10,15 @@ development recordings.
 
 Measured are, at each horizon, from measured states under measured inputs: errors of all states over those of
 the lab's own identified model, a geometric mean over states; how many errors lie in 90% regions; how many
-nats less surprising an error is than under the lab's model (medians over predictions), with regions whose
+nats less surprising an error is than under the lab's model (its negative log-likelihood), with regions whose
 size comes from the recordings that were learned from; and the seconds of processor time of learning.
 
 An encoder is switched on at a robot at rest, which friction keeps away from where it would hang. So each
 recording has zeros of its own: they are identified with the robot, and of others the prior is known. What
 is left of errors without them is seen where the first fifth of each predicted recording tells its zeros, to
 the identified model and to the lab's, and the rest of it is predicted.
+
+A load is weighed by recordings with it, once those without it have told all else (`loads.csv`).
 """
 
 from __future__ import annotations
@@ -27,10 +29,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import loads
 import numpy as np
 import pandas as pd
 from loading import Rig, declared, load
-from ways import OF_ONE, OF_SEVERAL, WAYS, lab, of_lab, timed, with_zeros
+from threadpoolctl import threadpool_limits
+from ways import OF_ONE, OF_SEVERAL, WAYS, fit, lab, of_lab, timed
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
@@ -68,7 +72,7 @@ def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
                 if not len(wrong):
                     continue
                 covariances, labs = (each.covariances(learned, left, k) for each in (found, reference))
-                nats = np.median(surprises(labs_wrong, labs)) - np.median(surprises(wrong, covariances))
+                nats = np.mean(surprises(labs_wrong, labs)) - np.mean(surprises(wrong, covariances))
                 held = float(np.mean(inside(wrong, covariances)))
                 own = {"ratio": ratio(wrong, labs_wrong), "coverage": held, "nats": float(nats)}
                 yield case | {"seconds": horizon} | own | {"residual": found.bias is not None}
@@ -83,7 +87,7 @@ def rows_with_zeros(
     """Errors over the lab's of what follows the beginnings of recordings, which have told their zeros."""
     begun = [cut(rollout) for rollout in left]
     for way, before in (("lab and zeros", of_lab(rig)), ("identified and zeros", known)):
-        models = [with_zeros(rig, before, beginning) for beginning, _ in begun]
+        models = [fit(rig, [beginning], before) for beginning, _ in begun]
         for horizon in HORIZONS:
             k = rig.study.task.frames(horizon)
             pairs = [(model, rest) for model, (_, rest) in zip(models, begun, strict=True)]
@@ -148,6 +152,7 @@ def _range(values: Array, form: str) -> str:
     return f"{form.format(values.mean())} ({form.format(values.min())} to {form.format(values.max())})"
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as `identify`
 def main() -> None:
     """Write the table and the summary to the current folder."""
     parser = argparse.ArgumentParser(prog="rigs")
@@ -156,12 +161,17 @@ def main() -> None:
     parser.add_argument("--rigs", nargs="+", choices=declared(), default=list(declared()), help="only these")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS), help="only these")
     arguments = parser.parse_args()
-    found: list[dict[str, Any]] = []
+    found, weighed = list[dict[str, Any]](), list[dict[str, Any]]()
     for name in arguments.rigs:
-        rig = load(declared()[name], arguments.checkouts.resolve(), arguments.test)
+        declaration = declared()[name]
+        rig = load(declaration, arguments.checkouts.resolve(), arguments.test)
+        if "load" in declaration:
+            unloaded = load(declared()[declaration["load"]["unloaded"]], arguments.checkouts.resolve(), False)
+            weighed += loads.rows(rig, declaration["load"]["name"], unloaded)
+            pd.DataFrame(weighed).to_csv("loads.csv", index=False, float_format="%.4g")
         found += [{"rig": name, **row} for row in rows(rig, arguments.ways)]
         pd.DataFrame(found).to_csv("rigs.csv", index=False, float_format="%.4g")
-    text = summary(pd.DataFrame(found))
+    text = summary(pd.DataFrame(found)) if found else ""
     Path("table.md").write_text(text)
     print(text)
 

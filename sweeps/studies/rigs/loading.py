@@ -52,7 +52,12 @@ def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
     """A rig whose repository is checked out in a folder of its name; with its test recordings if `test`."""
     nominal = [f"{key}={_text(value)}" for key, value in rig.items() if key.startswith("nominal.")]
     zeros = [f"+identification.sensors.{angle}.zero={ZERO}" for angle in rig["zeros"]]
-    study = simbias.load([*rig["composition"], "tracking=none", *nominal, *zeros], HERE / "robots")
+    load = (
+        [f"+nominal.uncertainty={{{rig['load']['name']}: {rig['load']['deviation']}}}"]
+        if "load" in rig
+        else []
+    )
+    study = simbias.load([*rig["composition"], "tracking=none", *nominal, *zeros, *load], HERE / "robots")
     folder = checkouts / Path(rig["repository"]).name / rig["folder"]
     recordings = [_read(study, rig, folder, rig[part]) for part in ("development", "test")[: 1 + test]]
     return Rig(study, rig["lab"], *recordings, *[{}] * (not test))

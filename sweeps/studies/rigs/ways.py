@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from loading import Rig
 from scipy.optimize import brentq, least_squares
-from threadpoolctl import threadpool_limits
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.parameters import values_at
@@ -97,7 +96,7 @@ def residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 
 def identified(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The posterior of the parameters."""
-    model = _fit(_posterior(rig.study), rig.study.nominal, rollouts)
+    model = fit(rig, rollouts)
     return Learned(model.elsewhere(), [model.of_recording(i) for i in range(len(rollouts))])
 
 
@@ -138,11 +137,6 @@ OF_SEVERAL = ("lab", "identified", "identified and residual", "identified and gu
 OF_ONE = tuple(way for way in WAYS if way != "identified and guarded residual")  # nothing tells of others
 
 
-def with_zeros(rig: Rig, known: Known, rollout: Rollout) -> Nominal:
-    """What is known, after some of the very recording that is predicted, whose zeros it tells."""
-    return _fit(_posterior(rig.study).with_known(known), rig.study.nominal, [rollout])
-
-
 def of_lab(rig: Rig) -> Known:
     """The lab's parameters, which are certain, and the prior of zeros."""
     parameters = rig.prior.parameters
@@ -158,8 +152,7 @@ def of_lab(rig: Rig) -> Known:
 def timed(way: Way, rig: Rig, rollouts: Sequence[Rollout]) -> tuple[Learned, float]:
     """What a way learns, and the processor time in s that it takes."""
     begin = time.process_time()
-    with threadpool_limits(1, user_api="blas"):  # as `identify`
-        return way(rig, rollouts), time.process_time() - begin
+    return way(rig, rollouts), time.process_time() - begin
 
 
 def _posterior(study: Study) -> Posterior:
@@ -168,9 +161,10 @@ def _posterior(study: Study) -> Posterior:
     return study.identification
 
 
-def _fit(posterior: Posterior, nominal: Nominal, rollouts: Sequence[Rollout]) -> Identified:
-    """The model identified from recordings."""
-    model = posterior.fit(nominal, rollouts)
+def fit(rig: Rig, rollouts: Sequence[Rollout], known: Known | None = None) -> Identified:
+    """The model identified from recordings, after what is known."""
+    posterior = _posterior(rig.study) if known is None else _posterior(rig.study).with_known(known)
+    model = posterior.fit(rig.study.nominal, rollouts)
     assert isinstance(model, Identified)
     return model
 
