@@ -242,6 +242,8 @@ def overridden(overrides: Sequence[str]) -> list[str]:
         return [each.key_or_group for each in _parsed(overrides)]
     except HydraException as error:
         raise _in_one_line(error) from error
+    except RecursionError as error:
+        raise ConfigError(" ".join(overrides), reason(error)) from error
 
 
 def _quoted(text: str) -> str:

@@ -33,7 +33,9 @@ class Plan(NamedTuple):
     marker: str = ""  # a file beside it: seen only by workers that share the disk
     kept: bytes = b""  # what the folder holds so far, for the others
     pictures: tuple[str, ...] = ()  # to draw at its end
-    code: Mapping[str, str] | None = None  # digests that are the worker's, too; None: it is on this machine
+    code: Mapping[str, str] | None = (
+        None  # digests, those of the worker's own too; None: it is on this machine
+    )
 
 
 class Result(NamedTuple):
@@ -56,8 +58,10 @@ def run_plan(plan: Plan) -> Result:
             if folder is not None and apart and plan.kept:
                 unpack(plan.kept, folder)
             study = build(plan.composition)
-            theirs = {} if plan.code is None else code(plan.composition)
-            if other := [name for name, digest in theirs.items() if digest != plan.code.get(name)]:
+            theirs = code(plan.composition) if plan.code else {}  # some may be loaded there or here alone
+            if other := [
+                name for name, digest in (plan.code or {}).items() if theirs.get(name, digest) != digest
+            ]:
                 return lost(OTHER_CODE.format(", ".join(other)) + _where(apart))
             record = run_trial(study, folder)
             if folder is not None and plan.pictures:

@@ -68,7 +68,7 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     if not rest or rest[0] not in (*commands, "-h", "--help"):
         rest = [RUN, *rest]
     parsed, behind = parser.parse_known_args(rest)
-    words = vars(parsed).get("words", vars(parsed).get("overrides"))
+    words: Any = vars(parsed).get("words", vars(parsed).get("overrides"))
     if behind and (words is None or any(word.startswith("-") for word in behind)):
         parser.error(f"unrecognized arguments: {' '.join(behind)}")
     elif behind:

@@ -12,6 +12,7 @@ from shipped import overrides, shipped
 import simbias
 from simbias.config import ConfigError, compose, options
 from simbias.config.components import component_class, constructor_parameters
+from simbias.config.composition import overridden
 from simbias.config.conditions import split
 from simbias.trial.study import Study
 
@@ -61,6 +62,13 @@ def test_bad_override() -> None:
             simbias.load([override, "tracking=none"])
         assert error.value.key.startswith(key), override
         assert problem in error.value.problem, override
+        assert "\n" not in str(error.value)
+
+
+def test_an_override_that_is_too_deep_is_one_line() -> None:
+    for use in (compose, overridden):
+        with pytest.raises(ConfigError, match="seed=") as error:
+            use([f"seed={'{a: ' * 300}1{'}' * 300}"])  # type: ignore[operator]
         assert "\n" not in str(error.value)
 
 

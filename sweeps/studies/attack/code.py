@@ -118,7 +118,8 @@ def code(rng: random.Random, work: Path) -> list[Result]:
         if kind == "expression":
             _declare(conf, place, expression)
 
-    command = ["--config-dir", "beside/conf", *overrides, "tracking=none", "engine=sequential", *QUICK[:3]]
+    others = [each for each in QUICK[:3] if each.split("=")[0] != overrides[0].split("=")[0]]
+    command = ["--config-dir", "beside/conf", "tracking=none", "engine=sequential", *others, *overrides]
     return [attempt("code", f"{kind}, {case}", command, prepare, work)]
 
 

@@ -64,6 +64,8 @@ def judge(status: int | None, out: str, err: str) -> Verdict:
         return Verdict.HANG
     if "Traceback (most recent call last)" in out + err:
         return Verdict.TRACEBACK
+    if status == -signal.SIGINT:  # as Python ends where an interrupt comes while it is ending: a shell's 130
+        status = 130
     if status < 0 or status not in (0, 1, 2, 3, 130):
         return Verdict.CRASH
     lines = [line for line in err.splitlines() if not line.startswith("Compiling the simulation")]
