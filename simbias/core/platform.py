@@ -66,8 +66,8 @@ def processor() -> str:
 
 @cache
 def package_digest() -> str:
-    """A hash of simbias's own code, by which another version is known."""
+    """A hash of simbias's own code, by which another version is known; compiled loops are kept beside it."""
     digest = hashlib.sha256()
-    for file in sorted(PACKAGE.rglob("*.py")):
+    for file in sorted(each for each in PACKAGE.rglob("*.py") if "__pycache__" not in each.parts):
         digest.update(f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes())
     return digest.hexdigest()[:DIGITS]

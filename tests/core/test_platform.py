@@ -81,3 +81,16 @@ def test_a_trial_that_resumes_elsewhere_says_so(
     assert line.startswith("simbias: trial ")
     assert line.endswith(f" mixes platforms, so its last bits are of neither: {here}; now another")
     assert platforms(tmp_path) == [(here, "another")]
+
+
+def test_the_package_is_known_by_its_own_code_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by the loops that were compiled on a machine, which lie beside it."""
+    (tmp_path / "code.py").write_text("one = 1")
+    monkeypatch.setattr(machine, "PACKAGE", tmp_path)
+    digest = machine.package_digest.__wrapped__
+    before = digest()
+    (tmp_path / "__pycache__" / "closed_loops").mkdir(parents=True)
+    (tmp_path / "__pycache__" / "closed_loops" / "loop.py").write_text("")
+    assert digest() == before
+    (tmp_path / "code.py").write_text("one = 2")
+    assert digest() != before
