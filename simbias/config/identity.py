@@ -7,7 +7,6 @@ raises the component's `version` instead: that gives all trials with this compon
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
@@ -22,6 +21,7 @@ from simbias.config.components import (
     constructor_parameters,
 )
 from simbias.config.conditions import HARDWARE, safety, split
+from simbias.core.digest import short_digest
 
 SCHEME = 2  # of identities: raised when all of them change
 LATER = {  # groups that came later, and what does nothing in their place: earlier trials stay what they are
@@ -36,7 +36,6 @@ FORMER = {  # classes and arguments whose identities, and so whose seeds, come f
     "ModelBased.lqr_candidates": "design",
     "WindowGP": "HeldOut",
 }
-DIGITS = 12  # hexadecimal
 
 
 def identity_fields(
@@ -65,7 +64,7 @@ def identity_fields(
 def sha(fields: Mapping[str, Any]) -> str:
     """The first hexadecimal digits of a SHA-256 of these fields and of the scheme."""
     text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+    return short_digest(text.encode())
 
 
 def _is_component(config: Any) -> bool:

@@ -6,7 +6,6 @@ A comment is no other trial, so what changed is told, and the user decides wheth
 from __future__ import annotations
 
 import ast
-import hashlib
 import sys
 from collections.abc import Iterator, Mapping
 from importlib.util import resolve_name
@@ -14,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from simbias.config.allowed import OWN, targets
+from simbias.core.digest import short_digest
 
-DIGITS = 12  # hexadecimal
 INSTALLED = ("site-packages", "dist-packages")  # where packages are that have nothing to do with each other
 
 
@@ -84,4 +83,4 @@ def _digest(module: str) -> str:
     """A hash of a module's text."""
     file = _file(module)
     assert file is not None
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:DIGITS]
+    return short_digest(file.read_bytes())

@@ -39,9 +39,8 @@ def quote(value: object) -> str:
 def redact(text: str, address: str = "") -> str:
     """Text without users, passwords and tokens of addresses; also without those of a known address."""
     login = re.match(r"(?!sqlite)[^:]*://(.*)@", address, re.DOTALL)
-    ends = (
-        [login[1], re.split("[/?#]", login[1])[0]] if login else []
-    )  # where a password may end, to a parser
+    # A parser may take the password to end at the last @, or at one of these.
+    ends = [login[1], re.split("[/?#]", login[1])[0]] if login else []
     known = [part for end in ends for part in (end, end.partition(":")[2])]
     for secret in (*known, *(value for _, value in SECRET_VALUE.findall(address))):
         for each in (secret, unquote(secret)):

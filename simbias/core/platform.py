@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from simbias.core.digest import short_digest
+
 # Vector instructions by which sums are ordered, and fused products: another set, other last bits.
 FEATURES = ("fma", "avx", "avx2", "avx512f", "neon", "sve")
 PACKAGE = Path(__file__).resolve().parent.parent
-DIGITS = 12  # hexadecimal
 
 
 @cache
@@ -67,7 +67,6 @@ def processor() -> str:
 @cache
 def package_digest() -> str:
     """A hash of simbias's own code, by which another version is known; compiled loops are kept beside it."""
-    digest = hashlib.sha256()
-    for file in sorted(each for each in PACKAGE.rglob("*.py") if "__pycache__" not in each.parts):
-        digest.update(f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes())
-    return digest.hexdigest()[:DIGITS]
+    files = sorted(file for file in PACKAGE.rglob("*.py") if "__pycache__" not in file.parts)
+    named = [f"{file.relative_to(PACKAGE).as_posix()}\0".encode() + file.read_bytes() for file in files]
+    return short_digest(b"".join(named))

@@ -33,9 +33,7 @@ class Plan(NamedTuple):
     marker: str = ""  # a file beside it: seen only by workers that share the disk
     kept: bytes = b""  # what the folder holds so far, for the others
     pictures: tuple[str, ...] = ()  # to draw at its end
-    code: Mapping[str, str] | None = (
-        None  # digests, those of the worker's own too; None: it is on this machine
-    )
+    code: Mapping[str, str] | None = None  # digests, held against the worker's; None: it shares the disk
 
 
 class Result(NamedTuple):

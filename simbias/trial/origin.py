@@ -6,7 +6,6 @@ A comment is no other trial, so what changed is told, and the user decides wheth
 from __future__ import annotations
 
 import getpass
-import hashlib
 import logging
 import platform
 import re
@@ -18,11 +17,11 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
 
+from simbias.core.digest import short_digest
+from simbias.core.platform import PACKAGE
 from simbias.trial.study import Study
 
 IN_CLEAR = "simbias: %s: from the environment, and written in clear into %s, which MLflow shows too"
-DIGITS = 12  # hexadecimal
-PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def description(study: Study) -> dict[str, Any]:
@@ -52,7 +51,7 @@ def digests(study: Study) -> dict[str, str]:
     for component in vars(study).values():
         for file in getattr(component, "source_files", ()):
             contents.setdefault("/".join(file.parts[-2:]), []).append(file.read_bytes())
-    files = {name: hashlib.sha256(b"".join(each)).hexdigest()[:DIGITS] for name, each in contents.items()}
+    files = {name: short_digest(b"".join(each)) for name, each in contents.items()}
     return {**study.composition.code, **files}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from simbias.core import Controller, Policy, Quantity, Task
+from simbias.core.digest import short_digest
 from simbias.core.records import Array
 from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
@@ -19,7 +19,6 @@ from simbias.lab.safety import Bounds, SafetyLimitedPolicy
 from simbias.simulation.compiler import Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
-DIGITS = 12  # hexadecimal, of a request's name
 START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one
 HEADER, MODULE = "controller.h", "controller.py"
 
@@ -38,7 +37,7 @@ class ExperimentRequest:
     def name(self) -> str:
         """A hash of everything that the request says, the generated code included."""
         said = [self.content(), self.code(""), self.token]
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:DIGITS]
+        return short_digest(json.dumps(said, sort_keys=True).encode())
 
     def controller(self) -> Controller:
         """The controller that computes the input of each frame."""

@@ -98,9 +98,7 @@ def main() -> None:
     counts.round(1).to_csv(parsed.folder / f"attack_{parsed.seed}.csv")
     finds = table[[result.verdict.find for result in results]]
     finds.to_csv(parsed.folder / f"finds_{parsed.seed}.csv", index=False)
-    ran = table[
-        table["surface"].isin(["values", "forms", "code", "recordings"]) & (table["verdict"] == Verdict.RAN)
-    ]
+    ran = table[table["surface"].isin(JUDGED) & (table["verdict"] == Verdict.RAN)]
     ran[["surface", "case", "status"]].to_csv(parsed.folder / f"ran_{parsed.seed}.csv", index=False)
     print(counts["cases"].unstack(fill_value=0).to_string())
     print(f"{len(results)} cases, {len(finds)} finds")
