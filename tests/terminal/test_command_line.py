@@ -95,7 +95,7 @@ def test_own_components_run(line: Any) -> None:
 
 
 def test_a_file_name_that_no_system_takes_is_one_line(line: Any) -> None:
-    for command in (["identify"], ["report"], ["check", "--config-dir"]):
+    for command in (["identify"], ["report"]):
         status, out, err = line(*command, "x" * 5000)
         assert (status, out, err.count("\n")) == (2, "", 1), err
         assert err.startswith("simbias: ")
