@@ -47,7 +47,7 @@ def _written_down(table: Any, t: Symbol, spacing: float) -> Any:
 
 
 class Lookup(NamedTuple):
-    """What is looked up in a trace: columns of one table."""
+    """Columns of one table that a trace looks up."""
 
     columns: list[Symbol]  # c
     table: list[Symbol]  # (1 + K c): the spacing, then the entries, row by row
