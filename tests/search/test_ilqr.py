@@ -8,6 +8,7 @@ from scipy.linalg import solve_discrete_are
 
 import simbias
 from simbias.core.errors import ConfigError
+from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.ilqr import Shooting, _regulator, _solved, trajectory_candidates
 from simbias.trial.study import Study
 
@@ -49,6 +50,7 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(cartpole: Study) -
     assert plan is not None
     assert cartpole.task.succeeds(plan.states)
     assert np.abs(plan.inputs).max() <= cartpole.task.input_limit
+    assert isinstance(cartpole.policy, Trajectory)
     (theta,) = shooting.following(plan, cartpole.policy, [10.0])
     for seed in range(4):
         start = cartpole.task.draw_start(np.random.default_rng(seed))

@@ -135,13 +135,13 @@ class Shooting:
     def _gains(self, A: Array, B: Array, weight: float, final: tuple[Array, Array] | None) -> Array:
         """K_t (T+1, m, n) of the time-varying regulator along A, B, which ends with that of the rest."""
         Q = np.diag(np.r_[np.ones(self._n), np.zeros(A.shape[-1] - self._n)])
-        R, V, last = weight * np.diag(self._task.input_limit**-2.0), Q, None
+        R, V = weight * np.diag(self._task.input_limit**-2.0), Q
+        settled = np.empty((0, *B.shape[:0:-1]))
         if final is not None:
-            settled = (np.repeat(each, SETTLED, axis=0) for each in final)
-            _, K, V = _solved(_regulator(*settled, Q, R, Q), self._n)
-            last = K[:1]
+            A_rest, B_rest = (np.repeat(each, SETTLED, axis=0) for each in final)
+            _, settled, V = _solved(_regulator(A_rest, B_rest, Q, R, Q), self._n)
         _, K, _ = _solved(_regulator(A, B, Q, R, V), self._n)
-        return np.concatenate([K, K[-1:] if last is None else last])[..., : self._n]
+        return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
 
     def _first(self, rng: np.random.Generator) -> Plan | None:
         """The best trajectory of random inputs and of smaller ones, as large ones may fail."""
