@@ -2,11 +2,12 @@
 
     python sweeps/studies/board CHECKOUTS [--check]
 
-CHECKOUTS is a folder of checkouts of github.com/dfki-ric-underactuated-lab/double_pendulum (commit 1e8544e) and
-.../real_ai_gym_leaderboard (81ea5bc), each in a folder of its name. `board.yaml` says which runs are predicted,
-what is learned from, and what counts. It writes `board.csv`, a row for each way and run, and `table.md`.
+CHECKOUTS is a folder of checkouts of two repositories of github.com/dfki-ric-underactuated-lab, each in a
+folder of its name: double_pendulum (commit 1e8544e) and real_ai_gym_leaderboard (81ea5bc). `board.yaml` says
+which runs are predicted, what is learned from, and what counts. It writes `board.csv`, a row for each way,
+run and draw, and `table.md`.
 
-With `--check`, only the differences of commands are printed, from those recorded of the first run of each set.
+With `--check`, it only prints how far commands are from those recorded, in the first run of each set.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +30,6 @@ from threadpoolctl import threadpool_limits
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
-from simbias.recordings.noise import noise_of
 
 HERE = Path(__file__).parent
 sys.path.append(str(HERE.parent / "rigs"))
@@ -50,17 +52,18 @@ def robot(board: dict[str, Any], checkouts: Path) -> Rig:
 
 
 def recordings(board: dict[str, Any], checkouts: Path) -> list[Rollout]:
-    """What is learned from: states under commands. A row's state was measured when the last command was given."""
+    """What is learned from: states under commands."""
     found = []
     for file in board["recordings"]["files"]:
         table = pd.read_csv(checkouts / board["recordings"]["folder"] / file)
-        states, commands = table[STATES].to_numpy()[1:], table[COMMANDS].to_numpy()[:-2]
+        states = table[STATES].to_numpy()[1:]  # of a row: measured when the command of the last was given
+        commands = table[COMMANDS].to_numpy()[:-2]
         found.append(Rollout(states, commands, measured=states, sensed=True))
     return found
 
 
 def draws(rig: Rig, known: Sequence[Rollout], zero: float, count: int, rng: np.random.Generator) -> Array:
-    """Parameters (p, count) of kernels of models drawn from the posterior, with zeros like those identified."""
+    """Parameters (p, count) of kernels of models from the posterior, with zeros like those identified."""
     fitted = rig.study.identification.fit(rig.study.nominal, known)
     assert isinstance(fitted, Identified)
     each = [fitted.of_recording(index).estimates for index in range(len(known))]
@@ -68,11 +71,14 @@ def draws(rig: Rig, known: Sequence[Rollout], zero: float, count: int, rng: np.r
     model, own = fitted.elsewhere(), [parameter.of_recording for parameter in fitted.parameters]
     z = model.mode[:, None] + model.spread @ rng.standard_normal((model.spread.shape[1], count))
     z[own] *= np.sqrt(np.mean(zeros**2, axis=0))[:, None] / zero
-    print(
-        {e.name: (round(e.low, 4), round(e.value, 4), round(e.high, 4)) for e in model.estimates},
-        zeros.round(3),
-    )
     return np.stack([_numbers(model.at(coordinates)) for coordinates in z.T], axis=1)
+
+
+def angle_noise(known: Sequence[Rollout]) -> Array:
+    """Standard deviations (2,) of white noise in recorded angles, from their third differences."""
+    thirds = np.concatenate([np.diff(rollout.states[:, :2], 3, axis=0) for rollout in known])
+    deviations: Array = np.sqrt(np.mean(thirds**2, axis=0) / 20.0)
+    return deviations
 
 
 def _numbers(model: Nominal) -> Array:
@@ -83,12 +89,8 @@ def _numbers(model: Nominal) -> Array:
 
 def rows(board: dict[str, Any], checkouts: Path, sets: dict[str, Published]) -> Iterator[dict[str, Any]]:
     """A row for each way, run and draw, and for each run as recorded."""
-    rig, known, count, seconds = (
-        robot(board, checkouts),
-        recordings(board, checkouts),
-        board["draws"],
-        board["seconds"],
-    )
+    rig, known = robot(board, checkouts), recordings(board, checkouts)
+    count, seconds = board["draws"], board["seconds"]
     for name, own in sets.items():
         for run, recorded in zip(own.names, own.recorded, strict=True):
             yield {"way": "recorded", "set": name, "run": run} | _row(recorded.outcomes(seconds), 0)
@@ -99,18 +101,16 @@ def rows(board: dict[str, Any], checkouts: Path, sets: dict[str, Published]) -> 
             parameters = draws(rig, learned, board["zero"], count, rng)
         else:
             parameters = np.tile(_numbers(rig.lab if way == "lab" else rig.prior)[:, None], count)
-        noise = noise_of(learned)
+        noise = angle_noise(learned)
         loops = [Loop(own, count, noise, seconds, board["furthest"], rng) for own in sets.values()]
         kernel, memory = rig.prior.kernel, rig.prior.state_size
         assert kernel is not None
-        for (name, own), made in zip(
-            sets.items(), predict(kernel, memory, parameters, loops, seconds), strict=True
-        ):
-            outcomes = made.outcomes(seconds)
+        made = predict(kernel, memory, parameters, loops, seconds)
+        for (name, own), runs in zip(sets.items(), made, strict=True):
+            outcomes = runs.outcomes(seconds)
             for lane in range(len(own.names) * count):
                 run, draw = divmod(lane, count)
                 yield {"way": way, "set": name, "run": own.names[run], "draw": draw} | _row(outcomes, lane)
-        print(way, file=sys.stderr, flush=True)
 
 
 def _row(outcomes: dict[str, Array], lane: int) -> dict[str, float]:
@@ -141,8 +141,12 @@ def main() -> None:
     sets = {name: published(each, checkouts) for name, each in board["sets"].items()}
     if arguments.check:
         return check(sets)
-    table = pd.DataFrame(rows(board, checkouts, sets))
-    table.to_csv("board.csv", index=False, float_format="%.4g")
+    found = list[dict[str, Any]]()
+    for way, own in groupby(rows(board, checkouts, sets), key=itemgetter("way")):
+        found += own
+        pd.DataFrame(found).to_csv("board.csv", index=False, float_format="%.4g")
+        print(way, file=sys.stderr, flush=True)
+    table = pd.DataFrame(found)
     text = summary(table)
     Path("table.md").write_text(text)
     print(text)

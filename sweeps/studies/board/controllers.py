@@ -70,7 +70,7 @@ class ThenLqr:
 
 
 class Lqr:
-    """LQR at the top, of the model without friction and rotor inertia; no torque where the cost is too large."""
+    """LQR at the top, of the model as drawn; no torque where the cost is too large."""
 
     def __init__(self, Q: Array, R: Array, limits: Array, most: float) -> None:
         A, B = (matrix[0] for matrix in linearised(GOAL[None], np.zeros((1, 2)), limits > 0))
@@ -132,7 +132,7 @@ class Basis:
 
 
 class Network:
-    """A perceptron's squashed mean, or a sample, at the first joint; asked in every so many control periods."""
+    """A perceptron's squashed mean, or a sample, at the first joint; asked in every so many periods."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ def linearised(X: Array, U: Array, driven: Flags, step: float = 1e-6) -> tuple[A
     return A, B
 
 
-# Of design C.1, as drawn: links' inertias about their joints with what the second adds, and gravity's torques.
+# Of design C.1 as drawn: inertias about joints, the first length, the second link, and torques of gravity.
 I_1, I_2, L_1 = 0.031887199591513114, 0.05086984812807257, 0.2
 M_2, R_2 = 0.6255677234174437, 0.25569305436052964
 G_1, G_2 = 9.81 * (0.5234602302310271 * 0.2 + M_2 * L_1), 9.81 * M_2 * R_2

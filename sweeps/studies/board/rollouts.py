@@ -13,7 +13,7 @@ from controllers import Controller, make
 from simbias.core import Kernel
 from simbias.core.records import Array, Indices
 
-STEP = 0.002  # s, of the models
+STEP = 0.002  # s, of the models, and of the motors' velocities
 HEIGHT = 0.45  # m of the tip above the shoulder, 0.9 of its greatest
 LENGTHS = (0.2, 0.3)  # m
 ENOUGH = 0.99  # of an episode's duration: what is shorter has failed
@@ -96,7 +96,10 @@ def published(declared: Mapping[str, Any], checkouts: Path) -> Published:
 
 
 class Loop:
-    """The lab's control loop of a set's runs, with some lanes for each."""
+    """The lab's control loop of a set's runs, with some lanes for each.
+
+    Angles are measured with white noise; a motor's velocities are their differences.
+    """
 
     def __init__(
         self,
@@ -115,6 +118,7 @@ class Loop:
         self._states = np.zeros((self._rows, len(self.starts), 4), np.float32)
         self._commands = np.zeros((self._rows, len(self.starts), 2), np.float32)
         self._ends = np.full(len(self.starts), self._rows)
+        self._errors = np.zeros((len(self.starts), 2))
         self._row, self._acting = 0, np.zeros((len(self.starts), 2))
 
     def acting(self, y: Array, t: float) -> Array:
@@ -122,7 +126,8 @@ class Loop:
         row = self._row
         if row < self._rows and t * self._own.rate >= row - 1e-9:
             x = self._measured  # when the last command was given
-            self._measured = y + self._noise * self._rng.standard_normal(y.shape)
+            before, self._errors = self._errors, self._noise * self._rng.standard_normal((len(y), 2))
+            self._measured = y + np.column_stack([self._errors, (self._errors - before) / STEP])
             u = np.clip(np.nan_to_num(self._controller.command(x, t)), -self._most, self._most)
             self._states[row], self._commands[row] = x, u
             out = ~(np.abs(x) < [self._furthest] * 2 + [self._own.declared["fastest"]] * 2).all(axis=1)
@@ -133,6 +138,8 @@ class Loop:
 
     def _pushes(self, t: float) -> Array:
         """Pushes (runs, 2) at time t; none behind what was recorded."""
+        if not any(map(np.any, self._own.pushes)):
+            return np.zeros((len(self._own.pushes), 2))
         index = int(t * self._own.declared["rate"] + 1e-9)
         return np.array([each[index] if index < len(each) else np.zeros(2) for each in self._own.pushes])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -43,8 +44,8 @@ def _of_runs(table: pd.DataFrame, recorded: pd.DataFrame) -> pd.DataFrame:
 def _scores(own: dict[str, pd.DataFrame]) -> str:
     """The main table, a row for each way."""
     text = (
-        "| way | Brier score | over base rate | over sets' rates | error of time up, s | within 90% | rank of sets "
-        "| acrobot | pendubot |\n" + "| --- " * 9 + "|\n"
+        "| way | Brier score | over base rate | over sets' rates | error of time up, s | within 90% "
+        "| rank of sets | acrobot | pendubot |\n" + "| --- " * 9 + "|\n"
     )
     for way, runs in own.items():
         y, brier = runs["success_recorded"], np.mean((runs["p"] - runs["success_recorded"]) ** 2)
@@ -86,13 +87,11 @@ def _spearman(means: Array) -> Array:
 
 def _calibration(own: dict[str, pd.DataFrame]) -> str:
     """Shares of runs that succeed, by the probability that was predicted."""
-    text = "| way | " + " | ".join(
-        f"{100 * a:.0f} to {100 * b:.0f}%" for a, b in zip(BINS, BINS[1:], strict=False)
-    )
+    text = "| way | " + " | ".join(f"{100 * a:.0f} to {100 * b:.0f}%" for a, b in pairwise(BINS))
     text += " |\n" + "| --- " * len(BINS) + "|\n"
     for way, runs in own.items():
         cells = []
-        for low, high in zip(BINS, BINS[1:], strict=False):
+        for low, high in pairwise(BINS):
             chosen = runs[(runs["p"] > low) & (runs["p"] <= high)]["success_recorded"]
             least, most = wilson(int(chosen.sum()), len(chosen)) if len(chosen) else (0.0, 1.0)
             cells.append(f"{chosen.sum():.0f} of {len(chosen)} ({100 * least:.0f} to {100 * most:.0f}%)")
