@@ -38,8 +38,8 @@ class Runs(NamedTuple):
     commands: Array  # (k, lanes, 2) N m
     rows: Indices  # (lanes,) before the loop stopped
 
-    def outcomes(self, seconds: float) -> dict[str, Array]:
-        """Success, time up in s, and score (lanes,), as the board has them for the robot (version 2)."""
+    def outcomes(self, seconds: float, typical: Mapping[str, float] = TYPICAL) -> dict[str, Array]:
+        """Success, time up in s, and score (lanes,), as the board has them (version 2)."""
         X, U, index = self.states, self.commands, np.arange(len(self.times))
         kept = index[:, None] < self.rows
         up = kept & (height(X) > HEIGHT)
@@ -56,7 +56,7 @@ class Runs(NamedTuple):
             "smoothness": np.array(changes),
             "velocity": np.sum(X[:-1, :, 2:] ** 2 * dt * steps, axis=(0, 2)),
         }
-        losses = [np.tanh(np.pi * cost / TYPICAL[name]) for name, cost in costs.items()]
+        losses = [np.tanh(np.pi * cost / typical[name]) for name, cost in costs.items()]
         time_up = np.sum(np.diff(self.times, prepend=0.0)[:, None] * up, axis=0)
         return {
             "success": success.astype(float),
