@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import simbias
@@ -12,6 +14,7 @@ from simbias.config.build import construct
 from simbias.core import Nominal, Task
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
+from simbias.learning.identification.identified import Identified
 from simbias.robots.double_pendulum import DoublePendulum
 
 UPRIGHT = np.array([np.pi, 0.0, 0.0, 0.0])
@@ -21,6 +24,9 @@ FRICTION = {"damping_1": 0.02, "damping_2": 0.01, "friction_1": 0.16, "friction_
 def task(time_step: float = 0.002) -> Task:
     config = compose(["preset=double_pendulum", "tracking=none"]).config["task"]
     return construct({**config, "time_step": time_step}, Task, "task")
+
+
+TASK = task()
 
 
 def model(time_step: float = 0.002, **changes: float) -> DoublePendulum:
@@ -121,6 +127,39 @@ def test_parameters_are_those_of_the_equations() -> None:
     )
     heavier = np.array([p.value * (2 if p.name == "mass_2" else 1) for p in nominal.parameters])
     assert np.abs(nominal.with_parameters(heavier).step(x, u) - nominal.step(x, u)).max() > 1e-4
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5), st.floats(0.1, 1.0))
+def test_each_draw_is_of_bodies(seed: int, spread: float, widening: float) -> None:
+    """Of the prior and of what is identified, however wide: inertias exceed what mass and centre alone give."""
+    config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
+    config["uncertainty"] = {"masses": spread, "centres": spread, "gyration_radii": spread}
+    nominal = construct(config, Nominal, "nominal", task=TASK)
+    rng, p = np.random.default_rng(seed), len(nominal.parameters)
+    identified = Identified(nominal, rng.standard_normal(p), widening * rng.standard_normal((p, p)), {})
+    for drawn in (nominal.draw(rng), identified.model, identified.draw(rng)):
+        assert isinstance(drawn, DoublePendulum)
+        v = drawn._values
+        for i in (1, 2):
+            assert v[f"inertia_{i}"] > v[f"mass_{i}"] * v[f"centre_{i}"] ** 2 > 0
+
+
+def test_radii_of_gyration_are_other_words_for_inertias() -> None:
+    """Both make the same steps; inertias that no body has are refused, and so are both at once."""
+    by_radii = model()
+    values = {parameter.name: parameter.value for parameter in by_radii.parameters}
+    changed = by_radii.with_parameters(np.array(list((values | {"gyration_radius_2": 0.1}).values())))
+    second = {"mass": m_2, "length": 0.3, "centre": r_2, "inertia": m_2 * (r_2**2 + 0.1**2)}
+    config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
+    same = construct({**config, "second": second}, Nominal, "nominal", task=TASK)
+    x, u = np.array([0.3, 0.2, 1.0, -1.0]), np.array([0.1, 0.2])
+    np.testing.assert_allclose(changed.step(x, u), same.step(x, u), rtol=1e-12)
+    for bad, message in (
+        ({"second": {**second, "inertia": 0.04}}, r"second.inertia: must exceed 0.0409 kg m\^2"),
+        ({"uncertainty": {"gyration_radii": 0.3, "inertias": 0.1}}, "expected gyration_radii or inertias"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            construct({**config, **bad}, Nominal, "nominal", task=TASK)
 
 
 def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:
