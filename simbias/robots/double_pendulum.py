@@ -55,19 +55,15 @@ class Drives:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations: of the logarithm of what a link has, and of half-normals of what drives add.
-
-    Radii of gyration k about centres of mass leave every link a body: I = m (r^2 + k^2). Where inertias
-    vary on their own, about their joints, some are smaller than mass and centre alone give.
-    """
+    """Standard deviations: of the logarithm of what a link has, and of half-normals of what drives add."""
 
     masses: Spread = 0.0
     centres: Spread = 0.0
-    gyration_radii: Spread = 0.0
-    inertias: Spread = 0.0  # in place of radii of gyration
+    inertias: Spread = 0.0
     damping: NonNegative = 0.0  # N m s/rad
     friction: NonNegative = 0.0  # N m
     rotor_inertia: NonNegative = 0.0  # kg m^2
+    bodies: bool = False  # whether each link has to be one: of more inertia than mass and centre alone give
 
 
 _NOTHING = Drives()
@@ -77,8 +73,6 @@ _PRIORS: dict[str, tuple[str, str, Prior]] = {  # field of `Uncertainty`, unit, 
     "mass_2": ("masses", "kg", "log_normal"),
     "centre_1": ("centres", "m", "log_normal"),
     "centre_2": ("centres", "m", "log_normal"),
-    "gyration_radius_1": ("gyration_radii", "m", "log_normal"),
-    "gyration_radius_2": ("gyration_radii", "m", "log_normal"),
     "inertia_1": ("inertias", "kg m^2", "log_normal"),
     "inertia_2": ("inertias", "kg m^2", "log_normal"),
     "damping_1": ("damping", "N m s/rad", "half_normal"),
@@ -106,8 +100,7 @@ class DoublePendulum(Nominal):
     Raises
     ------
     ValueError
-        If the task has not four states, or not as many inputs as joints are driven; if inertias and radii of
-        gyration are both uncertain, or a link's inertia is less than its mass and centre alone give.
+        If the task has not four states, or not as many inputs as joints are driven.
     """
 
     kernel: Kernel
@@ -139,13 +132,7 @@ class DoublePendulum(Nominal):
             **{f"{field.name}_2": getattr(second, field.name) for field in fields(Link)},
             **vars(drives),
         }
-        if uncertainty.gyration_radii:
-            if uncertainty.inertias:
-                raise ValueError("uncertainty: expected gyration_radii or inertias, got both")
-            self._values |= {
-                "gyration_radius_1": _gyration_radius("first", first),
-                "gyration_radius_2": _gyration_radius("second", second),
-            }
+        self._bodies = uncertainty.bodies
         self.parameters = tuple(
             Parameter(name, unit, self._values[name], spread, kind)
             for name, (field, unit, kind) in _PRIORS.items()
@@ -165,6 +152,16 @@ class DoublePendulum(Nominal):
         names = [parameter.name for parameter in self.parameters]
         return self._with(dict(zip(names, values.tolist(), strict=True)))
 
+    @property
+    def slack(self) -> Array:
+        """Logarithms (2,) of the links' inertias over what their masses and centres alone give."""
+        if not self._bodies:
+            return super().slack
+        v = self._values
+        return np.array(
+            [math.log(v[f"inertia_{i}"] / (v[f"mass_{i}"] * v[f"centre_{i}"] ** 2)) for i in (1, 2)]
+        )
+
     def without_dry_friction(self) -> DoublePendulum:
         """The model without Coulomb friction of its joints."""
         return self._with({"friction_1": 0.0, "friction_2": 0.0})
@@ -172,28 +169,13 @@ class DoublePendulum(Nominal):
     def _with(self, values: dict[str, float]) -> DoublePendulum:
         """The model with some other values."""
         other = copy(self)
-        v = other._values = self._values | values
-        for i in (1, 2):
-            if f"gyration_radius_{i}" in v:
-                squares = v[f"centre_{i}"] ** 2 + v[f"gyration_radius_{i}"] ** 2
-                v[f"inertia_{i}"] = v[f"mass_{i}"] * squares
+        other._values = self._values | values
         other.kernel = other._compiled()
         return other
 
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., 4), one time step after x (..., 4) under torques u (..., m) in N m."""
         return elementwise(self.kernel.function, x, u, parameters=self.kernel.parameters)
-
-
-def _gyration_radius(name: str, link: Link) -> float:
-    """Radius of gyration in m of a link about its centre of mass."""
-    least = link.mass * link.centre**2
-    if link.inertia <= least:
-        raise ValueError(
-            f"{name}.inertia: must exceed {least:.4g} kg m^2, which its mass and centre alone give, "
-            f"got {link.inertia:.4g}"
-        )
-    return math.sqrt((link.inertia - least) / link.mass)
 
 
 def _lumped(values: dict[str, float], gravity: float) -> list[float]:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize
 
 import simbias
 from simbias.config import ConfigError, compose
@@ -15,6 +16,7 @@ from simbias.core import Nominal, Task
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
 from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.possible import MARGIN, nearest_possible
 from simbias.robots.double_pendulum import DoublePendulum
 
 UPRIGHT = np.array([np.pi, 0.0, 0.0, 0.0])
@@ -130,36 +132,37 @@ def test_parameters_are_those_of_the_equations() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5), st.floats(0.1, 1.0))
-def test_each_draw_is_of_bodies(seed: int, spread: float, widening: float) -> None:
-    """Of the prior and of what is identified, however wide: inertias exceed what mass and centre alone give."""
+def test_each_draw_is_of_bodies(seed: int, spread: float, width: float) -> None:
+    """Of the prior and of a posterior, however wide: inertias exceed what mass and centre alone give."""
     config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
-    config["uncertainty"] = {"masses": spread, "centres": spread, "gyration_radii": spread}
-    nominal = construct(config, Nominal, "nominal", task=TASK)
+    spreads = {"masses": spread, "centres": spread, "inertias": spread, "bodies": True}
+    nominal = construct({**config, "uncertainty": spreads}, Nominal, "nominal", task=TASK)
     rng, p = np.random.default_rng(seed), len(nominal.parameters)
-    identified = Identified(nominal, rng.standard_normal(p), widening * rng.standard_normal((p, p)), {})
+    root = width * rng.standard_normal((p, p))
+    mode = nearest_possible(nominal, rng.standard_normal(p), root)
+    identified = Identified(nominal, mode, root, {})
     for drawn in (nominal.draw(rng), identified.model, identified.draw(rng)):
         assert isinstance(drawn, DoublePendulum)
         v = drawn._values
         for i in (1, 2):
-            assert v[f"inertia_{i}"] > v[f"mass_{i}"] * v[f"centre_{i}"] ** 2 > 0
+            assert v[f"inertia_{i}"] >= v[f"mass_{i}"] * v[f"centre_{i}"] ** 2 > 0
 
 
-def test_radii_of_gyration_are_other_words_for_inertias() -> None:
-    """Both make the same steps; inertias that no body has are refused, and so are both at once."""
-    by_radii = model()
-    values = {parameter.name: parameter.value for parameter in by_radii.parameters}
-    changed = by_radii.with_parameters(np.array(list((values | {"gyration_radius_2": 0.1}).values())))
-    second = {"mass": m_2, "length": 0.3, "centre": r_2, "inertia": m_2 * (r_2**2 + 0.1**2)}
-    config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
-    same = construct({**config, "second": second}, Nominal, "nominal", task=TASK)
-    x, u = np.array([0.3, 0.2, 1.0, -1.0]), np.array([0.1, 0.2])
-    np.testing.assert_allclose(changed.step(x, u), same.step(x, u), rtol=1e-12)
-    for bad, message in (
-        ({"second": {**second, "inertia": 0.04}}, r"second.inertia: must exceed 0.0409 kg m\^2"),
-        ({"uncertainty": {"gyration_radii": 0.3, "inertias": 0.1}}, "expected gyration_radii or inertias"),
-    ):
-        with pytest.raises(ConfigError, match=message):
-            construct({**config, **bad}, Nominal, "nominal", task=TASK)
+def test_the_nearest_bodies_are_told_by_the_covariance() -> None:
+    """Nearest in terms of it, by an optimiser of its own."""
+    nominal, rng = model(), np.random.default_rng(0)
+    p = len(nominal.parameters)
+    z, root = 2.0 * rng.standard_normal(p), rng.standard_normal((p, p))
+    names = [parameter.name for parameter in nominal.parameters]
+    z[[names.index("inertia_1"), names.index("inertia_2")]] = -4.0
+
+    def slack(at: Array) -> Array:
+        return nominal.with_parameters(values_at(nominal.parameters, at)).slack - MARGIN
+
+    assert (slack(z) < 0).all()
+    condition = {"type": "ineq", "fun": lambda y: slack(z + root @ y)}
+    other = z + root @ minimize(lambda y: y @ y, np.zeros(p), constraints=condition, tol=1e-12).x
+    np.testing.assert_allclose(nearest_possible(nominal, z, root), other, atol=1e-4)
 
 
 def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:

@@ -12,6 +12,7 @@ from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
+from simbias.learning.identification.possible import nearest_possible
 from simbias.learning.identification.problem import Problem
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
@@ -31,6 +32,9 @@ class Posterior(Identification):
     The d errors of a window are whitened by their covariance over all windows, estimated in turn with the
     mode (`simbias.learning.prediction_errors`), so sensor noise, process noise and model errors need not be
     told apart. `independent_share` discounts windows whose errors correlate with those of the window before.
+
+    Where no robot has the mode's parameters, the nearest that one may have take their place, and draws that
+    none has are drawn again (`Nominal.slack`).
 
     The posterior is normal around the mode, with the covariance by which such errors scatter the mode. With
     few windows, the covariance that measurement noise gives to errors is computed from the linearised model
@@ -139,7 +143,9 @@ class Posterior(Identification):
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        fitted = Identified.of_recordings(nominal, z, problem.spread(z), problem.places, problem.errors)
+        spread = problem.spread(z)
+        z = nearest_possible(nominal, z, spread)
+        fitted = Identified.of_recordings(nominal, z, spread, problem.places, problem.errors)
         fitted.diagnostics = {
             "windows": len(windows),
             "share": problem.errors.independent_share,

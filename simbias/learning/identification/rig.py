@@ -161,6 +161,11 @@ class Rig(Nominal):
         other._assemble()
         return other
 
+    @property
+    def slack(self) -> Array:
+        """That of the mechanics."""
+        return self._nominal.slack
+
     def without_dry_friction(self) -> Rig:
         """The rig without friction of its motors, and of its mechanics."""
         other = copy(self)

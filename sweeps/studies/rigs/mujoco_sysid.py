@@ -25,6 +25,7 @@ from simbias.trial.study import Study
 
 MOST = 4.0  # prior standard deviations that a parameter may go
 STEPS = 10  # of its optimiser, at most; the last ones gain less than 1e-5 of the objective
+LEAST_INERTIA = 1e-6  # kg m^2 about the centre of mass, which the double pendulum's parameters may not leave
 HALF_PI = np.pi / 2  # Coulomb friction over c_f, of c_f arctan(100 v)
 
 
@@ -83,7 +84,8 @@ class DoublePendulumFile:
         nominal: Any = self._study.nominal
         v = nominal._values | values | {"time_step": self._study.task.time_step}
         for i in (1, 2):
-            v |= {f"about_centre_{i}": v[f"mass_{i}"] * v[f"gyration_radius_{i}"] ** 2}
+            about_centre = v[f"inertia_{i}"] - v[f"mass_{i}"] * v[f"centre_{i}"] ** 2
+            v |= {f"about_centre_{i}": max(LEAST_INERTIA, about_centre)}
             v |= {f"loss_{i}": HALF_PI * v[f"friction_{i}"]}
         driven = ("first", "second") if len(self._study.task.inputs) == 2 else (nominal._driven,)
         v["motors"] = "".join(f'<motor name="{joint}" joint="{joint}"/>' for joint in driven)
