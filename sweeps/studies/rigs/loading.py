@@ -38,6 +38,11 @@ class Rig(NamedTuple):
         return self.prior.with_parameters(np.array(list(values.values())))
 
     @property
+    def has_zeros(self) -> bool:
+        """Whether each recording has zeros of its own."""
+        return any(parameter.of_recording for parameter in self.prior.parameters)
+
+    @property
     def prior(self) -> Nominal:
         """The nominal model with all uncertain parameters, those of motors and sensors too."""
         assert isinstance(self.study.identification, Posterior)
