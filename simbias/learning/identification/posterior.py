@@ -57,11 +57,14 @@ class Posterior(Identification):
         An earlier posterior, as of recordings, in place of the declared prior.
     motors, sensors
         How uncertain those of inputs and states are, by name (`simbias.learning.identification.rig`).
+    each
+        Names of the model's parameters of which each recording has its own, as a load that is put on; the
+        others are shared.
 
     Raises
     ------
     ValueError
-        If `known` is not of the model's parameters, or the task has no such motor or sensor (`fit`).
+        If `known` is not of the model's parameters, or there is no such motor, sensor or parameter (`fit`).
     """
 
     def __init__(
@@ -75,8 +78,9 @@ class Posterior(Identification):
         known: Known | None = None,
         motors: dict[str, Motor] | None = None,
         sensors: dict[str, Sensor] | None = None,
+        each: list[str] | None = None,
     ) -> None:
-        self._task, self._motors, self._sensors = task, motors or {}, sensors or {}
+        self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
         self._time_step = task.time_step
         self._chunks = chunks
         self._set_window(window)
@@ -126,9 +130,9 @@ class Posterior(Identification):
 
     def prior(self, nominal: Nominal) -> Nominal:
         """The nominal model, with the parameters of motors and sensors if any are uncertain."""
-        if not self._motors and not self._sensors:
+        if not self._motors and not self._sensors and not self._each:
             return nominal
-        return Rig(self._task, nominal, self._motors, self._sensors)
+        return Rig(self._task, nominal, self._motors, self._sensors, self._each)
 
     def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The posterior, with the declared prior."""
