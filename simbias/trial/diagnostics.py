@@ -132,7 +132,7 @@ def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[Rem
 
 
 def _of_simulations(iteration: Iteration) -> tuple[Remark, ...]:
-    """What simulations of an iteration's policy tell; they are made once."""
+    """Remarks that take simulations of an iteration's policy; these are made once."""
     if iteration not in _simulated:
         theta, model = iteration.parameters, iteration.model
         _simulated[iteration] = (*of_goal(theta, model), *of_model(theta, model))
