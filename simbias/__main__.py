@@ -43,6 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("simbias: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"simbias: {ConfigError(str(error.filename), str(error.strerror))}", file=sys.stderr)
+        return BAD_INPUT
 
 
 def _trace_of_own_code(error: ConfigError) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import NOTHING, Own, own, prefixes
 from simbias.config.renamed import unknown
-from simbias.config.resources import check_aliases, check_no_primary, register_sweep, resource_folder, state
+from simbias.config.resources import check_ends, check_no_primary, register_sweep, resource_folder, state
 from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset
     if config_dir is not None:
         for file in (Path(path) for path, *_ in files):
             if file.is_relative_to(config_dir):
-                check_aliases(file)
+                check_ends(file)
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'file://{config_dir}')}]"]
     values = {each.key_or_group: each.value() for each in _parsed(overrides)}  # the last of each
     if isinstance(sweep := values.get("sweep"), str):

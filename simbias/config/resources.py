@@ -9,6 +9,7 @@ from pathlib import Path
 
 from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
+from simbias.trial.disk import require_file
 
 PRIMARY = "config.yaml"  # the one that names the defaults
 MAX_VALUES = 1_000_000  # of a YAML file, with those that its aliases stand for
@@ -100,8 +101,8 @@ def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
                     yield path, about.st_mtime_ns, about.st_size
 
 
-def check_aliases(file: Path) -> None:
-    """Refuse a file whose aliases of aliases stand for more values than anybody waits for.
+def check_ends(file: Path) -> None:
+    """Refuse a pipe or a device, and a file whose aliases of aliases stand for too many values.
 
     OmegaConf copies what an alias stands for, and eleven lines may mean 43 million values.
 
@@ -121,8 +122,9 @@ def check_aliases(file: Path) -> None:
         return sizes[id(node)]
 
     sizes: dict[int, int] = {}
+    require_file(file)
     try:
-        text = file.read_bytes() if file.is_file() else b""
+        text = file.read_bytes()
         values = size(yaml.compose(text, yaml.SafeLoader)) if b"&" in text else 0
     except Exception:  # YAML's or the system's
         return

@@ -14,7 +14,7 @@ from simbias.mlflow.pages import NOTE
 from simbias.mlflow.runs import RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
 from simbias.sweep.folder import FIGURES, SweepFolder
-from simbias.trial.disk import LOCK, is_locked
+from simbias.trial.disk import LOCK, is_locked, require_file
 from simbias.trial.folder import TrialFolder
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class SweepRun(RunExport):
     def _write_table(self) -> None:
         """Write the table that MLflow shows as one; `log_table` would append to that of an earlier export."""
         client, labels = self.runs.client, {axis["name"]: str for axis in self._description["axes"]}
-        table = pd.read_csv(self.path / "table.csv", dtype=labels).astype(object)
+        table = pd.read_csv(require_file(self.path / "table.csv"), dtype=labels).astype(object)
         if any(file.path == TABLE for file in client.list_artifacts(self.run_id)):
             client.log_text(self.run_id, table.to_json(orient="split", index=False), TABLE)
         else:

@@ -44,7 +44,7 @@ def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     for file in folder.figures():
         if file.suffix == ".png":
             caption = file.with_suffix(".md")
-            words = " ".join(caption.read_text(encoding="utf-8").split()) if caption.exists() else file.stem
+            words = " ".join(caption.read_text(encoding="utf-8").split()) if caption.is_file() else file.stem
             yield heading(file.stem)
             yield image(file.read_bytes(), words)
             yield paragraph(words)
@@ -81,7 +81,7 @@ def _claims(ended: list[TrialSummary]) -> Iterator[str]:
 
 def _table(path: Path) -> Iterator[str]:
     """A table of a CSV file, if it is there and not too long to be read."""
-    if not path.exists():
+    if not path.is_file():
         return
     frame = pd.read_csv(path, dtype=str, keep_default_na=False)
     if len(frame) <= MOST_ROWS:

@@ -151,6 +151,7 @@ class CompiledSimulator:
             m=len(task.inputs),
             criteria=len(task.criteria),
             policy_parameters=policy.size,
+            columns=policy.columns,
             n_policy_state=self.n_policy_state,
             n_model_state=self.n_model_state,
             reductions=cost.reductions if cost and terms else (),

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from simbias.sweep.batches import Outcomes
-from simbias.trial.disk import read_json, write_json, write_whole
+from simbias.trial.disk import read_json, require_file, write_json, write_whole
 
 SWEEP, STATE = "sweep.json", "state.json"
 FIGURES, EXPERIMENTS = "figures", "experiments"
@@ -77,8 +77,9 @@ class SweepFolder:
         """The outcomes that are kept, by the hashes of their batches."""
         kept = {}
         for batch in batches:
+            file = self.path / EXPERIMENTS / f"{batch}.json"
             with suppress(OSError, ValueError):
-                kept[batch] = Outcomes.from_json((self.path / EXPERIMENTS / f"{batch}.json").read_text())
+                kept[batch] = Outcomes.from_json(require_file(file).read_text())
         return kept
 
 

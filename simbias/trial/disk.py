@@ -53,6 +53,19 @@ def is_locked(path: Path) -> bool:
     return False
 
 
+def require_file(path: Path) -> Path:
+    """The path, if nothing or a file is there: a pipe or a device may never end.
+
+    Raises
+    ------
+    ConfigError
+        If something else is there.
+    """
+    if path.exists() and not path.is_file():
+        raise ConfigError(str(path), "is no file")
+    return path
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """A mapping from a file.
 
@@ -61,8 +74,7 @@ def read_json(path: Path) -> dict[str, Any]:
     ConfigError
         If the file is missing or has no mapping.
     """
-    if path.exists() and not path.is_file():  # a device may never end
-        raise ConfigError(str(path), "cannot be read (it is no file)")
+    require_file(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -80,7 +92,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
-    part = path.with_name(f"{path.name}{PART}")
+    part = require_file(path.with_name(f"{path.name}{PART}"))
     with part.open("wb") as file:
         write(file)
         file.flush()
@@ -94,7 +106,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 def append_line(path: Path, line: Mapping[str, Any]) -> None:
     """Append a line of JSON to a file, on disk when this returns; one that a kill cut off stays apart."""
-    with path.open("a+b") as file:
+    with require_file(path).open("a+b") as file:
         file.seek(0, os.SEEK_END)
         if file.tell():
             file.seek(-1, os.SEEK_END)
@@ -106,7 +118,7 @@ def append_line(path: Path, line: Mapping[str, Any]) -> None:
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
     """The lines of JSON of a file that may be missing; one that a kill cut off is left out."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    lines = require_file(path).read_text(encoding="utf-8").splitlines() if path.exists() else []
     return [line for line in map(_parsed, lines) if line]
 
 

@@ -22,7 +22,16 @@ from simbias.core.messages import with_type, words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment, place_of
 from simbias.lab.checks import check_rollout
-from simbias.trial.disk import LOCK, PART, append_line, locked, read_json, write_json, write_whole
+from simbias.trial.disk import (
+    LOCK,
+    PART,
+    append_line,
+    locked,
+    read_json,
+    require_file,
+    write_json,
+    write_whole,
+)
 from simbias.trial.files import load_rollout, raw_json, save_rollout
 from simbias.trial.folder import (
     ATTEMPTS,
@@ -234,7 +243,7 @@ def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
         If it cannot be read.
     """
     try:
-        return load(path)
+        return load(require_file(path))
     except ConfigError:
         raise
     except Exception as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -109,6 +110,16 @@ def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
             compose([use], tmp_path)
         (tmp_path / group / "mine.yaml").write_text("b0: &b0 [1]\nb1: [*b0, *b0]")
         assert compose([use], tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")
+def test_a_pipe_in_place_of_a_config_is_named(tmp_path: Path) -> None:
+    for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
+        (tmp_path / group).mkdir()
+        os.mkfifo(file := tmp_path / group / "mine.yaml")
+        with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: is no file"):
+            compose([use], tmp_path)
+        file.unlink()
 
 
 def test_an_error_that_cannot_speak_is_one_line() -> None:

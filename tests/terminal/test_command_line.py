@@ -94,6 +94,14 @@ def test_own_components_run(line: Any) -> None:
     assert line("run", *own, *POINT_MASS, "--cfg", "job") == line(*POINT_MASS, "--cfg", "job", *own)
 
 
+def test_a_file_name_that_no_system_takes_is_one_line(line: Any) -> None:
+    for command in (["identify"], ["report"]):
+        status, out, err = line(*command, "x" * 5000)
+        assert (status, out, err.count("\n")) == (2, "", 1), err
+        assert err.startswith("simbias: ")
+        assert err.endswith(": File name too long\n")
+
+
 def test_options_may_stand_anywhere() -> None:
     places = ["one.csv", "preset=cartpole", "seed=1"]
     for words in (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -179,15 +181,17 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         read_folder(tmp_path)
 
 
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a device")
-def test_a_step_that_is_a_device_is_not_read_for_ever(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="devices and pipes")
+@pytest.mark.parametrize("name", [ATTEMPTS, "0000_search.json", "0001_experiment.npz"])
+def test_a_device_or_a_pipe_is_not_read_for_ever(
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, name: str
 ) -> None:
     folder = shutil.copytree(whole[0], tmp_path / "trial")
-    (folder / "0000_search.json").unlink()
-    (folder / "0000_search.json").symlink_to("/dev/zero")
-    with pytest.raises(ConfigError, match=r"0000_search\.json: cannot be read \(it is no file\)"):
-        read_trial(short, folder)
+    for kind in (os.mkfifo, lambda file: file.symlink_to("/dev/zero")):
+        (folder / name).unlink()
+        kind(folder / name)
+        with pytest.raises(ConfigError, match=rf"{re.escape(name)}: is no file"):
+            read_trial(short, folder)
 
 
 def test_an_experiment_that_no_hardware_can_have_made_is_named(

@@ -47,7 +47,7 @@ static inline void simbias_start(simbias_controller *controller)
     static const simbias_controller start = {{0}};
     *controller = start;
 }}
-
+{functions}
 static inline int simbias_control(simbias_controller *controller, const double x[{n}], double u[{m}])
 {{
 {constants}{locals}{body}    int safe = !controller->aborted;
@@ -67,6 +67,14 @@ static inline int simbias_control(simbias_controller *controller, const double x
 }}
 
 #endif
+"""
+INTERPOLATED = """
+static inline double simbias_interpolated(double position, int rows, const double *column)
+{
+    const int row = position < rows - 1 ? (int)position : rows - 2;
+    const double share = position < rows - 1 ? position - row : 1.0;
+    return column[row] + share * (column[row + 1] - column[row]);
+}
 """
 STATE_CHECK = """\
     for (int i = 0; i < {s}; ++i)
@@ -133,6 +141,7 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     return HEADER.format(
         **_words(task, title),
         state_field=f"    double policy_state[{s}];\n" if s else "",
+        functions=INTERPOLATED if law.looks_up else "",
         constants=_indented(constants),
         locals=_indented(before),
         body=_indented(lines),

@@ -8,6 +8,7 @@ Everything that others use of it is imported from here.
 | compiling, and text of it | `compilation`, `text` |
 | kernels for all lanes at once | `lanes` |
 | components that are written in YAML | `expressions` |
+| tables that a policy looks up by the time | `tables` |
 | kernels of a model, its policy and cost | `tracing`, `symbols`, `rules`, `points`, `agreement` |
 | a policy's formulas, in C and in Python | `tracing`, `written` |
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
@@ -22,6 +23,7 @@ from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, l
 from simbias.simulation.compiler.loop import Function, constant
 from simbias.simulation.compiler.open_loop import compile_open_loop
 from simbias.simulation.compiler.points import Points
+from simbias.simulation.compiler.tables import scheduled
 from simbias.simulation.compiler.text import sum_of
 from simbias.simulation.compiler.threads import in_threads
 from simbias.simulation.compiler.tracing import (
@@ -66,6 +68,7 @@ __all__ = [
     "of_cost",
     "of_nominal",
     "parts_of",
+    "scheduled",
     "sincos",
     "store",
     "sum_of",

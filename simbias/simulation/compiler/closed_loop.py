@@ -10,6 +10,8 @@ from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.loop import Function, Loop
 from simbias.simulation.compiler.text import assign, sum_of, tuple_of
 
+# Policy parameters are (k, r) or, of policies that look a table up, (k, r + 1 + K c): the seconds between its
+# rows, and the rows.
 # Noise is (w (T+1), m+n), scenarios (k,), starts (k, n). Filled are: states (k, T+1, n) and inputs (k, T, m),
 # or neither; the cost's final_totals (k, s); frames (k,), and the criterion (k,) that each rollout violated,
 # -1 at the horizon.
@@ -35,6 +37,17 @@ for lane in range({LANES}):
     row = first_noise[lane] + frame[lane]
     for i in range({{m}} + {{n}}):
         disturbance[i, lane] = noise[row, i]"""
+
+LOOK_UP = f"""\
+for lane in range({LANES}):
+    spacing = policy_parameters[number[lane], {{policy}}]
+    position = min(frame[lane] * time_step / spacing, last_row)
+    before = min(int64(position), int64(last_row) - 1)
+    first, share = {{policy}} + 1 + {{columns}} * before, position - before
+    for i in range({{columns}}):
+        value = policy_parameters[number[lane], first + i]
+        after = policy_parameters[number[lane], first + {{columns}} + i]
+        looked_up[i, lane] = value + share * (after - value)"""
 
 RECORD = f"""\
 if states.shape[0] > 0:
@@ -74,7 +87,8 @@ class Composition:
     n: int  # states
     m: int  # inputs
     criteria: int
-    policy_parameters: int  # of each policy
+    policy_parameters: int  # of each policy, that are read one by one
+    columns: int  # of a table that it looks up by the time
     n_policy_state: int
     n_model_state: int
     reductions: tuple[str, ...]  # of the cost's terms
@@ -85,10 +99,15 @@ class Composition:
 def compile_closed_loop(c: Composition) -> Any:
     """The composition's loop, ready to be called."""
     sizes = {"n": c.n, "m": c.m, "policy": c.policy_parameters, "n_policy_state": c.n_policy_state}
-    sizes |= {"n_cost_terms": len(c.reductions)}
+    sizes |= {"n_cost_terms": len(c.reductions), "columns": c.columns}
     functions = {"measure": c.measure, "control": c.control, "step": c.step, "correct": c.correct}
     constants = [f"limit = {tuple_of('limits[{}]', c.criteria)}", c.measure.read("measure")]
     constants.append(c.control.read("policy", "policy_constants"))
+    gather = [GATHER.format(**sizes)] if c.noisy else []
+    if c.columns:
+        rows = f"(policy_parameters.shape[1] - {c.policy_parameters + 1}) // {c.columns}"
+        constants.append(f"last_row = {rows} - 1.0")
+        gather.append(LOOK_UP.format(**sizes))
     return Loop(
         ARGUMENTS,
         functions | ({"terms": c.terms} if c.terms else {}),
@@ -98,13 +117,14 @@ def compile_closed_loop(c: Composition) -> Any:
             "disturbance": c.m + c.n if c.noisy else 0,
             "policy": c.policy_parameters,
             "policy_state": c.n_policy_state,
+            **({"looked_up": c.columns} if c.columns else {}),
             "totals": len(c.reductions),
             "totals_before": len(c.reductions),
         },
         integers=("criterion", "first_noise"),
         constants=[*constants, *([c.terms.read("cost")] if c.terms else [])],
         take=TAKE.format(**sizes),
-        gather=GATHER.format(**sizes) if c.noisy else "",
+        gather="\n".join(gather),
         advance=_advanced(c),
         settle=_settled(c),
         judge=JUDGE,
@@ -124,13 +144,15 @@ def _advanced(c: Composition) -> list[str]:
         force = tuple_of("u[{0}] + disturbance[{0}, lane]", c.m)
     policy = tuple_of("policy[{}, lane]", c.policy_parameters)
     state = tuple_of("policy_state[{}, lane]", c.n_policy_state)
+    given = f"{policy}, {seen}, frame[lane] * time_step, {state}, policy_data"
+    given += f", {tuple_of('looked_up[{}, lane]', c.columns)}" * bool(c.columns)
     return [
         f"x_ = {tuple_of('x[{}, lane]', c.n)}",
         "measures = measure(x_, measure_data)",
         "failed = -1",
         *judge,
         "stop = (failed >= 0) | (frame[lane] >= horizon)",
-        f"u, policy_state_next = control({policy}, {seen}, frame[lane] * time_step, {state}, policy_data)",
+        f"u, policy_state_next = control({given})",
         *assign("policy_state", "policy_state_next", c.n_policy_state),
         f"u_ = {force}",
         *assign("command", "u", c.m),

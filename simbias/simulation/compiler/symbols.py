@@ -16,6 +16,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 MOST = 3000  # operations and numbers: to compile 2,500 of them takes LLVM a minute, 300 some seconds
+LOOKED_UP = "looked_up"  # the operation of a table: see `simbias.simulation.compiler.tables`
 
 
 class TraceError(TypeError):
@@ -33,10 +34,11 @@ class Trace:
     def __init__(self) -> None:
         self.symbols: list[Symbol] = []
         self._known: dict[tuple, Symbol] = {}
+        self._counted = 0  # of them; what is given and what stands in a table takes no compiling
 
     def given(self, name: str) -> Symbol:
         """A number that what is written is given, by its name there."""
-        return self._add("given", value=name)
+        return self._add("given", value=name, counts=False)
 
     def number(self, value: Any, whole: bool = False) -> Symbol:
         """A number that the code knows; one that is `whole`, or comes of such, is written as it is."""
@@ -48,6 +50,10 @@ class Trace:
         if key not in self._known:
             self._known[key] = self._add("number", value=float(value), whole=True)
         return self._known[key]
+
+    def entry(self, value: float) -> Symbol:
+        """A number of a table."""
+        return self._add("number", value=float(value), counts=False)
 
     def operation(self, name: str, *operands: Symbol, truth: bool = False) -> Symbol:
         """An operation's result; of the same operation, the same one."""
@@ -63,9 +69,11 @@ class Trace:
         value: Any = None,
         truth: bool = False,
         whole: bool = False,
+        counts: bool = True,
     ) -> Symbol:
         """One more symbol."""
-        if len(self.symbols) >= MOST:
+        self._counted += counts
+        if self._counted > MOST:
             raise TraceError(f"it takes more than {MOST} operations, on single numbers")
         symbol = Symbol(self, name, operands, value, truth, whole)
         self.symbols.append(symbol)

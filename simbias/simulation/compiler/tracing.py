@@ -28,7 +28,8 @@ from simbias.core.records import Array
 from simbias.simulation.compiler.agreement import compare, compare_frames, rows
 from simbias.simulation.compiler.points import ROWS, Points
 from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
-from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError
+from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace, TraceError
+from simbias.simulation.compiler.tables import Lookup, scheduled
 from simbias.simulation.compiler.written import Formulas, Written, columns, needed, written
 
 
@@ -134,11 +135,12 @@ class PolicyKernel(NamedTuple):
 
     prepare: Written
     control: Written
-    size: int  # r, of the parameters
+    size: int  # r, of the parameters that it reads one by one
+    columns: int = 0  # c, of the table behind them that is looked up by the time
 
     @property
     def function(self) -> Callable:
-        """(parameters, x, t, policy_state, constants) -> u, policy_state."""
+        """(parameters, x, t, policy_state, constants) -> u, policy_state; a table's row comes last."""
         return self.control.function
 
     @property
@@ -147,8 +149,15 @@ class PolicyKernel(NamedTuple):
         return self.control.numbers
 
     def parameters(self, thetas: Array) -> Array:
-        """Parameters (k, r) of the kernel for thetas (k, p)."""
+        """Parameters (k, r) of the kernel for thetas (k, p); with a table, (k, r + 1 + K c)."""
         return rows(columns(self.prepare.function, thetas, tuple(self.prepare.numbers)), len(thetas))
+
+    def looked_up(self, parameters: Array, t: float) -> tuple[Array, ...]:
+        """The rows (k, c) of the tables at time t: the last argument of the function, if it has one."""
+        if not self.columns:
+            return ()
+        spacing, entries = parameters[0, self.size], parameters[:, self.size + 1 :]
+        return (scheduled(entries.reshape(len(parameters), -1, self.columns), t, spacing),)
 
 
 def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
@@ -158,11 +167,12 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
     def trace(subject: Callable) -> PolicyKernel:
         trace = Trace()
         _, u, kept = _formulas(trace, subject, policy, task, row(trace, "theta", p))
-        fixed = _of_thetas_alone(trace, [u, kept])
+        fixed, lookup = _of_thetas_alone(trace, [u, kept]), Lookup.among(needed(trace, [u, kept]))
+        arguments = "p, x, t, policy_state, c" + ", row" * bool(lookup.columns)
         return PolicyKernel(
-            written(trace, [fixed], "theta, p"),
-            written(trace, [u, kept], "p, x, t, policy_state, c", fixed, "c"),
-            len(fixed),
+            written(trace, [[*fixed, *lookup.table]], "theta, p"),
+            written(trace, [u, kept], arguments, fixed, "c", lookup.columns),
+            *(len(fixed), len(lookup.columns)),
         )
 
     def check(subject: Callable, traced: PolicyKernel) -> None:
@@ -172,7 +182,8 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
         parameters, constants = traced.parameters(thetas), tuple(traced.constants)
 
         def made(x: Array, t: float, state: Array) -> tuple[Any, ...]:
-            return columns(traced.function, parameters, x, t, state, constants)
+            row = traced.looked_up(parameters, t)
+            return columns(traced.function, parameters, x, t, state, constants, *row)
 
         for share in (0.0, 0.1, 0.7):
             t = share * task.horizon * task.time_step
@@ -213,7 +224,7 @@ def _of_thetas_alone(trace: Trace, results: Sequence[Sequence[Symbol]]) -> list[
             changing.add(symbol.index)
     used = [symbol for vector in results for symbol in vector]
     for symbol in needed(trace, results):
-        if symbol.index in changing:
+        if symbol.index in changing and symbol.name != LOOKED_UP:
             used += symbol.operands
     fixed = {symbol.index for symbol in used if symbol.name != "number"} - changing
     return [trace.symbols[index] for index in sorted(fixed)]

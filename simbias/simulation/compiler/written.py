@@ -14,7 +14,7 @@ from simbias.core.records import Array
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
 from simbias.simulation.compiler.rules import OF_NUMPY
-from simbias.simulation.compiler.symbols import Symbol, Trace
+from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
 NAMES = {"np": np, "lesser": lesser, "greater": greater, "chosen": chosen}
@@ -111,6 +111,8 @@ class Language:
     nan: str = "np.nan"
     statement: str = "{} = {}"
     condition: str = "{} = {}"  # the statement of what holds or not
+    table: str = "{} = ({},)"  # the statement of a column,
+    interpolated: str = "np.interp({}, np.arange({}), {})"  # its value at a position between its rows
 
     def number(self, value: float) -> str:
         """A number, as an operand."""
@@ -120,7 +122,11 @@ class Language:
 
 
 NUMBA, NUMPY = Language(_IN_NUMBA), Language(_IN_NUMPY)
-C = Language(_IN_C, "INFINITY", "NAN", "const double {} = {};", "const int {} = {};")
+C = Language(
+    _IN_C,
+    *("INFINITY", "NAN", "const double {} = {};", "const int {} = {};"),
+    *("static const double {}[] = {{{}}};", "simbias_interpolated({}, {}, {})"),
+)
 
 
 def statements(
@@ -142,7 +148,13 @@ def statements(
             names[symbol.index] = symbol.value if symbol.name == "given" else language.number(symbol.value)
             continue
         operands = [names[operand.index] for operand in symbol.operands]
-        text = language.operations[symbol.name].format(*operands)
+        if symbol.name == LOOKED_UP:
+            t, spacing, *entries = operands
+            column = f"v{len(lines)}"
+            lines.append(language.table.format(column, ", ".join(entries)))
+            text = language.interpolated.format(f"{t} / {spacing}", len(entries), column)
+        else:
+            text = language.operations[symbol.name].format(*operands)
         if text == operands[0]:
             names[symbol.index] = text
         elif uses[symbol.index] == 1 and len(text) < SHORT:
@@ -175,6 +187,11 @@ class Formulas(NamedTuple):
         """Whether the formulas depend on the time."""
         return any(symbol.value == "t" for symbol in needed(self.trace, [self.u, self.policy_state]))
 
+    @property
+    def looks_up(self) -> bool:
+        """Whether the formulas look something up in a table."""
+        return any(symbol.name == LOOKED_UP for symbol in needed(self.trace, [self.u, self.policy_state]))
+
 
 class Written(NamedTuple):
     """A kernel's function, and the numbers in it."""
@@ -189,12 +206,14 @@ def written(
     arguments: str,
     before: Sequence[Symbol] = (),
     numbers_name: str = "p",
+    looked_up: Sequence[Symbol] = (),
 ) -> Written:
     """The function for Numba that gives these vectors; p is what is computed before, numbers have a name too.
 
-    Of the same operations it is the same function.
+    What is looked up in a table is a row of its own. Of the same operations it is the same function.
     """
     names = {symbol.index: f"p[{index}]" for index, symbol in enumerate(before)}
+    names |= {symbol.index: f"row[{index}]" for index, symbol in enumerate(looked_up)}
     order = needed(trace, results, names)
     numbers = [symbol for symbol in order if symbol.name == "number" and not symbol.whole]
     names |= {symbol.index: f"{numbers_name}[{index}]" for index, symbol in enumerate(numbers)}

@@ -138,7 +138,7 @@ def disks(rng: random.Random, work: Path) -> list[Result]:
     _uninterrupted(work, trial)
     n, store = rng.randint(1, 40), rng.choice(STORES)
     kind = rng.choice(["killed", "killed", "full", "broken", "small"])
-    size = int(10 ** rng.uniform(1.0, 5.0))
+    size = int(10 ** rng.uniform(2.5, 5.0))  # room for the line that says it
     befalls: dict[str, Callable[[], object]] = {
         "killed": lambda: _at(n, lambda: os.kill(os.getpid(), signal.SIGKILL)),
         "full": lambda: _at(n, _full),

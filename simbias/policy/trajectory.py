@@ -1,0 +1,96 @@
+"""A policy that follows a trajectory."""
+
+from __future__ import annotations
+
+from typing import Annotated, final
+
+import numpy as np
+from pydantic import Field
+
+from simbias.core import Law, Nominal, Policy, Task, wrapped
+from simbias.core.ranges import Positive
+from simbias.core.records import Array
+from simbias.policy.observer import OBSERVERS, ObserverKind
+from simbias.simulation.compiler import scheduled
+
+LARGEST = 1e3  # of a state, and of an input without limits
+Knots = Annotated[int, Field(ge=2, le=2000)]
+ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
+
+
+@final
+class Trajectory(Policy):
+    """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
+
+    x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; after it
+    the last ones hold. Parameters are, knot by knot, x_t (n), u_t (m) and the rows of K_t (m n). States that
+    wrap are compared within half a turn.
+
+    Parameters
+    ----------
+    knots
+        Two at least.
+    bound
+        Of the gains, in the inputs' limits by unit of a state.
+    observer
+        As of `Network`.
+    observer_gain
+        All of its gains: 1 trusts what is measured.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        nominal: Nominal,
+        knots: Knots = 51,
+        bound: Positive = 1e3,
+        observer: ObserverKind = "none",
+        observer_gain: ObserverGain = 0.5,
+    ) -> None:
+        self._task, self._knots = task, knots
+        self._n, self._m = len(task.states), len(task.inputs)
+        self._spacing = task.horizon * task.time_step / (knots - 1)
+        self._observer = OBSERVERS[observer](task, nominal)
+        self._gains = np.full(len(self._observer.bounds[0]), observer_gain)
+        self.state_size = self._observer.size
+        lower, upper = (np.clip(each, -LARGEST, LARGEST) for each in task.input_bounds)
+        gains = np.repeat(bound * np.minimum(task.input_limit, LARGEST), self._n)
+        states = np.full(self._n, LARGEST)
+        self.bounds = (
+            np.tile(np.concatenate([-states, lower, -gains]), knots),
+            np.tile(np.concatenate([states, upper, gains]), knots),
+        )
+        self.n_parameters = len(self.bounds[0])
+
+    @property
+    def times(self) -> Array:
+        """Times (K,) of the knots in s."""
+        return self._spacing * np.arange(self._knots)
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at states x (..., n), and the observer's state."""
+        n, m = self._n, self._m
+        row = scheduled(theta.reshape(*theta.shape[:-1], self._knots, -1), t, self._spacing)
+        x_t, u_t, K_t = row[..., :n], row[..., n : n + m], row[..., n + m :]
+        estimate = self._observer.estimate(self._gains, x, t, policy_state)
+        off = wrapped(estimate - x_t, self._task.states)
+        K_t = K_t.reshape(*K_t.shape[:-1], m, n)
+        u = np.clip(u_t - (K_t @ off[..., None])[..., 0], *self._task.input_bounds)
+        return u, self._observer.keep(x, estimate, u)
+
+    def following(self, states: Array, inputs: Array, gains: Array) -> Array:
+        """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t (K, m, n) at the knots."""
+        rows = np.concatenate([states, inputs, gains.reshape(self._knots, -1)], axis=1)
+        return np.clip(rows.ravel(), *self.bounds)
+
+    def law(self, theta: Array) -> Law:
+        """The knots, a row for each."""
+        words = (
+            "u = u_t - K_t (x - x_t), cut off at the inputs' limits, linear between rows of t, x_t, u_t, K_t"
+        )
+        rows = theta.reshape(self._knots, -1)
+        return Law(words, {"knots": np.concatenate([self.times[:, None], rows], axis=1)})
+
+    def outputs(self, x: Array) -> Array:
+        """Outputs z (..., q) at states x (..., n)."""
+        return self._task.output(x)

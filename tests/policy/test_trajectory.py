@@ -1,0 +1,123 @@
+"""A policy that follows a trajectory: its formula, and its table wherever it is looked up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import simbias
+from simbias.core import Model
+from simbias.core.records import Array
+from simbias.lab.requests.folder import files
+from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
+from simbias.policy.trajectory import Trajectory
+from simbias.search.lqr import linearised, lqr_gains
+from simbias.simulation.closed_loop import join, simulator
+from simbias.simulation.compiler import Points, scheduled
+from simbias.simulation.compiler.tracing import of_policy
+from simbias.simulation.noise import Noise
+from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.trial.study import Study
+
+KNOTS = 11
+
+
+@pytest.fixture(scope="module")
+def cartpole() -> Study:
+    return simbias.load(["preset=cartpole", "bias=none", "tracking=none", "task.horizon=100"])
+
+
+def around(study: Study, count: int, knots: int = KNOTS) -> tuple[Trajectory, Array]:
+    """Policies (count, p) that balance, about trajectories of small random steps."""
+    rng, gains = np.random.default_rng(0), lqr_gains(linearised(study.model()), np.array([[1e-3]]))
+    policy = Trajectory(study.task, study.nominal, knots)
+    thetas = [
+        policy.following(
+            0.01 * rng.standard_normal((knots, 4)),
+            rng.standard_normal((knots, 1)),
+            gains * rng.uniform(0.9, 1.1, (knots, 1, 4)),
+        )
+        for _ in range(count)
+    ]
+    return policy, np.array(thetas)
+
+
+def test_a_table_is_linear_between_its_rows_and_ends_with_the_last() -> None:
+    table = np.array([[[0.0, 1.0], [2.0, 1.0], [3.0, -1.0]]])
+    for t, row in (
+        (0.0, [0, 1]),
+        (0.25, [1, 1]),
+        (0.5, [2, 1]),
+        (0.75, [2.5, 0]),
+        (1.0, [3, -1]),
+        (9.0, [3, -1]),
+    ):
+        np.testing.assert_allclose(scheduled(table, t, 0.5), [row])
+
+
+def test_the_input_is_feedforward_and_gains_at_that_time(cartpole: Study) -> None:
+    policy, (theta,) = around(cartpole, 1)
+    rows, x = theta.reshape(KNOTS, 9), np.array([0.01, -0.02, 0.03, 0.04])
+    spacing = policy.times[1]
+    assert policy.times[-1] == cartpole.task.horizon * cartpole.task.time_step
+    for t, row in ((0.0, rows[0]), (2.5 * spacing, (rows[2] + rows[3]) / 2), (99.0, rows[-1])):
+        u, _ = policy.act(theta, x, t, np.empty(0))
+        assert u == pytest.approx(row[4:5] - row[5:] @ (x - row[:4]))
+    beyond, _ = policy.act(theta, x + 9.0, 0.0, np.empty(0))
+    assert abs(beyond) == cartpole.task.input_limit
+
+
+@pytest.mark.slow
+def test_compiled_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
+    """With noise; in lanes that are at different times, as rollouts end and others begin."""
+    policy, thetas = around(cartpole, 40)
+    thetas[::3, 8::9] *= -1.0  # these fall
+    starts = np.array([cartpole.task.draw_start(np.random.default_rng(i)) for i in range(len(thetas))])
+    noise = Noise(cartpole.task, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
+    model = Model(cartpole.task, policy, cartpole.nominal, cartpole.bias.fit(cartpole.no_data))
+    compiled, plain = join([simulator(model, noise)]), PlainSimulator([model], [noise])
+    scenarios = np.zeros(len(thetas), np.int64)
+    pairs = zip(compiled.rollouts(thetas, starts, scenarios), plain.rollouts(thetas, starts), strict=True)
+    ends = set()
+    for one, other in pairs:
+        assert one.frames == other.frames
+        ends.add(one.frames)
+        np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-6, atol=1e-6)
+    assert len(ends) > 3
+    assert 100 in ends
+
+
+def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
+    """In C and Python, over more frames than its table has; files are only made if they agree."""
+    policy, (theta,) = around(cartpole, 1)
+    request = ExperimentRequest(cartpole.task, policy, theta, cartpole.task.start_mean)
+    assert request.why_no_code == ""
+    made = files(request)
+    assert "static const double v" in made[HEADER]
+    assert "np.interp(t / " in made[MODULE]
+
+
+class Late(Trajectory):
+    """Looks up by what is no time."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return super().act(theta, x, 2 * t, policy_state)
+
+
+class Twice(Trajectory):
+    """Looks up two tables."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        u, policy_state = super().act(theta, x, t, policy_state)
+        return u + scheduled(theta.reshape(*theta.shape[:-1], -1, 1), t, 0.1), policy_state
+
+
+def test_hundreds_of_knots_are_traced_and_other_lookups_say_why_they_are_not(cartpole: Study) -> None:
+    task, points = cartpole.task, Points.of(cartpole.task)
+    many = of_policy(Trajectory(task, cartpole.nominal, 501), task, points).kernel
+    few = of_policy(Trajectory(task, cartpole.nominal, 2), task, points).kernel
+    assert many.function is few.function  # so that one loop is compiled for both
+    assert many.size == few.size == 0
+    for policy, why in ((Late, "by another value than the time"), (Twice, "several tables, at other times")):
+        part = of_policy(policy(task, cartpole.nominal), task, points)
+        assert why in part.why_not
