@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -14,6 +14,8 @@ from simbias.core.parameters import Estimate, Parameter, values_at
 from simbias.core.policy import Policy
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.core.robot import Task
+
+MOST_DRAWS = 1000  # of parameters, until a robot may have them
 
 
 class Nominal(ABC):
@@ -61,6 +63,11 @@ class Nominal(ABC):
         """The model with other values (k,) of its `parameters`, in their units."""
         raise NotImplementedError(f"{type(self).__name__} has parameters, but no `with_parameters`")
 
+    @property
+    def slack(self) -> Array:
+        """How far (c,) each condition on its parameters is from being broken; below 0, no robot has them."""
+        return np.empty(0)
+
     def without_dry_friction(self) -> Nominal:
         """The model as it is while its joints slide: at rest, dry friction is steeper than any damping."""
         return self
@@ -69,11 +76,30 @@ class Nominal(ABC):
         """A model that might be the right one, as far as its parameters are known; this one if they are."""
         if not self.parameters:
             return self
-        return self.with_parameters(values_at(self.parameters, rng.standard_normal(len(self.parameters))))
+        return drawn(
+            lambda: rng.standard_normal(len(self.parameters)),
+            lambda z: self.with_parameters(values_at(self.parameters, z)),
+        )[1]
 
     def narrowed(self, scale: float) -> Nominal:
         """The model, its draws deviating `scale` times as much; itself if it cannot narrow them."""
         return self
+
+
+def drawn(draw: Callable[[], Array], at: Callable[[Array], Nominal]) -> tuple[Array, Nominal]:
+    """Coordinates of parameters, and the model at them: the first that are drawn of a robot that may be.
+
+    Raises
+    ------
+    ValueError
+        If none of many is.
+    """
+    for _ in range(MOST_DRAWS):
+        z = draw()
+        model = at(z)
+        if (model.slack >= 0.0).all():
+            return z, model
+    raise ValueError(f"uncertainty: no robot has any of {MOST_DRAWS} sets of parameters that were drawn")
 
 
 class Identification(ABC):

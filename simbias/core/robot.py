@@ -13,6 +13,7 @@ import numpy as np
 from simbias.core.policy import Policy
 from simbias.core.records import Array, Indices, Rollout
 
+RATE = "/s"  # what the units of rates end with
 NOT_A_NUMBER = "not_a_number"  # the failure of a state that violates no criterion
 
 
@@ -36,6 +37,11 @@ class Quantity(NamedTuple):
     def names(self) -> tuple[str, ...]:
         """Names by which the quantity can be given, its own first."""
         return (self.name, self.kind) if self.kind else (self.name,)
+
+    @property
+    def is_rate(self) -> bool:
+        """Whether it is a velocity, by its unit."""
+        return self.unit.endswith(RATE)
 
 
 class Criterion(NamedTuple):

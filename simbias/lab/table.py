@@ -22,6 +22,7 @@ from simbias.core.records import Array
 POINT, COMMA = (
     re.compile(rf"[+-]?([0-9]+[{mark}]?[0-9]*|[{mark}][0-9]+)([eE][+-]?[0-9]+)?") for mark in ".,"
 )
+COMMENTS = re.compile(r"(\s*#[^\n]*\n)+(?!\s*[-+.0-9])")  # not names behind a #, above numbers
 LARGEST = 2**29  # bytes of text: hours at 1 kHz; a compressed file of some kB may hold more
 DECIMAL_COMMA = "; is it a decimal comma? Write a point, or separate the columns by semicolons"
 
@@ -31,7 +32,7 @@ class Table:
     """The cells of a CSV file."""
 
     source: str  # the file, as errors name it
-    names: tuple[str, ...]  # cells of row 1
+    names: tuple[str, ...]  # cells of the first row
     rows: tuple[int, ...]  # (r,) where the others stand in the file
     cells: Sequence[Sequence[str]]  # (r, c)
     semicolons: bool  # whether these separate columns; then numbers may have a decimal comma
@@ -68,12 +69,12 @@ class Table:
 def read_table(path: Path, may_lack: str = "") -> Table:
     """The table in a CSV file, also compressed (.gz), its columns separated by commas or semicolons.
 
-    Rows may lack the column `may_lack`, if it is the last one.
+    Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one.
 
     Raises
     ------
     HardwareError
-        If it cannot be read or is too large, or a row has another number of cells than row 1.
+        If it cannot be read or is too large, or a row has another number of cells than the names' row.
     """
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
@@ -83,11 +84,13 @@ def read_table(path: Path, may_lack: str = "") -> Table:
         raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
     if len(raw) > LARGEST:
         raise HardwareError(f"{path}: holds more than {LARGEST // 2**20} MiB")
-    head = text.lstrip().partition("\n")[0]
+    comments = COMMENTS.match(text)
+    begin = comments.end() if comments else 0
+    head = text[begin:].lstrip().partition("\n")[0]
     semicolons = ";" in head and "," not in head
     try:
-        reader = csv.reader(io.StringIO(text), delimiter=";" if semicolons else ",")
-        lines = [(number, row) for number, row in enumerate(reader, 1) if any(row)]
+        reader = csv.reader(io.StringIO(text[begin:]), delimiter=";" if semicolons else ",")
+        lines = [(i, row) for i, row in enumerate(reader, 1 + text[:begin].count("\n")) if any(row)]
     except csv.Error as error:
         raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
     if len(lines) < 2:
@@ -98,8 +101,7 @@ def read_table(path: Path, may_lack: str = "") -> Table:
         whole = [*row, ""] if len(row) == len(names) - 1 and names[-1] == may_lack else row
         if len(whole) != len(names):
             reason = DECIMAL_COMMA if len(row) > len(names) and not semicolons else ""
-            raise HardwareError(
-                f"{path}: row {number}: expected {len(names)} cells as in row 1, got {len(row)}{reason}"
-            )
+            wanted = f"expected {len(names)} cells as in row {lines[0][0]}"
+            raise HardwareError(f"{path}: row {number}: {wanted}, got {len(row)}{reason}")
         cells.append(whole)
     return Table(str(path), names, tuple(number for number, _ in lines[1:]), cells, semicolons)

@@ -11,8 +11,6 @@ from simbias.core import Policy, Task
 from simbias.core.records import Array
 from simbias.policy.gains import TINY, inverse_signed_exponential, least_squares_gains, signed_exponential
 
-RATE = "/s"  # what the units of rates end with
-
 Bound = Annotated[float, Field(gt=0, le=100)]
 FilterSeconds = Annotated[float, Field(ge=0, le=10)]
 IntegralRate = Annotated[float, Field(ge=0, le=100)]  # 1/s
@@ -76,7 +74,7 @@ class DynamicOutputFeedback(Policy):
         self._task, self._m, self._q = task, m, q
         self._filters, self._integrates = filter_seconds > 0, integral_rate > 0
         self._delay = round(delay_seconds / task.time_step)  # frames
-        self._rates = np.array([output.unit.endswith(RATE) for output in task.outputs])
+        self._rates = np.array([output.is_rate for output in task.outputs])
         self._integrated = np.array([name in chosen for name in names], dtype=np.float64)
         lower, upper = [-bound] * (m * q), [bound] * (m * q)
         for most in (filter_seconds, integral_rate):

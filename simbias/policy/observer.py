@@ -11,7 +11,6 @@ from simbias.core import Nominal, Task, wrapped
 from simbias.core.records import Array
 
 ObserverKind = Literal["none", "filter", "derivative", "model"]
-RATE = "/s"  # at the end of a rate's unit
 LEAST = 0.02  # gain of a filter
 
 
@@ -23,7 +22,7 @@ class Observer(ABC):
 
     def __init__(self, task: Task, nominal: Nominal) -> None:
         self._task, self._nominal = task, nominal
-        self._is_rate = np.array([state.unit.endswith(RATE) for state in task.states])
+        self._is_rate = np.array([state.is_rate for state in task.states])
 
     @abstractmethod
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
+from simbias.core.parameters import Estimate
 from simbias.core.records import Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
@@ -28,12 +29,26 @@ class Assessment:
 
     task: Task
     nominal: Nominal
-    identified: Identified  # from all recordings that were not held out
+    recordings: Sequence[str]  # that were not held out
+    identified: Identified  # from all of them
     parts: Sequence[Part]  # of these, each predicted by a model of the others
     held_out: Part | None
     models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
+
+    @property
+    def own(self) -> dict[str, list[Estimate]]:
+        """Of each recording by name, what it has of its own."""
+        fits = {name: self.identified.of_recording(i) for i, name in enumerate(self.recordings)}
+        return {
+            name: [
+                estimate
+                for parameter, estimate in zip(fit.parameters, fit.estimates, strict=True)
+                if parameter.of_recording
+            ]
+            for name, fit in fits.items()
+        }
 
     @property
     def judged(self) -> list[Part]:
@@ -114,6 +129,7 @@ def assess(
     return Assessment(
         study.task,
         study.nominal,
+        list(recordings),
         identified,
         all_parts,
         kept,

@@ -58,15 +58,13 @@ class Designer:
         self._study, self._posterior = study, posterior
         self.nominal = posterior.prior(study.nominal)
         parameters = self.nominal.parameters
-        rng, p = np.random.default_rng(SEED), len(parameters)
-        if isinstance(model, Identified):
-            mode, spread, self._errors = model.mode, model.spread, model.errors
-        else:
-            mode, spread, self._errors = np.zeros(p), np.eye(p), None
-        self._z = mode + np.vstack([np.zeros(p), rng.standard_normal((DRAWS - 1, p))]) @ spread.T
+        rng = np.random.default_rng(SEED)
+        known = model if isinstance(model, Identified) else Identified.of_prior(self.nominal)
+        self._errors = known.errors
+        self._z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(DRAWS - 1))])
         self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in self._z]
-        self._precision = np.linalg.inv(spread @ spread.T)
-        self.before = np.sqrt(np.diag(spread @ spread.T))  # (p,)
+        self._precision = np.linalg.inv(known.covariance)
+        self.before = np.sqrt(np.diag(known.covariance))  # (p,)
         self._bounds = study.conditions.safety.bounds(study.task)
         self._noise = noise
 

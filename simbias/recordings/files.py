@@ -96,9 +96,10 @@ def errors(assessment: Assessment) -> pd.DataFrame:
 
 def draws(identified: Identified) -> pd.DataFrame:
     """Draws from the posterior, a column for each parameter."""
-    e = np.random.default_rng(SEED).standard_normal((DRAWS, len(identified.mode))) @ identified.spread.T
+    rng = np.random.default_rng(SEED)
+    z = np.array([identified.draw_coordinates(rng) for _ in range(DRAWS)])
     names = [parameter.name for parameter in identified.parameters]
-    return pd.DataFrame(values_at(identified.parameters, identified.mode + e), columns=names)
+    return pd.DataFrame(values_at(identified.parameters, z), columns=names)
 
 
 def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:

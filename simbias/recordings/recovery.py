@@ -64,12 +64,13 @@ def recover(
     """
     assert isinstance(study.identification, Posterior)
     nominal = study.identification.prior(study.nominal)
+    prior = Identified.of_prior(nominal)
     rng, parameters = np.random.default_rng(study.seed), nominal.parameters
     own = np.array([parameter.of_recording for parameter in parameters], bool)
     true, modes, deviations = [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
-        z, made = rng.standard_normal(len(parameters)), list[tuple[Array, Rollout]]()
+        z, made = prior.draw_coordinates(rng), list[tuple[Array, Rollout]]()
         for i, take in enumerate(takes):
             here = np.where(own, rng.standard_normal(len(z)), z) if i and own.any() else z
             robot = PredictionModel(nominal.with_parameters(values_at(parameters, here)))

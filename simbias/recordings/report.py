@@ -25,6 +25,9 @@ def _parts(assessment: Assessment, excitation: Excitation | None) -> Iterator[st
     yield picture(
         plots.parameters(assessment), "Prior, posterior and the estimate of each part, by parameter"
     )
+    if own := list(words.own_lines(assessment)):
+        yield heading("What each recording has of its own")
+        yield items(own)
     yield heading("What the data do not determine")
     lines = list(words.undetermined_lines(assessment))
     yield items(lines) if lines else paragraph("All directions of the parameters are determined.")

@@ -57,6 +57,14 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
         )
 
 
+def own_lines(assessment: Assessment) -> Iterator[str]:
+    """A line for each recording that has something of its own, as zeros or a load."""
+    for name, estimates in assessment.own.items():
+        told = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
+        if told:
+            yield f"{name}: {', '.join(told)}"
+
+
 def error_names(assessment: Assessment) -> list[str]:
     """Names of the columns of errors."""
     return [*ERROR_NAMES, *(f"{state.name} ({state.unit})" for state in assessment.task.states)]

@@ -63,6 +63,7 @@ class Uncertainty:
     damping: NonNegative = 0.0  # N m s/rad
     friction: NonNegative = 0.0  # N m
     rotor_inertia: NonNegative = 0.0  # kg m^2
+    bodies: bool = False  # whether each link has to be one: of more inertia than mass and centre alone give
 
 
 _NOTHING = Drives()
@@ -131,6 +132,7 @@ class DoublePendulum(Nominal):
             **{f"{field.name}_2": getattr(second, field.name) for field in fields(Link)},
             **vars(drives),
         }
+        self._bodies = uncertainty.bodies
         self.parameters = tuple(
             Parameter(name, unit, self._values[name], spread, kind)
             for name, (field, unit, kind) in _PRIORS.items()
@@ -149,6 +151,16 @@ class DoublePendulum(Nominal):
         """The model with other values (k,) of its parameters."""
         names = [parameter.name for parameter in self.parameters]
         return self._with(dict(zip(names, values.tolist(), strict=True)))
+
+    @property
+    def slack(self) -> Array:
+        """Logarithms (2,) of the links' inertias over what their masses and centres alone give."""
+        if not self._bodies:
+            return super().slack
+        v = self._values
+        return np.array(
+            [math.log(v[f"inertia_{i}"] / (v[f"mass_{i}"] * v[f"centre_{i}"] ** 2)) for i in (1, 2)]
+        )
 
     def without_dry_friction(self) -> DoublePendulum:
         """The model without Coulomb friction of its joints."""

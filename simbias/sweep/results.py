@@ -84,15 +84,15 @@ def csv(trials: pd.DataFrame) -> str:
     return trials.to_csv(index=False, float_format=f"%.{DIGITS}g")
 
 
-def published(sweep: Sweep) -> pd.DataFrame:
-    """The trials of a sweep that `sweeps/results` holds.
+def published(sweep: Sweep, folder: str = "") -> pd.DataFrame:
+    """The trials of a sweep that `sweeps/results` holds, by default in a folder of the sweep's name.
 
     Raises
     ------
     ConfigError
         If there are none, or their file lacks a column.
     """
-    path = resource_folder("sweeps") / "results" / sweep.name / "trials.csv"
+    path = resource_folder("sweeps") / "results" / (folder or sweep.name) / "trials.csv"
     names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")

@@ -101,6 +101,8 @@ def next_excitation(study: Study, assessment: Assessment) -> Excitation | None:
 def tell(console: Console, assessment: Assessment, excitation: Excitation | None) -> None:
     """Print the tables and sentences."""
     table(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
+    for line in words.own_lines(assessment):
+        say(console, f"Of its own: {line}")
     for line in words.undetermined_lines(assessment):
         say(console, f"Not determined: {line}")
     table(console, words.error_names(assessment), list(words.error_rows(assessment)))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from math import pi
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
 
 from simbias.core.proportions import clopper_pearson, passes_needed
 from simbias.core.records import Iteration
 
 ERROR = 0.05  # probability with which any policy of a trial is said to hold more starts than it does
+
+Confidence = Annotated[float, Field(gt=0, lt=1)]  # a share of starts that is to be known
 
 
 class Claim(NamedTuple):
@@ -30,9 +34,12 @@ def error_of(policy: int) -> float:
     return ERROR * 6 / (pi * (policy + 1)) ** 2
 
 
-def passes_for(share: float, policy: int) -> int:
-    """Passes in a row after which a trial may claim this share of starts for its policy of this number."""
-    return passes_needed(share, error_of(policy))
+def passes_for(share: float | None, policy: int, least: int = 1) -> int:
+    """Passes in a row after which a trial may claim this share of starts for its policy of this number.
+
+    At least `least`, which is also what a trial needs that does not ask (None).
+    """
+    return least if share is None else max(least, passes_needed(share, error_of(policy)))
 
 
 def claim_of(iteration: Iteration) -> Claim:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from simbias.core.records import Array, Iteration, Search, Selection
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
+
+_simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 
 
 class Remark(NamedTuple):
@@ -122,13 +125,18 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
 
 def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[Remark]:
     """Everything odd about an iteration that has ended, but that the model was cleared, which is no fault."""
-    found = [
-        *of_policy(iteration.parameters, iteration.search, earlier),
-        *of_goal(iteration.parameters, iteration.model),
-    ]
+    found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration)]
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found
+
+
+def _of_simulations(iteration: Iteration) -> tuple[Remark, ...]:
+    """Remarks that take simulations of an iteration's policy; these are made once."""
+    if iteration not in _simulated:
+        theta, model = iteration.parameters, iteration.model
+        _simulated[iteration] = (*of_goal(theta, model), *of_model(theta, model))
+    return _simulated[iteration]
 
 
 def of_trial(iterations: Sequence[Iteration]) -> list[Remark]:

@@ -162,8 +162,7 @@ def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) ->
     said = {remark.kind for remark in diagnostics.of_trial(earlier)}
     said |= {"model cleared" for each in earlier if each.learning and each.learning.reset}
     resets = diagnostics.of_reset(iteration, study.cost.max_cost)
-    of_model = diagnostics.of_model(iteration.parameters, iteration.model)
-    for remark in chain(resets, of_model, diagnostics.of_iteration(iteration, earlier)):  # in full once
+    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier)):  # in full once
         yield remark.kind if remark.kind in said else remark.words
 
 

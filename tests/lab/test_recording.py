@@ -65,6 +65,19 @@ def test_units_are_converted(study: Study, rollout: Rollout, tmp_path: Path) -> 
     np.testing.assert_allclose(piece.inputs, rollout.inputs[:-1], rtol=1e-9)
 
 
+def test_comments_stand_above_the_names(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """As loggers write them; errors keep the file's rows. Names behind a # above numbers are names."""
+    text = frame(rollout)[:3].to_csv(index=False)
+    file, names = tmp_path / "one.csv", {name: name for name in NAMES}
+    file.write_text(f'# rig 3, it\'s "old";\n#\n\n{text}')
+    np.testing.assert_array_equal(Reader(study.task, names).read(file).pieces[0].states, rollout.states[:3])
+    file.write_text(f"# rig 3\n{text}1.0,2.0\n")
+    with pytest.raises(HardwareError, match="row 6: expected 7 cells as in row 2, got 2"):
+        Reader(study.task, names).read(file)
+    file.write_text(f"#{text}")
+    assert Reader(study.task, names | {"time": "#time"}).read(file).pieces[0].frames == 2
+
+
 def test_nanoseconds_for_seconds_are_refused(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     """Frames of seconds that are none would not fit into memory."""
     table = frame(rollout)

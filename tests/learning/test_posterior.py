@@ -22,7 +22,7 @@ from simbias.trial.study import Study
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return pendulum("identification=posterior")
+    return pendulum("identification=posterior", "nominal.uncertainty.bodies=false")  # normal, not cut
 
 
 def identified(study: Study, seed: int, frames: int = 1000) -> tuple[Identified, Array, Rollout]:

@@ -159,6 +159,24 @@ def test_a_zero_is_of_one_recording(study: Study) -> None:
 
 
 @pytest.mark.slow
+def test_a_load_is_of_one_recording_and_all_else_is_shared() -> None:
+    """Put on in the second of two recordings, it comes back there, beside what both share."""
+    study = pendulum(
+        *("identification=posterior", "identification.starts=4", "identification.rounds=2"),
+        "identification.each=[damping_2]",
+    )
+    rig, rng = study.identification.prior(study.nominal), np.random.default_rng(0)  # type: ignore[attr-defined]
+    loads = (0.002, 0.04)
+    robots = [at(rig, friction_1=0.1, friction_2=0.1, damping_2=load) for load in loads]
+    fitted = study.identification.fit(study.nominal, [recorded(robot, rng) for robot in robots])
+    assert isinstance(fitted, Identified)
+    for i, load in enumerate(loads):
+        found = {estimate.name: estimate.value for estimate in fitted.of_recording(i).estimates}
+        assert found["damping_2"] == pytest.approx(load, abs=0.01)
+        assert found["friction_1"] == pytest.approx(0.1, abs=0.02)
+
+
+@pytest.mark.slow
 def test_recordings_that_are_fitted_together_have_their_own_zeros() -> None:
     """Each zero comes back; of yet another recording the prior alone is known."""
     study = pendulum(
@@ -189,3 +207,5 @@ def test_what_the_task_has_not_is_told(study: Study) -> None:
     ):
         with pytest.raises(ValueError, match=words):
             Rig(study.task, study.nominal, motors, sensors)
+    with pytest.raises(ValueError, match=r"identification\.each: no load; there is mass_1, "):
+        Rig(study.task, study.nominal, {}, {}, each=["load"])

@@ -65,6 +65,18 @@ def test_a_motor_gain_is_a_residual_of_the_input(cartpole: Study) -> None:
     assert error < 0.5 * np.abs(residual(held_out)).mean()
 
 
+def test_a_residual_of_accelerations_leaves_positions_to_the_model() -> None:
+    inputs, rates = points(300), np.array([0.0, 0.0, 1.0, 1.0])
+    residuals = np.sin(inputs[:, :4]) + 0.3
+    fitted, whole = (
+        bias_of(name).fit(Transitions(inputs, residuals)) for name in ("acceleration_residual", "sparse_gp")
+    )
+    np.testing.assert_array_equal(fitted.predict(inputs)[0], whole.predict(inputs)[0] * rates)
+    corrections = [each.correction(inputs[:, :4], inputs[:, 4:]) for each in (fitted, whole)]
+    assert not corrections[0][:, :2].any()
+    assert (np.abs(corrections[0][:, 2:]) >= 0.9 * np.abs(corrections[1][:, 2:])).all()
+
+
 def test_lscde_finds_a_known_conditional_density() -> None:
     """A mixture whose two branches part with the state: no Gaussian process has such a density."""
     rng = np.random.default_rng(3)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.optimize import minimize
 
 import simbias
 from simbias.config import ConfigError, compose
@@ -12,6 +15,8 @@ from simbias.config.build import construct
 from simbias.core import Nominal, Task
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
+from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.possible import MARGIN, nearest_possible
 from simbias.robots.double_pendulum import DoublePendulum
 
 UPRIGHT = np.array([np.pi, 0.0, 0.0, 0.0])
@@ -21,6 +26,9 @@ FRICTION = {"damping_1": 0.02, "damping_2": 0.01, "friction_1": 0.16, "friction_
 def task(time_step: float = 0.002) -> Task:
     config = compose(["preset=double_pendulum", "tracking=none"]).config["task"]
     return construct({**config, "time_step": time_step}, Task, "task")
+
+
+TASK = task()
 
 
 def model(time_step: float = 0.002, **changes: float) -> DoublePendulum:
@@ -121,6 +129,41 @@ def test_parameters_are_those_of_the_equations() -> None:
     )
     heavier = np.array([p.value * (2 if p.name == "mass_2" else 1) for p in nominal.parameters])
     assert np.abs(nominal.with_parameters(heavier).step(x, u) - nominal.step(x, u)).max() > 1e-4
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5), st.floats(0.1, 1.0))
+def test_each_draw_is_of_bodies(seed: int, spread: float, width: float) -> None:
+    """Of the prior and of a posterior, however wide: inertias exceed what mass and centre alone give."""
+    config = dict(compose(["preset=double_pendulum", "tracking=none"]).config["nominal"])
+    spreads = {"masses": spread, "centres": spread, "inertias": spread, "bodies": True}
+    nominal = construct({**config, "uncertainty": spreads}, Nominal, "nominal", task=TASK)
+    rng, p = np.random.default_rng(seed), len(nominal.parameters)
+    root = width * rng.standard_normal((p, p))
+    mode = nearest_possible(nominal, rng.standard_normal(p), root)
+    identified = Identified(nominal, mode, root, {})
+    for drawn in (nominal.draw(rng), identified.model, identified.draw(rng)):
+        assert isinstance(drawn, DoublePendulum)
+        v = drawn._values
+        for i in (1, 2):
+            assert v[f"inertia_{i}"] >= v[f"mass_{i}"] * v[f"centre_{i}"] ** 2 > 0
+
+
+def test_the_nearest_bodies_are_told_by_the_covariance() -> None:
+    """Nearest in terms of it, by an optimiser of its own."""
+    nominal, rng = model(), np.random.default_rng(0)
+    p = len(nominal.parameters)
+    z, root = 2.0 * rng.standard_normal(p), rng.standard_normal((p, p))
+    names = [parameter.name for parameter in nominal.parameters]
+    z[[names.index("inertia_1"), names.index("inertia_2")]] = -4.0
+
+    def slack(at: Array) -> Array:
+        return nominal.with_parameters(values_at(nominal.parameters, at)).slack - MARGIN
+
+    assert (slack(z) < 0).all()
+    condition = {"type": "ineq", "fun": lambda y: slack(z + root @ y)}
+    other = z + root @ minimize(lambda y: y @ y, np.zeros(p), constraints=condition, tol=1e-12).x
+    np.testing.assert_allclose(nearest_possible(nominal, z, root), other, atol=1e-4)
 
 
 def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:

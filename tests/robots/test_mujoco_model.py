@@ -209,6 +209,20 @@ def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
     np.testing.assert_allclose(same.step(x, u), model.step(x, u), rtol=1e-12)
 
 
+def test_each_draw_is_of_bodies(tmp_path: Path) -> None:
+    """Masses are positive, and of no body does one principal moment of inertia exceed the two others' sum."""
+    wide = {"*.mass": 1.0, "*.size": 1.0, "*.inertia": 2.0}
+    model, rng = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty=wide), np.random.default_rng(0)
+    for _ in range(50):
+        drawn = model.draw(rng)
+        assert isinstance(drawn, Mujoco)
+        engine = drawn._robot.model
+        moments = np.sort(engine.body_inertia[1:], axis=1)
+        assert (engine.body_mass[1:] > 0).all()
+        assert (moments > 0).all()
+        assert (moments[:, 2] <= moments[:, :2].sum(axis=1) * (1 + 1e-12)).all()
+
+
 def test_a_heavier_body_has_more_inertia_and_a_larger_one_hangs_farther(tmp_path: Path) -> None:
     """As a file says that has these numbers."""
     task, x, u = cart_pole(), *points(10)

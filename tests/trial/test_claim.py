@@ -10,6 +10,7 @@ import pytest
 from simbias.core import Hardware
 from simbias.core.records import Rollout
 from simbias.trial.claim import ERROR, claim_of, error_of, passes_for
+from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -40,6 +41,13 @@ def test_a_trial_goes_on_until_its_bound_holds(point_mass: Study) -> None:
     assert record.summary.claimed_share > 0.8
     assert record.summary.claim == "holds 100% of starts (80% to 100%)"
     assert method.max_experiments == 16 + 22 + 26
+
+
+def test_every_method_that_asks_for_passes_counts_them_alike() -> None:
+    search, regulator = ModelBased(confidence=0.8), Lqr(confidence=0.8, identified=True)
+    assert search.max_experiments == regulator.max_experiments
+    assert Lqr(confidence=0.8).max_experiments == 16
+    assert Lqr(identified=True).max_experiments == 20
 
 
 def test_two_passes_claim_little(point_mass: Study) -> None:

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import simbias
+from simbias.core.records import Iteration
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
-from simbias.trial.diagnostics import of_model
+from simbias.trial.diagnostics import of_model, of_trial
 from simbias.trial.study import Study
+from simbias.trial.summary import iteration_summary
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +40,21 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
         "this policy lasts in simulation, but not a standard deviation aside in 1.0 length, which "
         "the experiments do not determine"
     ]
+
+
+@pytest.mark.slow
+def test_a_trial_that_has_ended_tells_it_too(study: Study) -> None:
+    """Among its diagnostics, which reports and sweeps show; in an iteration's events in full once."""
+    names = [parameter.name for parameter in study.nominal.parameters]
+    spread = np.diag([6.0 if name == "length" else 0.01 for name in names])
+    model = study.model(None, Identified(study.nominal, np.zeros(len(names)), spread, {}))
+    (theta,) = lqr_policies(model, (INPUT_WEIGHTS[1],))
+    made = [Iteration(index, theta, (), 0.0, False, 0, model) for index in range(2)]
+    kind = "a policy stands on what the data do not determine"
+    assert kind in {remark.kind for remark in of_trial(made)}
+    first, second = (iteration_summary(study, made[i], made[:i])["events"] for i in range(2))
+    assert any("not a standard deviation aside in 1.0 length" in event for event in first)
+    assert kind in second
 
 
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:

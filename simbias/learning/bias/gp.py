@@ -50,7 +50,7 @@ class GaussianProcess(Bias):
         learning: Learning | None = None,
         inducing: Inducing | None = None,
     ) -> None:
-        self._names = [quantity.name for quantity in (*task.states, *task.inputs)]
+        self._task = task
         self._hyper = hyperparameters(task, length_scale, signal_variance, noise_variance, d, input_scale)
         self._learning = learning
         self._inducing = inducing
@@ -69,7 +69,8 @@ class GaussianProcess(Bias):
 
     def _values(self, hyper: Hyperparameters) -> dict[str, float]:
         """Learned hyper-parameters by name."""
-        lengths = zip(self._names, hyper.length_scale.tolist(), strict=True)
+        names = [quantity.name for quantity in (*self._task.states, *self._task.inputs)]
+        lengths = zip(names, hyper.length_scale.tolist(), strict=True)
         return {
             **{f"length_scale_{name}": value for name, value in lengths},
             "signal_variance": hyper.signal_variance,

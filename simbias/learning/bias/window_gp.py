@@ -10,12 +10,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from simbias.core import Bias, FittedBias, Nominal, Task
-from simbias.core.ranges import Count, Positive, Seconds
+from simbias.core.ranges import Count, NonNegative, Positive, Seconds
 from simbias.core.records import Array, Indices, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.none import ZeroBias
-from simbias.learning.bias.posterior import GPSample
+from simbias.learning.bias.posterior import GPSample, Posterior
 from simbias.learning.bias.sensitivity import sensitivities
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -48,6 +48,9 @@ class WindowGP(Bias):
         Duration in s of the segments that are left out in turn, and the most fits that this may take.
     points
         Largest number of inducing points.
+    d
+        Weight of the variance in Eq. 7; a state's variance is relative to that of its prior. 0: the mean as
+        it is.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class WindowGP(Bias):
         segment: Seconds = 1.0,
         folds: Count = 5,
         points: Count = 60,
+        d: NonNegative = 0.0,
     ) -> None:
         frames = window / task.time_step
         self._chunk = max(1, round(frames / chunks))
@@ -68,6 +72,7 @@ class WindowGP(Bias):
         self._segment = max(1, round(segment / window))  # windows
         self._folds = folds
         self._points = points
+        self._d = d
 
     def fit(self, transitions: Transitions) -> FittedBias:
         """The zero bias: single transitions are not used."""
@@ -110,7 +115,7 @@ class WindowGP(Bias):
         rows = rows[:: max(1, len(rows) // CANDIDATES)]
         inputs = np.concatenate([windows.states[rows], windows.inputs[rows]], axis=1)
         scale = np.maximum(np.std(inputs, axis=0), 1e-9)
-        hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, 0.0)
+        hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, self._d)
         scaled = hyper.scale(inputs)
         chosen, _ = choose(hyper, scaled, Inducing(self._points, 1e-3, 1e-3))
         return hyper, scaled[chosen]
@@ -196,7 +201,7 @@ class WindowPosterior(FittedBias):
         self._hyper, self._Z, self._signal = hyper, Z, signal
         self._mean, self._covariance = mean, covariance  # (n R,), (n R, n R)
         self._root = root(hyper, Z)
-        self._function = self._of(mean)
+        self._function = self._weighted() if hyper.d else self._of(mean)
         self.kernel = self._function.kernel
         self.diagnostics = diagnostics
 
@@ -205,18 +210,29 @@ class WindowPosterior(FittedBias):
         W = self._root.T @ weights.reshape(len(self._signal), -1).T
         return GPSample(self._hyper, self._Z, W)
 
+    def _blocks(self) -> list[Array]:
+        """Covariances (R, R) of the weights of each state's features."""
+        R = len(self._Z)
+        return [self._covariance[i : i + R, i : i + R] for i in range(0, len(self._mean), R)]
+
+    def _weighted(self) -> Posterior:
+        """The mean with its weight in Eq. 7: |sigma_t|^2 sums variances over those of the prior."""
+        shares = [block / s**2 for block, s in zip(self._blocks(), self._signal, strict=True)]
+        values, vectors = np.linalg.eigh(np.eye(len(self._Z)) - np.mean(shares, axis=0))
+        A = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ self._root)
+        U = np.linalg.qr(A[:, ::-1], mode="r")[::-1, ::-1]  # lower, with U^T U = A^T A
+        W = self._root.T @ self._mean.reshape(len(self._signal), -1).T
+        return Posterior(self._hyper, self._signal, self._Z, U, W, np.empty((0, len(W))), {})
+
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) and variance (k, n) of the bias at raw inputs (k, n+m)."""
-        n = len(self._signal)
         phi = features(self._hyper, self._Z)(inputs)
-        R = phi.shape[1]
-        blocks = [self._covariance[i * R : (i + 1) * R, i * R : (i + 1) * R] for i in range(n)]
-        known = np.stack([np.sum(phi @ block * phi, axis=1) for block in blocks], axis=1)
+        known = np.stack([np.sum(phi @ block * phi, axis=1) for block in self._blocks()], axis=1)
         unseen = np.maximum(1.0 - np.sum(phi**2, axis=1), 0.0)
         return self._function.predict(inputs)[0], known + unseen[:, None] * self._signal**2
 
     def correction(self, x: Array, u: Array) -> Array:
-        """The mean (..., n) at x (..., n), u (..., m)."""
+        """The last term (..., n) of Eq. 7 at x (..., n), u (..., m)."""
         return self._function.correction(x, u)
 
     def draw(self, rng: np.random.Generator) -> FittedBias:

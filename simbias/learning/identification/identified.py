@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from simbias.core import Nominal
+from simbias.core.model import drawn
 from simbias.core.parameters import Estimate, Parameter, values_at
 from simbias.core.ranges import Coordinate
 from simbias.core.records import Array, Indices
@@ -72,6 +73,11 @@ class Identified(Nominal):
         """The model with other values (k,) of its parameters."""
         return self._prior.with_parameters(values)
 
+    @property
+    def slack(self) -> Array:
+        """That of the most probable model."""
+        return self.model.slack
+
     def without_dry_friction(self) -> Nominal:
         """The most probable model without it."""
         return self.model.without_dry_friction()
@@ -127,7 +133,21 @@ class Identified(Nominal):
 
     def draw(self, rng: np.random.Generator) -> Nominal:
         """A model with parameters drawn from the posterior."""
-        return self.at(self.mode + self.spread @ rng.standard_normal(self.spread.shape[1]))
+        return self._drawn(rng)[1]
+
+    def draw_coordinates(self, rng: np.random.Generator) -> Array:
+        """The coordinates (p,) of such a model."""
+        return self._drawn(rng)[0]
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Nominal]:
+        """Coordinates (p,) and the model at them."""
+        return drawn(lambda: self.mode + self.spread @ rng.standard_normal(self.spread.shape[1]), self.at)
+
+    @staticmethod
+    def of_prior(prior: Nominal) -> Identified:
+        """The model as far as it is known before any recording."""
+        p = len(prior.parameters)
+        return Identified(prior, np.zeros(p), np.eye(p), {})
 
 
 @final

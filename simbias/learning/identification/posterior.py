@@ -12,6 +12,7 @@ from simbias.core.ranges import Count, Seconds
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
+from simbias.learning.identification.possible import nearest_possible
 from simbias.learning.identification.problem import Problem
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
@@ -31,6 +32,9 @@ class Posterior(Identification):
     The d errors of a window are whitened by their covariance over all windows, estimated in turn with the
     mode (`simbias.learning.prediction_errors`), so sensor noise, process noise and model errors need not be
     told apart. `independent_share` discounts windows whose errors correlate with those of the window before.
+
+    Where no robot has the mode's parameters, the nearest that one may have take their place, and draws that
+    none has are drawn again (`Nominal.slack`).
 
     The posterior is normal around the mode, with the covariance by which such errors scatter the mode. With
     few windows, the covariance that measurement noise gives to errors is computed from the linearised model
@@ -53,11 +57,14 @@ class Posterior(Identification):
         An earlier posterior, as of recordings, in place of the declared prior.
     motors, sensors
         How uncertain those of inputs and states are, by name (`simbias.learning.identification.rig`).
+    each
+        Names of the model's parameters of which each recording has its own, as a load that is put on; the
+        others are shared.
 
     Raises
     ------
     ValueError
-        If `known` is not of the model's parameters, or the task has no such motor or sensor (`fit`).
+        If `known` is not of the model's parameters, or there is no such motor, sensor or parameter (`fit`).
     """
 
     def __init__(
@@ -71,8 +78,9 @@ class Posterior(Identification):
         known: Known | None = None,
         motors: dict[str, Motor] | None = None,
         sensors: dict[str, Sensor] | None = None,
+        each: list[str] | None = None,
     ) -> None:
-        self._task, self._motors, self._sensors = task, motors or {}, sensors or {}
+        self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
         self._time_step = task.time_step
         self._chunks = chunks
         self._set_window(window)
@@ -122,9 +130,9 @@ class Posterior(Identification):
 
     def prior(self, nominal: Nominal) -> Nominal:
         """The nominal model, with the parameters of motors and sensors if any are uncertain."""
-        if not self._motors and not self._sensors:
+        if not self._motors and not self._sensors and not self._each:
             return nominal
-        return Rig(self._task, nominal, self._motors, self._sensors)
+        return Rig(self._task, nominal, self._motors, self._sensors, self._each)
 
     def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The posterior, with the declared prior."""
@@ -139,7 +147,9 @@ class Posterior(Identification):
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        fitted = Identified.of_recordings(nominal, z, problem.spread(z), problem.places, problem.errors)
+        spread = problem.spread(z)
+        z = nearest_possible(nominal, z, spread)
+        fitted = Identified.of_recordings(nominal, z, spread, problem.places, problem.errors)
         fitted.diagnostics = {
             "windows": len(windows),
             "share": problem.errors.independent_share,

@@ -65,19 +65,27 @@ class Sensor:
 class Rig(Nominal):
     """A nominal model with parameters of motors and sensors behind its own: `tau1.gain`, `pos1.offset`.
 
+    Of some of its own, as a load that is put on, each recording may have another value (`each`, by name).
+
     Raises
     ------
     ValueError
-        If the task has no such input or state, a motor has friction but no velocity, a delay is too long, or
-        motors are declared of a model that has its own.
+        If the task has no such input or state, a motor has friction but no velocity, a delay is too long,
+        motors are declared of a model that has its own, or the model has no parameter of a name.
     """
 
     def __init__(
-        self, task: Task, nominal: Nominal, motors: Mapping[str, Motor], sensors: Mapping[str, Sensor]
+        self,
+        task: Task,
+        nominal: Nominal,
+        motors: Mapping[str, Motor],
+        sensors: Mapping[str, Sensor],
+        each: Sequence[str] = (),
     ) -> None:
         states, inputs = ([each.name for each in some] for some in (task.states, task.inputs))
         _check_names(motors, inputs, "motors")
         _check_names(sensors, states, "sensors")
+        _check_names(each, [parameter.name for parameter in nominal.parameters], "each")
         _check_names([m.velocity for m in motors.values() if m.velocity], states, "motors")
         if motors and nominal.state_size:
             raise ValueError("identification.motors: the nominal model has lag and delay of its own")
@@ -93,7 +101,8 @@ class Rig(Nominal):
         longest = max((motor.delay for motor in motors.values()), default=0.0)
         self._taps = taps_of(MOST_DELAY * longest, task.time_step)
         own = [*_parameters(task.inputs, motors), *_parameters(task.states, sensors)]
-        self.parameters = (*nominal.parameters, *own)
+        shared = [p._replace(of_recording=p.of_recording or p.name in each) for p in nominal.parameters]
+        self.parameters = (*shared, *own)
         self._values = {parameter.name: parameter.value for parameter in own}
         self._has_motors = bool(motors)
         self._assemble()
@@ -160,6 +169,11 @@ class Rig(Nominal):
         other._values = dict(zip(self._values, values[count:].tolist(), strict=True))
         other._assemble()
         return other
+
+    @property
+    def slack(self) -> Array:
+        """That of the mechanics."""
+        return self._nominal.slack
 
     def without_dry_friction(self) -> Rig:
         """The rig without friction of its motors, and of its mechanics."""

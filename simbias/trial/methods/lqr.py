@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.ranges import Count, NonNegative, Scale
 from simbias.core.records import Iteration, Rollout
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
@@ -38,6 +40,9 @@ class Lqr(Method):
         Designs, with identification; without, there is one.
     sticking
         Dry friction is taken for the damping that it looks like at rest (`simbias.search.lqr`).
+    confidence
+        Share of starts that a trial has to know that its policy holds: success takes as many passes as bound
+        it by that (`simbias.trial.claim`). None: it does not ask.
     """
 
     input_weight: Scale = INPUT_WEIGHTS[1]
@@ -46,10 +51,20 @@ class Lqr(Method):
     max_iterations: Count = 10
     integral_weight: NonNegative = 0.0
     sticking: bool = True
+    confidence: Confidence | None = None
 
     def __post_init__(self) -> None:
         if not self.identified:
             self.max_iterations = 1
+
+    @cached_property
+    def max_experiments(self) -> int:
+        """Hardware experiments of a trial that never succeeds, at most."""
+        return sum(map(self._passes_of, range(self.max_iterations)))
+
+    def _passes_of(self, policy: int) -> int:
+        """Experiments that the policy of this number has to pass."""
+        return passes_for(self.confidence, policy, self.experiments)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration.
@@ -75,7 +90,8 @@ class Lqr(Method):
             (theta,) = policies
             observer.designed(theta, model)
             with clock("experiments"):
-                rollouts = experiment(study, theta, rng, observer, self.experiments)
+                passes = self._passes_of(index)
+                rollouts = experiment(study, theta, rng, observer, passes, self.experiments)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
             yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock, model)

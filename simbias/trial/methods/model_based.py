@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout
-from simbias.trial.claim import passes_for
+from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
 from simbias.trial.study import Study
-
-Confidence = Annotated[float, Field(gt=0, lt=1)]
 
 
 @dataclass(eq=False)
@@ -97,9 +93,8 @@ class ModelBased(Method):
 
     def _passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
-        if self.confidence is None:
-            return self.passes or self.experiments
-        return max(self.experiments, passes_for(self.confidence, policy))
+        least = self.experiments if self.confidence else self.passes or self.experiments
+        return passes_for(self.confidence, policy, least)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""

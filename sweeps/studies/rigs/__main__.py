@@ -76,7 +76,7 @@ def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
                 held = float(np.mean(inside(wrong, covariances)))
                 own = {"ratio": ratio(wrong, labs_wrong), "coverage": held, "nats": float(nats)}
                 yield case | {"seconds": horizon} | own | {"residual": found.bias is not None}
-            if way == "identified" and isinstance(found.model, Identified):
+            if way == "identified" and isinstance(found.model, Identified) and rig.has_zeros:
                 yield from rows_with_zeros(rig, case, found.model.known, left)
         print(number, name, file=sys.stderr, flush=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import yaml
+from scipy.io import loadmat
 
 import simbias
 from simbias.core import Nominal
@@ -34,6 +36,11 @@ class Rig(NamedTuple):
         """The model that the lab identified."""
         values = {parameter.name: parameter.value for parameter in self.prior.parameters} | self.lab_values
         return self.prior.with_parameters(np.array(list(values.values())))
+
+    @property
+    def has_zeros(self) -> bool:
+        """Whether each recording has zeros of its own."""
+        return any(parameter.of_recording for parameter in self.prior.parameters)
 
     @property
     def prior(self) -> Nominal:
@@ -70,12 +77,24 @@ def _read(
     reader, found = Recorded(study.task, str(folder), columns=rig["columns"]).reader, {}
     for place in places:
         own: Mapping[str, Any] = {"file": place} if isinstance(place, str) else place
-        whole = max(reader.read(folder / own["file"]).pieces, key=lambda piece: piece.frames)
+        with tempfile.TemporaryDirectory() as scratch:
+            file = folder / own["file"]
+            file = _of_matlab(file, Path(scratch)) if file.suffix == ".mat" else file
+            whole = max(reader.read(file).pieces, key=lambda piece: piece.frames)
         begin = study.task.frames(own.get("from", _begins(rig, folder / own["file"])))
         end = study.task.frames(own["until"]) if "until" in own else whole.frames
         states = whole.states[begin : end + 1]
         found[str(place)] = Rollout(states, whole.inputs[begin:end], measured=states, sensed=True)
     return found
+
+
+def _of_matlab(file: Path, scratch: Path) -> Path:
+    """A recording of EMPS as CSV: time in s, position in m, and the drive's force with added pulses in N."""
+    held = loadmat(file)
+    force = held["gtau"] * held["vir"] + held.get("pulses_N", 0.0)
+    table = pd.DataFrame(np.hstack([held["t"], held["qm"], force]), columns=["t", "qm", "force"])
+    table.to_csv(scratch / "recording.csv", index=False)
+    return scratch / "recording.csv"
 
 
 def _begins(rig: Mapping[str, Any], file: Path) -> float:

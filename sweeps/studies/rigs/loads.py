@@ -23,7 +23,7 @@ def rows(rig: Rig, load: str, unloaded: Rig) -> Iterator[dict[str, Any]]:
 
 def _weighed(rig: Rig, load: str, known: Identified) -> dict[str, float]:
     """The load, where the robot without it is known."""
-    loaded: Sequence[Rollout] = list(rig.development.values())
+    loaded: Sequence[Rollout] = list((rig.test or rig.development).values())
     (found,) = (
         each
         for each in fit(rig, loaded, _with_prior(rig, known.elsewhere().known)).estimates

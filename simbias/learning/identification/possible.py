@@ -1,0 +1,36 @@
+"""Parameters that a robot may have, next to identified ones that none has."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.core import Nominal
+from simbias.core.parameters import values_at
+from simbias.core.records import Array
+
+MARGIN = 0.01  # slack that is left
+STEP = 1e-4  # of finite differences
+ROUNDS = 20  # of Newton's method; one suffices where conditions are linear in the coordinates
+
+
+def nearest_possible(nominal: Nominal, z: Array, spread: Array) -> Array:
+    """The coordinates (P,) nearest to z, in terms of the posterior's covariance, that break no condition.
+
+    Those of the model's p parameters come first; `spread` (P, q) is a square root of the covariance.
+    """
+    p, covariance = len(nominal.parameters), spread @ spread.T
+
+    def slack(at: Array) -> Array:
+        return nominal.with_parameters(values_at(nominal.parameters, at[:p])).slack - MARGIN
+
+    for _ in range(ROUNDS):
+        short = slack(z)
+        broken = np.flatnonzero(short < -MARGIN / 2)
+        if not len(broken):
+            break
+        shifted = np.array([slack(z + STEP * e)[broken] for e in np.eye(len(z))[:p]])  # (p, k)
+        slopes = np.zeros((len(broken), len(z)))
+        slopes[:, :p] = (shifted - short[broken]).T / STEP
+        towards = covariance @ slopes.T
+        z = z - towards @ np.linalg.pinv(slopes @ towards) @ short[broken]  # what is certain stays
+    return z

@@ -1,0 +1,266 @@
+"""Score the last policy of a trial of a swing-up as RealAIGym's boards of simulations do (version 2).
+
+    python sweeps/studies/board/score.py pendubot TRIAL NAME [--seed 0]
+
+TRIAL is the folder of a trial of `preset=pendubot_swingup` (or `acrobot`), whose control period is a whole
+number of their 2 ms. It writes `con_NAME.py`, a controller that their scripts take, and prints its
+performance, on their plant without friction, and its robustness: 722 runs with changed models, noise, slow or
+late motors, late measurements, and pushes, each held against the goal in its last state.
+
+Their plant, its integration, the order of what happens in a step, and the scores are written anew here after
+github.com/dfki-ric-underactuated-lab/double_pendulum. Uptime (version 3) is not scored: these policies are
+searched from rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rollouts import Runs
+
+import simbias
+from simbias.core import Policy, Task
+from simbias.core.records import Array, Flags
+from simbias.lab.requests.controller import python_module
+from simbias.lab.safety import Bounds
+from simbias.simulation.compiler import formulas_of
+
+DRIVEN = ("pendubot", "acrobot")  # the first joint, or the second
+STEP, SECONDS, LIMIT = 0.002, 10.0, 6.0  # s, s, N m
+LENGTHS, GEAR, GRAVITY = (0.2, 0.3), 6.0, 9.81
+TYPICAL = {"time": 20.0, "energy": 60.0, "torque": 20.0, "smoothness": 0.1, "velocity": 400.0}
+NEAR = np.array([0.35, 0.35, 1.0, 1.0])  # of the goal, in the last state
+LEVELS, REPETITIONS, PUSHED = 21, 10, 50
+PLANT = {  # design C.1 without friction; inertias about joints
+    "m_1": 0.5234602302310271,
+    "m_2": 0.6255677234174437,
+    "r_1": 0.2,
+    "r_2": 0.25569305436052964,
+    "I_1": 0.031887199591513114,
+    "I_2": 0.05086984812807257,
+    "b_1": 0.0,
+    "b_2": 0.0,
+    "c_1": 0.0,
+    "c_2": 0.0,
+    "rotor": 0.0,
+}
+CHANGED = {  # of the plant, one at a time: from, to; relative where it is of a link
+    "rotor": (0.0, 1e-4),
+    "b_1": (-0.1, 0.1),
+    "b_2": (-0.1, 0.1),
+    "c_1": (-0.2, 0.2),
+    "c_2": (-0.2, 0.2),
+    **dict.fromkeys(("r_1", "I_1", "r_2", "m_2", "I_2"), (0.75, 1.25)),
+}
+WRAPPER = '''
+
+from double_pendulum.controller.abstract_controller import AbstractController
+
+
+class Learned(AbstractController):
+    """Asks for the torque of the {joint} joint once in {period} s, and holds it in between."""
+
+    def init_(self):
+        self._controller, self._until, self._torque = Controller(), 0.0, 0.0
+
+    reset_ = init_
+
+    def get_control_output_(self, x, t=None):
+        if t >= self._until - 1e-9:
+            self._torque = float(self._controller([x[0] - np.pi, x[1], x[2], x[3]])[0])
+            self._until += TIME_STEP
+        return np.array({output})
+
+
+controller = Learned()
+controller.init()
+leaderboard_config = {{
+    "csv_path": "{name}/sim_swingup.csv",
+    "name": "{name}",
+    "simple_name": "{name}",
+    "short_description": "Network and LQR, searched by simbias among models drawn from what experiments tell",
+    "readme_path": "readmes/{name}.md",
+    "username": "simbias",
+}}
+'''
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One run: how it differs from the plant as drawn."""
+
+    kind: str
+    level: int = 0
+    plant: tuple[tuple[str, float], ...] = ()
+    velocity_noise: float = 0.0  # rad/s
+    torque_noise: float = 0.0  # N m
+    response: float = 1.0
+    delay: float = 0.0  # s
+    pushes: tuple[tuple[float, float, float], ...] = ()  # s, s, N m: middle, standard deviation, size
+
+
+def scenarios(joint: int, rng: np.random.Generator) -> list[Scenario]:
+    """Those of the robustness score."""
+    found, levels, repeated = [], range(LEVELS), np.repeat(np.arange(LEVELS), REPETITIONS)
+    for name, (low, high) in CHANGED.items():
+        scale = PLANT[name] or 1.0
+        values = np.linspace(low, high, LEVELS) * scale
+        found += [Scenario("model", i, ((name, value),)) for i, value in enumerate(values)]
+    share = np.linspace(0.0, 1.0, LEVELS)
+    found += [Scenario("velocity noise", i, velocity_noise=0.5 * share[i]) for i in repeated]
+    found += [Scenario("torque noise", i, torque_noise=1.1 * share[i]) for i in repeated]
+    found += [Scenario("response", i, response=0.1 + 1.9 * share[i]) for i in levels]
+    found += [Scenario("delay", i, delay=0.04 * share[i]) for i in levels]
+    return found + [Scenario("pushes", i, pushes=_pushes(joint, rng)) for i in range(PUSHED)]
+
+
+def _pushes(joint: int, rng: np.random.Generator) -> tuple[tuple[float, float, float], ...]:
+    """Three at the driven joint, of six whose middles are at least 1 s apart."""
+    middles = rng.permutation(np.cumsum(1.0 + 0.5 * rng.random(6))).reshape(2, 3)[joint]
+    sizes = rng.uniform(-4.5, 4.5, 3)
+    return tuple(zip(middles, rng.uniform(0.05, 0.1, 3), sizes + 0.5 * np.sign(sizes), strict=True))
+
+
+Law = Callable[[Array, float], Array]  # torques (lanes,) after measured states (lanes, 4), once in each step
+
+
+def simulate(law: Law, each: list[Scenario], joint: int, rng: np.random.Generator) -> Runs:
+    """Runs from rest, hanging: one lane for each scenario."""
+    lanes, steps = len(each), round(SECONDS / STEP)
+    plant = {
+        name: np.array([dict(one.plant).get(name, value) for one in each]) for name, value in PLANT.items()
+    }
+    noise, shaken, response = (
+        np.array([getattr(one, name) for one in each])
+        for name in ("velocity_noise", "torque_noise", "response")
+    )
+    delays = np.array([int(one.delay / STEP) for one in each])
+    pushes, times = np.zeros((steps, lanes)), STEP * np.arange(steps)
+    for lane, one in enumerate(each):
+        for middle, deviation, size in one.pushes:
+            pushes[:, lane] += size * np.exp(-0.5 * ((times - middle) / deviation) ** 2)
+    X, U = np.zeros((steps + 1, lanes, 4)), np.zeros((steps, lanes, 2))
+    last, lane = np.zeros(lanes), np.arange(lanes)
+    for k in range(steps):
+        measured = X[np.maximum(k - delays, 0), lane]
+        measured[:, 2:] += noise[:, None] * rng.standard_normal((lanes, 2))
+        u = last + response * (law(measured, times[k]) - last)
+        last = np.clip(u + shaken * rng.standard_normal(lanes), -LIMIT, LIMIT) + pushes[k]
+        U[k, :, joint] = last
+        X[k + 1] = np.clip(np.nan_to_num(_stepped(X[k], U[k], plant)), -1e4, 1e4)
+    return Runs(STEP * np.arange(steps + 1), X, np.concatenate([U, U[-1:]]), np.full(lanes, steps + 1))
+
+
+def _stepped(x: Array, u: Array, plant: dict[str, Array]) -> Array:
+    """States a step after x (lanes, 4), by the classical Runge-Kutta method."""
+    k_1 = _derivative(x, u, plant)
+    k_2 = _derivative(x + 0.5 * STEP * k_1, u, plant)
+    k_3 = _derivative(x + 0.5 * STEP * k_2, u, plant)
+    k_4 = _derivative(x + STEP * k_3, u, plant)
+    return x + STEP / 6.0 * (k_1 + 2.0 * (k_2 + k_3) + k_4)
+
+
+def _derivative(x: Array, u: Array, p: dict[str, Array]) -> Array:
+    """Velocities and accelerations (lanes, 4) at states x (lanes, 4) under torques u (lanes, 2)."""
+    q_1, q_2, v_1, v_2 = x.T
+    h, sin_12 = p["m_2"] * LENGTHS[0] * p["r_2"], np.sin(q_1 + q_2)
+    c, s = h * np.cos(q_2), h * np.sin(q_2)
+    m_11 = p["I_1"] + p["I_2"] + p["m_2"] * LENGTHS[0] ** 2 + 2.0 * c + (GEAR**2 + 1.0) * p["rotor"]
+    m_12, m_22 = p["I_2"] + c - GEAR * p["rotor"], p["I_2"] + GEAR**2 * p["rotor"]
+    g_1, g_2 = GRAVITY * (p["m_1"] * p["r_1"] + p["m_2"] * LENGTHS[0]), GRAVITY * p["m_2"] * p["r_2"]
+    f_1 = u[:, 0] + s * v_2 * (2.0 * v_1 + v_2) - g_1 * np.sin(q_1) - g_2 * sin_12
+    f_1 = f_1 - p["b_1"] * v_1 - p["c_1"] * np.arctan(100.0 * v_1)
+    f_2 = u[:, 1] - s * v_1**2 - g_2 * sin_12 - p["b_2"] * v_2 - p["c_2"] * np.arctan(100.0 * v_2)
+    determinant = m_11 * m_22 - m_12**2
+    return np.column_stack(
+        [v_1, v_2, (m_22 * f_1 - m_12 * f_2) / determinant, (m_11 * f_2 - m_12 * f_1) / determinant]
+    )
+
+
+def performance(law: Law, joint: int) -> float:
+    """The score on the plant as drawn."""
+    run = simulate(law, [Scenario("none")], joint, np.random.default_rng(0))
+    commanded = Runs(run.times[:-1], run.states[:-1], run.commands[:-1], run.rows - 1)
+    return float(commanded.outcomes(SECONDS, TYPICAL)["score"][0])
+
+
+def robustness(law: Law, joint: int, seed: int) -> dict[str, float]:
+    """Rates of success by kind, and their mean, the score."""
+    rng = np.random.default_rng(seed)
+    each = scenarios(joint, rng)
+    held, rates = succeeds(simulate(law, each, joint, rng)), dict[str, float]()
+    for kind in dict.fromkeys(one.kind for one in each):
+        own = np.array([one.kind == kind for one in each])
+        if kind.endswith("noise"):  # a level counts if more than half of its runs succeed
+            rates[kind] = float(np.mean(held[own].reshape(LEVELS, REPETITIONS).mean(axis=1) > 0.5))
+        else:
+            rates[kind] = float(np.mean(held[own]))
+    return rates | {"robustness": float(np.mean(list(rates.values())))}
+
+
+def succeeds(runs: Runs) -> Flags:
+    """Which lanes end near the goal."""
+    x = runs.states[-1]
+    e = np.column_stack([x[:, 0] % (2 * np.pi) - np.pi, (x[:, 1] + np.pi) % (2 * np.pi) - np.pi, x[:, 2:]])
+    near: Flags = (np.abs(e) < NEAR).all(axis=1)
+    return near
+
+
+class Asked:
+    """A policy of simbias as a law: asked once in a control period, its torque held in between."""
+
+    def __init__(self, policy: Policy, task: Task, theta: Array) -> None:
+        self._policy, self._task, self._theta = policy, task, theta
+        self._every = round(task.time_step / STEP)
+        if abs(self._every * STEP - task.time_step) > 1e-9:
+            raise ValueError(
+                f"the trial's time step is {task.time_step:g} s; it has to be a multiple of {STEP:g} s"
+            )
+
+    def __call__(self, x: Array, t: float) -> Array:
+        """Torques (lanes,) after states (lanes, 4), whose first angle is 0 where it hangs."""
+        k = round(t / STEP)
+        if k == 0:
+            self._state = np.zeros((len(x), self._policy.state_size))
+        if k % self._every == 0:
+            shifted = x - np.array([np.pi, 0.0, 0.0, 0.0])
+            u, self._state = self._policy.act(self._theta, shifted, t, self._state)
+            self._torque = u[:, 0]
+        return self._torque
+
+
+def controller_file(policy: Policy, task: Task, theta: Array, joint: int, name: str) -> str:
+    """The text of a controller for their scripts."""
+    law = formulas_of(policy, task, theta)
+    if isinstance(law, str):
+        raise ValueError(f"the policy cannot be written down: {law}")
+    infinite = np.full(len(task.states), np.inf)
+    bounds = Bounds(task.input_bounds, np.full(len(task.inputs), np.inf), infinite, False)
+    joints, output = ("first", "second"), ("[self._torque, 0.0]", "[0.0, self._torque]")
+    words = {"joint": joints[joint], "output": output[joint], "period": task.time_step, "name": name}
+    return python_module(task, law, f"A swing-up for {name}", bounds) + WRAPPER.format(**words)
+
+
+def main() -> None:
+    """Write the controller, and print its scores."""
+    parser = argparse.ArgumentParser(prog="score")
+    parser.add_argument("robot", choices=DRIVEN)
+    parser.add_argument("trial", type=Path)
+    parser.add_argument("name")
+    parser.add_argument("--seed", type=int, default=0, help="of noise and pushes")
+    arguments = parser.parse_args()
+    trial = simbias.load_trial(arguments.trial)
+    policy, task, theta = trial.study.policy, trial.study.task, trial.iterations[-1].parameters
+    joint = DRIVEN.index(arguments.robot)
+    Path(f"con_{arguments.name}.py").write_text(controller_file(policy, task, theta, joint, arguments.name))
+    law = Asked(policy, task, theta)
+    print(f"performance {performance(law, joint):.3f}")
+    print(", ".join(f"{kind} {rate:.3f}" for kind, rate in robustness(law, joint, arguments.seed).items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,207 @@
+"""The study of published runs: weights, controllers, the loop and its scores, on files made here."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import zipfile
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from conftest import ROOT
+
+import simbias
+
+STUDIES = ROOT / "sweeps" / "studies"
+BOARD = yaml.safe_load((STUDIES / "board" / "board.yaml").read_text())
+
+
+@pytest.fixture(autouse=True)
+def modules(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("rigs", "board"):
+        monkeypatch.syspath_prepend(STUDIES / name)
+    for name in ("controllers", "rollouts", "tables", "weights", "loading", "learned", "score"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+def test_weights_are_read_without_running_what_a_file_says(tmp_path: Path) -> None:
+    import weights
+
+    rng = np.random.default_rng(0)
+    saved = [
+        {
+            "log_lengthscales": rng.normal(size=6),
+            "centers": rng.normal(size=(9, 6)),
+            "w": rng.normal(size=(1, 9)),
+        }
+        for _ in range(2)
+    ]
+    (tmp_path / "policy.np").write_bytes(pickle.dumps(saved))
+    for own, (scales, centres, w) in zip(
+        saved, weights.of_basis_functions(tmp_path / "policy.np"), strict=True
+    ):
+        np.testing.assert_array_equal(scales, np.exp(own["log_lengthscales"]))
+        np.testing.assert_array_equal(centres * scales, own["centers"] / scales * scales)
+        np.testing.assert_array_equal(w, own["w"][0])
+
+    tensors = {"mu.weight": np.float32([[1, 2], [3, 4], [5, 6]]), "mu.bias": np.float32([7, 8, 9])}
+    with zipfile.ZipFile(tmp_path / "policy.pth", "w") as archive:
+        named = {name: ("storage", str(i)) for i, name in enumerate(tensors)}
+        archive.writestr("archive/data.pkl", pickle.dumps(named, protocol=2))
+        for i, values in enumerate(tensors.values()):
+            archive.writestr(f"archive/data/{i}", values.tobytes())
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+        archive.write(tmp_path / "policy.pth", "policy.pth")
+    ((W, b),) = weights.of_network(tmp_path / "model.zip", ["mu"])
+    np.testing.assert_array_equal(W, tensors["mu.weight"].T)
+    np.testing.assert_array_equal(b, tensors["mu.bias"])
+
+
+def test_tvlqr_of_rest_at_the_top_is_lqr(tmp_path: Path) -> None:
+    from controllers import GOAL, Lqr, Tvlqr
+
+    Q, R, limits, times = np.eye(4), np.eye(2), np.array([5.0, 0.0]), 0.0005 * np.arange(4000)
+    rest = dict.fromkeys(("pos2", "vel1", "vel2", "tau1", "tau2"), 0.0) | {"pos1": np.pi}
+    pd.DataFrame({"time": times} | rest).to_csv(tmp_path / "rest.csv")
+    tvlqr = Tvlqr(tmp_path / "rest.csv", 0.0005 * Q, 0.0005 * R, np.eye(4), limits)
+    x = GOAL + 0.01 * np.random.default_rng(0).normal(size=(5, 4))
+    expected = Lqr(Q, R, limits, 1e6).command(x, 0.0)
+    assert np.abs(expected).max() > 0.01
+    np.testing.assert_allclose(tvlqr.command(x, 0.1), expected, rtol=0.03)
+    np.testing.assert_array_equal(Lqr(Q, R, limits, 0.0).command(x, 0.0), 0.0)
+
+
+def test_the_loop_commands_after_what_was_measured_a_period_ago() -> None:
+    """Models in lanes are those of one lane; pushes come on top of commands within limits."""
+    from learned import numbers, robot
+    from rollouts import Loop, Published, Runs, predict
+
+    class Constant:
+        def command(self, x: np.ndarray, t: float) -> np.ndarray:
+            return np.tile([9.0, -0.1], (len(x), 1)) + 0.0 * x[:, :2]
+
+    rig = robot(BOARD, ROOT)
+    start = Runs(np.array([0.0, 0.002]), np.full((2, 1, 4), 0.1), np.zeros((2, 1, 2)), np.array([2]))
+    pushes = np.zeros((50, 2))
+    pushes[25:, 1] = 0.3
+    own = Published(
+        {"most": [2.0, 0.5], "fastest": 1e3, "rate": 500.0},
+        lambda lanes, rng: Constant(),
+        ["a", "b"],
+        [start, start],
+        [pushes, 0.0 * pushes],
+        500.0,
+    )
+    loop = Loop(own, 2, np.zeros(2), 0.1, 1e3, np.random.default_rng(0))
+    models = [rig.lab, rig.prior]
+    parameters = np.stack([numbers(model) for model in models], axis=1)
+    (runs,) = predict(rig.prior.kernel, rig.prior.state_size, parameters, [loop], 0.1)
+    assert runs.states.shape == (50, 4, 4)
+    for lane in range(4):
+        x, states = np.array([0.1, 0.1, 0.0, 0.0]), []
+        for k in range(50):
+            states.append(x)
+            push = pushes[k] if lane < 2 else 0.0
+            x = models[lane % 2].step(x, np.array([2.0, -0.1]) + push)
+        np.testing.assert_allclose(runs.states[1:, lane], states[:-1], atol=1e-5)
+    np.testing.assert_allclose(runs.commands, np.tile([2.0, -0.1], (50, 4, 1)), atol=1e-6)
+
+
+def test_outcomes_are_the_boards() -> None:
+    """The second lane falls again, the third one's loop stops early."""
+    from rollouts import Runs
+
+    times = 0.01 * np.arange(1000)
+    states = np.zeros((1000, 3, 4))
+    states[400:, :, 0] = np.pi
+    states[900:, 1, 0] = 0.0
+    runs = Runs(times, states, np.zeros((1000, 3, 2)), np.array([1000, 1000, 700]))
+    outcomes = runs.outcomes(10.0)
+    np.testing.assert_array_equal(outcomes["success"], [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(outcomes["up"], [6.0, 5.0, 3.0])
+    swung_up_at_4 = 1.0 - np.tanh(np.pi * 4.0 / 20.0) / 5
+    np.testing.assert_allclose(outcomes["score"], [swung_up_at_4, 0.0, 0.0])
+
+
+def test_tables_tell_what_predictions_are_worth() -> None:
+    """Of sets of which none to three of four runs succeed: right, and the opposite."""
+    from tables import of_runs, summary
+
+    rows = []
+    for index, name in enumerate(("acrobot a", "acrobot b", "pendubot a", "pendubot b")):
+        for run in range(4):
+            success = float(run < index)
+            for way, draws, made in (
+                ("recorded", 1, success),
+                ("right", 9, success),
+                ("wrong", 9, 1.0 - success),
+            ):
+                own = {"way": way, "set": name, "run": run, "success": made, "up": 5.0 * made, "score": made}
+                rows += [own] * draws
+    lines = [line.split(" | ") for line in summary(of_runs(pd.DataFrame(rows))).splitlines()]
+    right, wrong = (next(line for line in lines if line[0] == f"| {way}") for way in ("right", "wrong"))
+    assert float(right[1]) == pytest.approx(0.05**2, abs=1e-3)
+    assert float(wrong[1]) == pytest.approx(0.95**2, abs=1e-3)
+    assert float(right[2]) == pytest.approx(0.05**2 / (6 / 16 * 10 / 16), abs=0.01)
+    assert right[4:6] == ["0.00", "100%"]
+    assert wrong[4:6] == ["5.00", "0%"]
+    assert right[6].startswith("1.00 (")
+    assert wrong[6].startswith("-1.00 (")
+    assert "6 of 6 (61 to 100%)" in right or any("6 of 6 (61 to 100%)" in line for line in lines)
+
+
+def test_a_scored_policy_is_the_one_in_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its controller gives the torques that the score is of; the plant is the one whose LQR is taken."""
+    import controllers
+    import score
+
+    monkeypatch.setattr(score, "SECONDS", 0.1)
+    study = simbias.load(["preset=pendubot_swingup", "task.time_step=0.004", "task.horizon=2000"])
+    lower, upper = study.policy.bounds
+    theta = np.random.default_rng(0).uniform(0.3 * lower, 0.3 * upper)
+    scored = score.simulate(
+        score.Asked(study.policy, study.task, theta), [score.Scenario("none")], 0, np.random.default_rng(0)
+    )
+    theirs = ModuleType("double_pendulum.controller.abstract_controller")
+    theirs.AbstractController = type("AbstractController", (), {"init": lambda self: self.init_()})
+    monkeypatch.setitem(sys.modules, "double_pendulum", ModuleType("double_pendulum"))
+    monkeypatch.setitem(sys.modules, "double_pendulum.controller", ModuleType("double_pendulum.controller"))
+    monkeypatch.setitem(sys.modules, theirs.__name__, theirs)
+    names: dict[str, Any] = {}
+    exec(score.controller_file(study.policy, study.task, theta, 0, "ours"), names)
+    made = [
+        names["controller"].get_control_output_(x[0], t)
+        for x, t in zip(scored.states[:-1], scored.times, strict=False)
+    ]
+    assert np.abs(made).max() > 0.1
+    np.testing.assert_allclose(made, scored.commands[:-1, 0], atol=1e-9)
+
+    x, u = np.random.default_rng(1).normal(size=(5, 4)), np.random.default_rng(2).normal(size=(5, 2))
+    plant = {name: np.full(5, value) for name, value in score.PLANT.items()}
+    accelerations = score._derivative(x, u, plant)[:, 2:]
+    np.testing.assert_allclose(accelerations, controllers._accelerations(x, u), rtol=1e-10)
+
+
+def test_robustness_counts_kinds_of_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At rest at the top nothing needs a torque; the plant of the first level is their first one."""
+    import score
+
+    monkeypatch.setattr(score, "SECONDS", 0.01)
+    each = score.scenarios(0, np.random.default_rng(0))
+    assert len(each) == 722
+    assert {one.plant[0] for one in each if one.kind == "model" and one.level == 0} >= {
+        ("c_1", -0.2),
+        ("m_2", 0.75 * score.PLANT["m_2"]),
+    }
+    assert max(abs(size) for one in each for _, _, size in one.pushes) <= 5.0
+    rates = score.robustness(lambda x, t: np.zeros(len(x)), 0, 0)
+    assert set(rates.values()) == {0.0}
+    late = score.Scenario("delay", delay=0.004)
+    runs = score.simulate(lambda x, t: 1.0 + x[:, 0], [late], 0, np.random.default_rng(0))
+    assert runs.states[-2, 0, 0] > 0.0
+    np.testing.assert_array_equal(runs.commands[2:-1, 0, 0], 1.0 + runs.states[:-3, 0, 0])
