@@ -9,11 +9,13 @@ from scipy.linalg import solve_discrete_are
 import simbias
 from simbias.core.errors import ConfigError
 from simbias.policy.trajectory import Trajectory
-from simbias.search.optimizer.ilqr import Shooting, _regulator, _solved, trajectory_candidates
+from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
+from simbias.search.optimizer.riccati import regulator, solved
 from simbias.trial.study import Study
 
 A = np.array([[1.0, 0.1], [0.3, 0.98]])
 B = np.array([[0.0], [0.1]])
+M = np.concatenate([A, B], axis=1)
 
 
 @pytest.fixture(scope="module")
@@ -23,19 +25,19 @@ def cartpole() -> Study:
 
 def test_after_many_frames_the_gains_are_those_of_the_riccati_equation() -> None:
     Q, R, many = np.diag([2.0, 1.0]), np.array([[0.5]]), 300
-    _, K, V = _solved(_regulator(np.tile(A, (many, 1, 1)), np.tile(B, (many, 1, 1)), Q, R, Q), 2)
+    _, K, V = solved(regulator(np.tile(M, (many, 1, 1)), Q, R, Q), 2)
     S = solve_discrete_are(A, B, Q, R)
     np.testing.assert_allclose(V, S, rtol=1e-9)
     np.testing.assert_allclose(K[0], np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A), rtol=1e-9)
 
 
 def test_gains_are_of_what_is_seen_and_steps_end_at_limits() -> None:
-    problem = _regulator(np.tile(A, (50, 1, 1)), np.tile(B, (50, 1, 1)), np.eye(2), np.eye(1), np.eye(2))
-    problem = problem._replace(q=np.tile([5.0, 0.0], (51, 1)))
-    k, K, _ = _solved(problem, 1)
+    problem = regulator(np.tile(M, (50, 1, 1)), np.eye(2), np.eye(1), np.eye(2))
+    problem = problem._replace(w=np.tile([5.0, 0.0, 0.0], (50, 1)))
+    k, K, _ = solved(problem, 1)
     assert (K[:, :, 1] == 0.0).all()
     assert (K[:, :, 0] != 0.0).sum() > 40
-    limited, gains, _ = _solved(problem, 1, (np.full((50, 1), -0.5), np.full((50, 1), 0.5)))
+    limited, gains, _ = solved(problem, 1, (np.full((50, 1), -0.5), np.full((50, 1), 0.5)))
     assert np.abs(k).max() > 0.5
     np.testing.assert_allclose(np.abs(limited).max(), 0.5)
     assert (gains[np.abs(limited) == 0.5] == 0.0).all()

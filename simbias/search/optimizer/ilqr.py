@@ -20,6 +20,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
+from simbias.search.optimizer.riccati import Quadratic, beside, regulator, solved
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.linearization import derivatives
 
@@ -44,17 +45,6 @@ class Plan(NamedTuple):
     states: Array  # (T+1, n)
     inputs: Array  # (T, m)
     cost: float
-
-
-class Quadratic(NamedTuple):
-    """A linear-quadratic problem along T frames; its l states are the model's and its model state's."""
-
-    A: Array  # (T, l, l)
-    B: Array  # (T, l, m)
-    Q: Array  # (T+1, l, l)
-    q: Array  # (T+1, l) gradient by states
-    R: Array  # (m, m)
-    r: Array  # (T, m) gradient by inputs
 
 
 def trajectory_candidates(model: Model, count: int) -> Iterator[Array]:
@@ -119,7 +109,7 @@ class Shooting:
         The weight of a state's deviation by one unit is 1. A goal about all states is a rest: the last knot
         is there, its gains those of an infinite horizon.
         """
-        linear = self._linearised(plan.states, plan.inputs)
+        M = self._linearised(plan.states, plan.inputs)
         x, u, final = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]]), None
         if self._task.goals == self._task.states:
             x_rest, u_rest = rest(self._model, self._goal[-1])
@@ -128,19 +118,18 @@ class Shooting:
             final = self._linearised(np.tile(x_rest, (2, 1)), u_rest[None])
         frames = policy.times / self._task.time_step
         for weight in input_weights:
-            gains = self._gains(*linear, weight, final)
+            gains = self._gains(M, weight, final)
             rows = (_at(frames, each.reshape(len(each), -1)) for each in (x, u, gains))
             yield policy.following(*rows)
 
-    def _gains(self, A: Array, B: Array, weight: float, final: tuple[Array, Array] | None) -> Array:
-        """K_t (T+1, m, n) of the time-varying regulator along A, B, which ends with that of the rest."""
-        Q = np.diag(np.r_[np.ones(self._n), np.zeros(A.shape[-1] - self._n)])
+    def _gains(self, M: Array, weight: float, final: Array | None) -> Array:
+        """K_t (T+1, m, n) of the time-varying regulator along M, which ends with that of the rest."""
+        Q = np.diag(np.r_[np.ones(self._n), np.zeros(M.shape[1] - self._n)])
         R, V = weight * np.diag(self._task.input_limit**-2.0), Q
-        settled = np.empty((0, *B.shape[:0:-1]))
+        settled = np.empty((0, self._m, len(Q)))
         if final is not None:
-            A_rest, B_rest = (np.repeat(each, SETTLED, axis=0) for each in final)
-            _, settled, V = _solved(_regulator(A_rest, B_rest, Q, R, Q), self._n)
-        _, K, _ = _solved(_regulator(A, B, Q, R, V), self._n)
+            _, settled, V = solved(regulator(np.repeat(final, SETTLED, axis=0), Q, R, Q), self._n)
+        _, K, _ = solved(regulator(M, Q, R, V), self._n)
         return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
 
     def _first(self, rng: np.random.Generator) -> Plan | None:
@@ -153,16 +142,18 @@ class Shooting:
 
     def _improved(self, plan: Plan, damping: float) -> Plan | None:
         """A trajectory that costs less, if there is one."""
-        task, w, R = self._task, self._weights, self._input_weights
-        A, B = self._linearised(plan.states, plan.inputs)
+        task, weights = self._task, self._weights
+        M = self._linearised(plan.states, plan.inputs)
+        hidden = 0, M.shape[1] - self._n
         G = derivatives(task.aim, plan.states, np.full(self._n, STEP))  # (T+1, g, n)
         e = task.aim(plan.states) - self._goal
-        hidden = 0, A.shape[-1] - self._n
-        q = np.pad(np.einsum("tg,tgn->tn", w * e, G), ((0, 0), hidden))
-        Q = np.pad(np.einsum("tg,tgi,tgj->tij", w, G, G), ((0, 0), hidden, hidden))
-        problem = Quadratic(A, B, Q, q, np.diag(R), R * plan.inputs)
+        slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), hidden))
+        curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), hidden, hidden))
+        W = beside(curvature[:-1], np.diag(self._input_weights))
+        w = np.concatenate([slope[:-1], self._input_weights * plan.inputs], axis=1)
         room = tuple(SHARE * limits - plan.inputs for limits in task.input_bounds)
-        k, K, _ = _solved(problem, self._n, room, damping)
+        problem = Quadratic(M, W, w, curvature[-1], slope[-1])
+        k, K, _ = solved(problem, self._n, room, damping * np.diag(self._input_weights))
         inputs = plan.inputs + SHORTER[:, None, None] * k
         better = self._best(plan.states, inputs, K[..., : self._n])
         return better if better is not None and better.cost < plan.cost else None
@@ -186,8 +177,8 @@ class Shooting:
         e = self._task.aim(states) - self._goal
         return 0.5 * float(np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2))
 
-    def _linearised(self, states: Array, inputs: Array) -> tuple[Array, Array]:
-        """A (T, l, l) and B (T, l, m) of the model with its state, along states (T+1, n), inputs (T, m)."""
+    def _linearised(self, states: Array, inputs: Array) -> Array:
+        """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m)."""
         n, size = self._n, self._model.nominal.state_size
 
         def following(points: Array) -> Array:
@@ -198,38 +189,7 @@ class Shooting:
         memory = self._model.nominal.model_states(states[:-1], inputs)
         points = np.concatenate([states[:-1], memory, inputs], axis=-1)
         steps = STEP * np.concatenate([np.ones(n + size), self._task.input_limit])
-        slopes = derivatives(following, points, steps)
-        return slopes[..., : n + size], slopes[..., n + size :]
-
-
-def _regulator(A: Array, B: Array, Q: Array, R: Array, V: Array) -> Quadratic:
-    """The problem to stay on a trajectory along A, B; V (l, l) weighs where it ends."""
-    each = np.concatenate([np.repeat(Q[None], len(A), axis=0), V[None]])
-    return Quadratic(A, B, each, np.zeros(each.shape[:2]), R, np.zeros((len(A), len(R))))
-
-
-def _solved(
-    problem: Quadratic, seen: int, room: tuple[Array, ...] = (), damping: float = 0.0
-) -> tuple[Array, Array, Array]:
-    """Steps k (T, m) and gains K (T, m, l) of u = k - K s, backwards in time, and the value V (l, l).
-
-    Gains are of the first `seen` states, and none where a step ends at a limit: `room`, (T, m) each.
-    """
-    A, B, Q, q, R, r = problem
-    k, K, V, v = np.zeros(B.shape[::2]), np.zeros(np.swapaxes(B, 1, 2).shape), Q[-1], q[-1]
-    for t in reversed(range(len(A))):
-        a, b = A[t], B[t]
-        Quu, Qux, Qu = R + b.T @ V @ b, b.T @ V @ a, r[t] + b.T @ v
-        solved = np.linalg.solve(Quu + damping * R, np.column_stack([Qu, Qux]))
-        step, gain = -solved[:, 0], solved[:, 1:]
-        if room:
-            step = np.minimum(np.maximum(step, room[0][t]), room[1][t])
-            gain[step != -solved[:, 0]] = 0.0
-        gain[:, seen:] = 0.0
-        v = q[t] + a.T @ v + Qux.T @ step - gain.T @ (Quu @ step + Qu)
-        V = Q[t] + a.T @ V @ a + gain.T @ Quu @ gain - gain.T @ Qux - Qux.T @ gain
-        V, k[t], K[t] = (V + V.T) / 2, step, gain
-    return k, K, V
+        return derivatives(following, points, steps)
 
 
 def _at(frames: Array, rows: Array) -> Array:

@@ -1,0 +1,58 @@
+"""Linear-quadratic problems that vary in time, solved backwards (Riccati), where inputs are limited too."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core.records import Array
+
+
+class Quadratic(NamedTuple):
+    """A linear-quadratic problem over T frames, of z = (s, u): l states and m inputs."""
+
+    M: Array  # (T, l, l+m) s_next = M z
+    W: Array  # (T, l+m, l+m) curvature of the costs
+    w: Array  # (T, l+m) slope
+    V: Array  # (l, l) of those at the end
+    v: Array  # (l,)
+
+
+def regulator(M: Array, Q: Array, R: Array, V: Array) -> Quadratic:
+    """The problem to stay on a trajectory along M; V (l, l) weighs where it ends."""
+    W = beside(np.repeat(Q[None], len(M), axis=0), R)
+    return Quadratic(M, W, np.zeros(W.shape[:2]), V, np.zeros(len(V)))
+
+
+def beside(Q: Array, R: Array) -> Array:
+    """Weights (T, l+m, l+m) of states, (T, l, l), and of inputs, (m, m)."""
+    l, m = len(Q[0]), len(R)  # noqa: E741
+    W = np.zeros((len(Q), l + m, l + m))
+    W[:, :l, :l], W[:, l:, l:] = Q, R
+    return W
+
+
+def solved(
+    problem: Quadratic, seen: int, room: tuple[Array, ...] = (), damping: Array | float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Steps k (T, m) and gains K (T, m, l) of u = k - K s, backwards in time, and the value V (l, l).
+
+    Gains are of the first `seen` states, and none where a step ends at a limit: `room`, (T, m) each. Damping
+    (m, m) makes steps smaller.
+    """
+    M, W, w, V, v = problem
+    T, l, both = M.shape  # noqa: E741
+    k, K, N = np.zeros((T, both - l)), np.zeros((T, both - l, l)), np.eye(both, l)  # z = (s, -K s)
+    for t in reversed(range(T)):
+        H, h = W[t] + M[t].T @ V @ M[t], w[t] + M[t].T @ v
+        found = np.linalg.solve(H[l:, l:] + damping, np.column_stack([h[l:], H[l:, :l]]))
+        step, gain = -found[:, 0], found[:, 1:]
+        if room:
+            step = np.minimum(np.maximum(step, room[0][t]), room[1][t])
+            gain[step != -found[:, 0]] = 0.0
+        gain[:, seen:] = 0.0
+        N[l:] = -gain
+        v, V = N.T @ (h + H[:, l:] @ step), N.T @ H @ N
+        k[t], K[t] = step, gain
+    return k, K, V
