@@ -66,7 +66,7 @@ class Signals(ABC):
 
 
 class Columns(Signals):
-    """The signals of a CSV file; a blank cell, or nan, is no sample, as where columns have rates of their own."""
+    """The signals of a CSV file; a blank cell, or nan, is no sample, as where columns have rates apart."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
