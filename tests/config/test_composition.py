@@ -12,8 +12,8 @@ from shipped import overrides, shipped
 import simbias
 from simbias.config import ConfigError, compose, options
 from simbias.config.components import component_class, constructor_parameters
-from simbias.config.composition import overridden
 from simbias.config.conditions import split
+from simbias.config.hydra_config import overridden
 from simbias.trial.study import Study
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
