@@ -30,6 +30,7 @@ NEEDED = {  # by options that say nothing of a robot
     "preset=double_pendulum": [f"hardware.folder={Path(__file__).parents[1] / 'recordings'}", COLUMNS],
     "hardware=process": ["hardware.command=cat"],
     "hardware=mujoco": ["preset=cartpole", f"hardware.file={MODEL}"],
+    "method=trajectory": ["preset=cartpole_trajectory"],
     "nominal=mujoco": ["preset=cartpole", f"nominal.file={MODEL}"],
 }
 
