@@ -130,7 +130,7 @@ def test_outcomes_are_the_boards() -> None:
 
 def test_tables_tell_what_predictions_are_worth() -> None:
     """Of sets of which none to three of four runs succeed: right, and the opposite."""
-    from tables import summary
+    from tables import of_runs, summary
 
     rows = []
     for index, name in enumerate(("acrobot a", "acrobot b", "pendubot a", "pendubot b")):
@@ -143,7 +143,7 @@ def test_tables_tell_what_predictions_are_worth() -> None:
             ):
                 own = {"way": way, "set": name, "run": run, "success": made, "up": 5.0 * made, "score": made}
                 rows += [own] * draws
-    lines = [line.split(" | ") for line in summary(pd.DataFrame(rows)).splitlines()]
+    lines = [line.split(" | ") for line in summary(of_runs(pd.DataFrame(rows))).splitlines()]
     right, wrong = (next(line for line in lines if line[0] == f"| {way}") for way in ("right", "wrong"))
     assert float(right[1]) == pytest.approx(0.05**2, abs=1e-3)
     assert float(wrong[1]) == pytest.approx(0.95**2, abs=1e-3)

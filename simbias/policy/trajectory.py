@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, final
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -18,7 +18,6 @@ Knots = Annotated[int, Field(ge=2, le=2000)]
 ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
 
 
-@final
 class Trajectory(Policy):
     """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
 

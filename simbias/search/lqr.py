@@ -82,20 +82,22 @@ def lqr_policies(
     return [theta for theta in imitations if theta is not None]
 
 
-def rest(model: Model) -> tuple[Array, Array]:
-    """States (n,) and inputs (m,) that the model keeps, the nearest to zero as far as there is one."""
+def rest(model: Model, near: Array | None = None) -> tuple[Array, Array]:
+    """States (n,) and inputs (m,) that the model keeps, nearest to zero, or to states (n,) without input."""
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
     task = model.task
     n, rates = len(task.states), 1 / task.time_step
+    begin = np.zeros(n + len(task.inputs))
+    begin[:n] = 0.0 if near is None else near
 
     def residuals(both: Array) -> Array:
         x, u = both[:n], both[n:] * task.input_limit
         moved = model.nominal.step(x, u) + model.bias.correction(x, u) - x
-        return np.concatenate([rates * moved, NEAR * both])
+        return np.concatenate([rates * moved, NEAR * (both - begin)])
 
     with np.errstate(all="ignore"):  # some of what it tries is absurd
-        found = least_squares(residuals, np.zeros(n + len(task.inputs)), xtol=1e-12, ftol=1e-12).x
+        found = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12).x
     return found[:n], found[n:] * task.input_limit
 
 

@@ -15,6 +15,7 @@ from simbias.core import Model, Objective
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
 from simbias.search import lqr
+from simbias.search.optimizer.ilqr import trajectory_candidates
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
 
@@ -29,18 +30,21 @@ def search(
     target_cost: float | None = None,
     posterior_scale: float = 1.0,
     last: Sequence[Array] = (),
+    trajectories: int = 0,
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
     A search that ends above the target cost, by default Z_max, is made again with other random numbers, up to
     `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
     before. The best one is returned, with the evaluations of all. Each first evaluates the last policies
-    (p,), and the LQR policies of `lqr_candidates` models (`simbias.search.lqr`).
+    (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the best of
+    some trajectories (`simbias.search.optimizer.ilqr`).
     """
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model
-    candidates: Iterator[Array] = chain(last, lqr.lqr_candidates(model, lqr_candidates))
+    designs = lqr.lqr_candidates(model, lqr_candidates), trajectory_candidates(model, trajectories)
+    candidates: Iterator[Array] = chain(last, *designs)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)
         if searches:

@@ -30,6 +30,7 @@ def cartpole() -> Study:
 def around(study: Study, count: int, knots: int = KNOTS) -> tuple[Trajectory, Array]:
     """Policies (count, p) that balance, about trajectories of small random steps."""
     rng, gains = np.random.default_rng(0), lqr_gains(linearised(study.model()), np.array([[1e-3]]))
+    assert gains is not None
     policy = Trajectory(study.task, study.nominal, knots)
     thetas = [
         policy.following(

@@ -13,6 +13,9 @@ from simbias.config.components import TARGET
 from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
+GROUPS = (  # whose options go through the conformance suite; robots have theirs in tests/robots
+    *("policy", "bias", "samples", "cost", "evaluation", "identification", "optimizer"),
+)
 MODEL = "gymnasium:envs/mujoco/assets/inverted_pendulum.xml"
 COLUMNS = (  # of tests/recordings
     "hardware.columns={pos1:pos_meas1,pos2:pos_meas2,vel1:vel_meas1,vel2:vel_meas2,"
@@ -27,6 +30,7 @@ NEEDED = {  # by options that say nothing of a robot
     "preset=double_pendulum": [f"hardware.folder={Path(__file__).parents[1] / 'recordings'}", COLUMNS],
     "hardware=process": ["hardware.command=cat"],
     "hardware=mujoco": ["preset=cartpole", f"hardware.file={MODEL}"],
+    "method=trajectory": ["preset=cartpole_trajectory"],
     "nominal=mujoco": ["preset=cartpole", f"nominal.file={MODEL}"],
 }
 

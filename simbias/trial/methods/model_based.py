@@ -60,6 +60,10 @@ class ModelBased(Method):
     lqr_candidates
         Number of models, the most probable one and draws, whose LQR policies (`simbias.search.lqr`) a search
         evaluates first.
+    trajectories
+        Number of trajectories that a search plans on the model (`simbias.search.optimizer.ilqr`), beginning
+        at different inputs; it evaluates policies first that follow the best one. It needs
+        policy=trajectory.
     """
 
     max_iterations: Count = 10
@@ -72,6 +76,7 @@ class ModelBased(Method):
     passes: Count | None = None
     model_selection: bool = False
     lqr_candidates: CountOrZero = 0
+    trajectories: CountOrZero = 0
     from_last: bool = False
     confidence: Confidence | None = None
     margin: NonNegative = 0.0
@@ -102,7 +107,8 @@ class ModelBased(Method):
             clock = Stopwatch()
             with clock("search"):
                 retries = self.retry_search, self.target_cost, self.posterior_scale
-                found = search(study, model, search_rng, observer, self.lqr_candidates, *retries, last)
+                first = self.lqr_candidates, *retries, last, self.trajectories
+                found = search(study, model, search_rng, observer, *first)
             theta, simulation = found.optimum.parameters, model
             last = [theta] if self.from_last else []
             reset = found.predicted_cost > study.cost.max_cost and not self.keep_data

@@ -4,8 +4,8 @@
 
 CHECKOUTS is a folder of checkouts of two repositories of github.com/dfki-ric-underactuated-lab, each in a
 folder of its name: double_pendulum (commit 1e8544e) and real_ai_gym_leaderboard (81ea5bc). `board.yaml` says
-which runs are predicted, what is learned from, and what counts. It writes `board.csv`, a row for each way,
-run and draw, and `table.md`.
+which runs are predicted, what is learned from, and what counts. It writes `draws.csv`, a row for each way,
+run and draw, `board.csv`, a row for each way and run, and `table.md`.
 
 With `--check`, it only prints how far commands are from those recorded, in the first run of each set.
 """
@@ -25,7 +25,7 @@ import pandas as pd
 import yaml
 from learned import angle_noise, draws, numbers, recordings, robot
 from rollouts import Loop, Published, predict, published
-from tables import summary
+from tables import of_runs, summary
 from threadpoolctl import threadpool_limits
 
 from simbias.core.records import Array
@@ -91,10 +91,11 @@ def main() -> None:
     found = list[dict[str, Any]]()
     for way, own in groupby(rows(board, checkouts, sets), key=itemgetter("way")):
         found += own
-        pd.DataFrame(found).to_csv("board.csv", index=False, float_format="%.4g")
+        pd.DataFrame(found).to_csv("draws.csv", index=False, float_format="%.4g")
         print(way, file=sys.stderr, flush=True)
-    table = pd.DataFrame(found)
-    text = summary(table)
+    runs = of_runs(pd.DataFrame(found))
+    runs.to_csv("board.csv", index=False, float_format="%.4g")
+    text = summary(runs)
     Path("table.md").write_text(text)
     print(text)
 

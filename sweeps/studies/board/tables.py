@@ -17,28 +17,26 @@ BINS = (0.0, 0.2, 0.8, 1.0)
 INTERVAL = (0.05, 0.95)  # quantiles of draws
 
 
-def summary(table: pd.DataFrame) -> str:
-    """Tables as markdown."""
-    recorded = table[table["way"] == "recorded"].set_index(["set", "run"])
-    ways = [way for way in table["way"].unique() if way != "recorded"]
-    own = {way: _of_runs(table[table["way"] == way], recorded) for way in ways}
-    return _scores(own) + _calibration(own) + _sets(own)
-
-
-def _of_runs(table: pd.DataFrame, recorded: pd.DataFrame) -> pd.DataFrame:
-    """A row for each run: what is predicted of it, and what came."""
-    grouped = table.groupby(["set", "run"], sort=False)
-    count = grouped.size()
-    found = pd.DataFrame(
+def of_runs(draws: pd.DataFrame) -> pd.DataFrame:
+    """A row for each way and run: what is predicted of it, and what came."""
+    recorded = draws[draws["way"] == "recorded"].set_index(["set", "run"])[["success", "up", "score"]]
+    grouped = draws[draws["way"] != "recorded"].groupby(["way", "set", "run"], sort=False)
+    predicted = pd.DataFrame(
         {
-            "p": (grouped["success"].sum() + 0.5) / (count + 1),
+            "p": (grouped["success"].sum() + 0.5) / (grouped.size() + 1),
             "up": grouped["up"].median(),
             "least": grouped["up"].quantile(INTERVAL[0]),
             "most": grouped["up"].quantile(INTERVAL[1]),
             "score": grouped["score"].mean(),
         }
     )
-    return found.join(recorded[["success", "up", "score"]].add_suffix("_recorded")).reset_index()
+    return predicted.reset_index().join(recorded.add_suffix("_recorded"), on=["set", "run"])
+
+
+def summary(runs: pd.DataFrame) -> str:
+    """Tables of all runs as markdown."""
+    own = {str(way): part for way, part in runs.groupby("way", sort=False)}
+    return _scores(own) + _calibration(own) + _sets(own)
 
 
 def _scores(own: dict[str, pd.DataFrame]) -> str:

@@ -1,0 +1,237 @@
+"""Trajectories of a model that reach the task's goal, and policies that follow them.
+
+A trajectory is found by iterative LQR (W. Li, E. Todorov, ICINCO 2004), with limited inputs: the model is
+linearised along the last one, which makes the weighted errors and inputs a linear-quadratic problem, and the
+step that solves it is shortened until the model's own rollout costs less. Rollouts are those of `Trajectory`
+with a knot in every frame, so that limits, delays and failures are the model's. Gains are of states alone:
+what the state does not show has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from simbias.core import Model, wrapped
+from simbias.core.errors import ConfigError
+from simbias.core.records import Array
+from simbias.policy.trajectory import Trajectory
+from simbias.search.lqr import rest
+from simbias.simulation.closed_loop import simulator
+from simbias.simulation.linearization import derivatives
+
+ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
+FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
+INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
+SHARE = 0.8  # of the limits that a trajectory takes: what is left is for feedback
+GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
+STEP = 1e-3  # of differences: of states, and of inputs over their limits
+SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
+ITERATIONS = 200
+PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
+LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
+PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
+SETTLED = 1000  # frames, after which the gains of a rest are those of an infinite horizon
+SEED = 0  # of these inputs: the same model has the same trajectories
+
+
+class Plan(NamedTuple):
+    """A trajectory of the model."""
+
+    states: Array  # (T+1, n)
+    inputs: Array  # (T, m)
+    cost: float
+
+
+class Quadratic(NamedTuple):
+    """A linear-quadratic problem along T frames; its l states are the model's and its model state's."""
+
+    A: Array  # (T, l, l)
+    B: Array  # (T, l, m)
+    Q: Array  # (T+1, l, l)
+    q: Array  # (T+1, l) gradient by states
+    R: Array  # (m, m)
+    r: Array  # (T, m) gradient by inputs
+
+
+def trajectory_candidates(model: Model, count: int) -> Iterator[Array]:
+    """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
+
+    Trajectories begin with different random inputs; they are planned once the first policy is asked for,
+    which a search that is replayed does not do.
+
+    Raises
+    ------
+    ConfigError
+        If the policy follows no trajectory, or the model fails with any of the inputs.
+    """
+    if not count:
+        return
+    if not isinstance(model.policy, Trajectory):
+        problem = f"{type(model.policy).__name__} follows no trajectory; policy=trajectory does"
+        raise ConfigError("method.trajectories", problem)
+    shooting = Shooting(model)
+    plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
+    found = [plan for plan in plans if plan is not None]
+    if not found:
+        raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
+    best = min(found, key=lambda plan: plan.cost)
+    yield from shooting.following(best, model.policy, GAIN_WEIGHTS)
+
+
+class Shooting:
+    """Trajectories of a model from the task's mean start to its goal."""
+
+    def __init__(self, model: Model) -> None:
+        task = model.task
+        self._model, self._task = model, task
+        self._sliding = model.nominal.without_dry_friction()  # friction is steep at rest
+        self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
+        self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
+        self._simulator = simulator(replace(model, policy=self._every_frame))
+        goal = [task.reference(t) for t in task.time_step * np.arange(self._T + 1)]
+        self._goal = np.array(goal)  # (T+1, g)
+        rates = np.array([goal.unit.endswith("/s") for goal in task.goals])
+        weights = np.where(rates, RATE_WEIGHT, ERROR_WEIGHT)
+        self._weights = np.tile(task.time_step * weights, (self._T + 1, 1))  # (T+1, g)
+        self._weights[-1] = FINAL_WEIGHT * weights
+        self._input_weights = task.time_step * INPUT_WEIGHT * task.input_limit**-2.0  # (m,)
+
+    def plan(self, rng: np.random.Generator) -> Plan | None:
+        """A trajectory that begins with random inputs; None where all of these fail."""
+        best, damping, costs = self._first(rng), 1.0, list[float]()
+        while best is not None and damping < MOST and len(costs) < ITERATIONS:
+            better = self._improved(best, damping)
+            damping = damping * 10 if better is None else max(damping / 5, LEAST)
+            if better is None:
+                continue
+            best, costs = better, [*costs, better.cost]
+            if len(costs) > PATIENCE and costs[-1] > (1 - PROGRESS) * costs[-1 - PATIENCE]:
+                break
+        return best
+
+    def following(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
+        """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
+
+        The weight of a state's deviation by one unit is 1. A goal about all states is a rest: the last knot
+        is there, its gains those of an infinite horizon.
+        """
+        linear = self._linearised(plan.states, plan.inputs)
+        x, u, final = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]]), None
+        if self._task.goals == self._task.states:
+            x_rest, u_rest = rest(self._model, self._goal[-1])
+            x_rest = x[-1] - wrapped(x[-1] - x_rest, self._task.states)
+            x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
+            final = self._linearised(np.tile(x_rest, (2, 1)), u_rest[None])
+        frames = policy.times / self._task.time_step
+        for weight in input_weights:
+            gains = self._gains(*linear, weight, final)
+            rows = (_at(frames, each.reshape(len(each), -1)) for each in (x, u, gains))
+            yield policy.following(*rows)
+
+    def _gains(self, A: Array, B: Array, weight: float, final: tuple[Array, Array] | None) -> Array:
+        """K_t (T+1, m, n) of the time-varying regulator along A, B, which ends with that of the rest."""
+        Q = np.diag(np.r_[np.ones(self._n), np.zeros(A.shape[-1] - self._n)])
+        R, V = weight * np.diag(self._task.input_limit**-2.0), Q
+        settled = np.empty((0, *B.shape[:0:-1]))
+        if final is not None:
+            A_rest, B_rest = (np.repeat(each, SETTLED, axis=0) for each in final)
+            _, settled, V = _solved(_regulator(A_rest, B_rest, Q, R, Q), self._n)
+        _, K, _ = _solved(_regulator(A, B, Q, R, V), self._n)
+        return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
+
+    def _first(self, rng: np.random.Generator) -> Plan | None:
+        """The best trajectory of random inputs and of smaller ones, as large ones may fail."""
+        pieces = np.arange(0, self._T + 1, self._task.frames(PIECE))
+        values = AMPLITUDE * rng.standard_normal((len(pieces), self._m)) * self._task.input_limit
+        inputs = np.stack([np.interp(np.arange(self._T), pieces, each) for each in values.T], axis=-1)
+        states = np.tile(self._task.start_mean, (self._T + 1, 1))
+        return self._best(states, SHORTER[:, None, None] * inputs, np.zeros((self._T, self._m, self._n)))
+
+    def _improved(self, plan: Plan, damping: float) -> Plan | None:
+        """A trajectory that costs less, if there is one."""
+        task, w, R = self._task, self._weights, self._input_weights
+        A, B = self._linearised(plan.states, plan.inputs)
+        G = derivatives(task.aim, plan.states, np.full(self._n, STEP))  # (T+1, g, n)
+        e = task.aim(plan.states) - self._goal
+        hidden = 0, A.shape[-1] - self._n
+        q = np.pad(np.einsum("tg,tgn->tn", w * e, G), ((0, 0), hidden))
+        Q = np.pad(np.einsum("tg,tgi,tgj->tij", w, G, G), ((0, 0), hidden, hidden))
+        problem = Quadratic(A, B, Q, q, np.diag(R), R * plan.inputs)
+        room = tuple(SHARE * limits - plan.inputs for limits in task.input_bounds)
+        k, K, _ = _solved(problem, self._n, room, damping)
+        inputs = plan.inputs + SHORTER[:, None, None] * k
+        better = self._best(plan.states, inputs, K[..., : self._n])
+        return better if better is not None and better.cost < plan.cost else None
+
+    def _best(self, states: Array, inputs: Array, gains: Array) -> Plan | None:
+        """The rollout that costs least of those with inputs (k, T, m) and gains (T, m, n) about states."""
+        x, u, K = states[:-1], inputs, gains
+        thetas = np.array(
+            [self._every_frame.following(*(np.concatenate([a, a[-1:]]) for a in (x, each, K))) for each in u]
+        )
+        starts = np.tile(self._task.start_mean, (len(thetas), 1))
+        plans = [
+            Plan(rollout.states, rollout.inputs, self._cost(rollout.states, rollout.inputs))
+            for rollout in self._simulator.rollouts(thetas, starts)
+            if rollout.failed_at is None
+        ]
+        return min(plans, key=lambda plan: plan.cost, default=None)
+
+    def _cost(self, states: Array, inputs: Array) -> float:
+        """Half the weighted squares of errors and inputs."""
+        e = self._task.aim(states) - self._goal
+        return 0.5 * float(np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2))
+
+    def _linearised(self, states: Array, inputs: Array) -> tuple[Array, Array]:
+        """A (T, l, l) and B (T, l, m) of the model with its state, along states (T+1, n), inputs (T, m)."""
+        n, size = self._n, self._model.nominal.state_size
+
+        def following(points: Array) -> Array:
+            x, memory, u = np.split(points, [n, n + size], axis=-1)
+            after, kept = self._sliding.advance(x, u, memory)
+            return np.concatenate([after + self._model.bias.correction(x, u), kept], axis=-1)
+
+        memory = self._model.nominal.model_states(states[:-1], inputs)
+        points = np.concatenate([states[:-1], memory, inputs], axis=-1)
+        steps = STEP * np.concatenate([np.ones(n + size), self._task.input_limit])
+        slopes = derivatives(following, points, steps)
+        return slopes[..., : n + size], slopes[..., n + size :]
+
+
+def _regulator(A: Array, B: Array, Q: Array, R: Array, V: Array) -> Quadratic:
+    """The problem to stay on a trajectory along A, B; V (l, l) weighs where it ends."""
+    each = np.concatenate([np.repeat(Q[None], len(A), axis=0), V[None]])
+    return Quadratic(A, B, each, np.zeros(each.shape[:2]), R, np.zeros((len(A), len(R))))
+
+
+def _solved(
+    problem: Quadratic, seen: int, room: tuple[Array, ...] = (), damping: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Steps k (T, m) and gains K (T, m, l) of u = k - K s, backwards in time, and the value V (l, l).
+
+    Gains are of the first `seen` states, and none where a step ends at a limit: `room`, (T, m) each.
+    """
+    A, B, Q, q, R, r = problem
+    k, K, V, v = np.zeros(B.shape[::2]), np.zeros(np.swapaxes(B, 1, 2).shape), Q[-1], q[-1]
+    for t in reversed(range(len(A))):
+        a, b = A[t], B[t]
+        Quu, Qux, Qu = R + b.T @ V @ b, b.T @ V @ a, r[t] + b.T @ v
+        solved = np.linalg.solve(Quu + damping * R, np.column_stack([Qu, Qux]))
+        step, gain = -solved[:, 0], solved[:, 1:]
+        if room:
+            step = np.minimum(np.maximum(step, room[0][t]), room[1][t])
+            gain[step != -solved[:, 0]] = 0.0
+        gain[:, seen:] = 0.0
+        v = q[t] + a.T @ v + Qux.T @ step - gain.T @ (Quu @ step + Qu)
+        V = Q[t] + a.T @ V @ a + gain.T @ Quu @ gain - gain.T @ Qux - Qux.T @ gain
+        V, k[t], K[t] = (V + V.T) / 2, step, gain
+    return k, K, V
+
+
+def _at(frames: Array, rows: Array) -> Array:
+    """Rows (T+1, c) at frames (K,), linear between them."""
+    return np.stack([np.interp(frames, np.arange(len(rows)), column) for column in rows.T], axis=-1)

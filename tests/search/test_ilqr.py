@@ -1,0 +1,66 @@
+"""Trajectories by iterative LQR, and the policies that follow them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+import simbias
+from simbias.core.errors import ConfigError
+from simbias.policy.trajectory import Trajectory
+from simbias.search.optimizer.ilqr import Shooting, _regulator, _solved, trajectory_candidates
+from simbias.trial.study import Study
+
+A = np.array([[1.0, 0.1], [0.3, 0.98]])
+B = np.array([[0.0], [0.1]])
+
+
+@pytest.fixture(scope="module")
+def cartpole() -> Study:
+    return simbias.load(["preset=cartpole_trajectory", "identification=none", "tracking=none"])
+
+
+def test_after_many_frames_the_gains_are_those_of_the_riccati_equation() -> None:
+    Q, R, many = np.diag([2.0, 1.0]), np.array([[0.5]]), 300
+    _, K, V = _solved(_regulator(np.tile(A, (many, 1, 1)), np.tile(B, (many, 1, 1)), Q, R, Q), 2)
+    S = solve_discrete_are(A, B, Q, R)
+    np.testing.assert_allclose(V, S, rtol=1e-9)
+    np.testing.assert_allclose(K[0], np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A), rtol=1e-9)
+
+
+def test_gains_are_of_what_is_seen_and_steps_end_at_limits() -> None:
+    problem = _regulator(np.tile(A, (50, 1, 1)), np.tile(B, (50, 1, 1)), np.eye(2), np.eye(1), np.eye(2))
+    problem = problem._replace(q=np.tile([5.0, 0.0], (51, 1)))
+    k, K, _ = _solved(problem, 1)
+    assert (K[:, :, 1] == 0.0).all()
+    assert (K[:, :, 0] != 0.0).sum() > 40
+    limited, gains, _ = _solved(problem, 1, (np.full((50, 1), -0.5), np.full((50, 1), 0.5)))
+    assert np.abs(k).max() > 0.5
+    np.testing.assert_allclose(np.abs(limited).max(), 0.5)
+    assert (gains[np.abs(limited) == 0.5] == 0.0).all()
+
+
+@pytest.mark.slow
+def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(cartpole: Study) -> None:
+    """From other starts, too; the policy of the plan ends at rest, with gains that hold there."""
+    model = cartpole.first_model()
+    shooting = Shooting(model)
+    plan = shooting.plan(np.random.default_rng(0))
+    assert plan is not None
+    assert cartpole.task.succeeds(plan.states)
+    assert np.abs(plan.inputs).max() <= cartpole.task.input_limit
+    assert isinstance(cartpole.policy, Trajectory)
+    (theta,) = shooting.following(plan, cartpole.policy, [10.0])
+    for seed in range(4):
+        start = cartpole.task.draw_start(np.random.default_rng(seed))
+        assert cartpole.passes(cartpole.simulate(theta, start=start)), seed
+    last = theta.reshape(-1, 9)[-1]
+    assert cartpole.task.error(last[:4], 5.0) == pytest.approx(np.zeros(4), abs=1e-3)
+
+
+def test_without_a_policy_that_follows_it_is_one_line(cartpole: Study) -> None:
+    other = simbias.load(["preset=cartpole", "tracking=none"])
+    with pytest.raises(ConfigError, match="OutputFeedback follows no trajectory; policy=trajectory does"):
+        next(trajectory_candidates(other.first_model(), 1))
+    assert not list(trajectory_candidates(other.first_model(), 0))
