@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 import simbias
 from simbias.core.cache import cache_folder
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -105,6 +106,12 @@ def new_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def study() -> Study:
     """The default study, without a store."""
     return simbias.load(["tracking=none"])
+
+
+@pytest.fixture
+def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate in NumPy: to compile a robot's loop takes longer than a few short rollouts."""
+    monkeypatch.setattr(CompiledSimulator, "of", lambda *_: None)
 
 
 @pytest.fixture

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.allowed import NOTHING, Own, own, prefixes
-from simbias.config.renamed import unknown
-from simbias.config.resources import check_ends, check_no_primary, register_sweep, resource_folder, state
+from simbias.config.hydra_config import composed, in_one_line, parsed, set_value
+from simbias.config.resources import check_no_primary, resource_folder, state
 from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 OF_SWEEPS = ("engine", "sweep")  # groups that no trial knows
-JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
-WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # which Hydra runs none of here: a fourth of its time
 NOT_HASHED = ("tracking", "experiment_timeout", "policy_test", *OF_SWEEPS)  # do not affect a trial's result
 
 
@@ -93,7 +91,7 @@ def compose(
 class Variations:
     """Compositions that differ in a few settings, the same as if these were further overrides.
 
-    Hydra composes once for each choice of options, which takes 100 ms; values are merged in a few.
+    Hydra composes once for each choice of options, which takes 60 ms; values are merged in a few.
     """
 
     def __init__(
@@ -109,6 +107,7 @@ class Variations:
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
         self._folders = [] if config_dir is None else [Path(config_dir)]
         self._allowed = prefixes(self._folders, allow)
+        self._read = [resource_folder("conf"), resource_folder("sweeps"), *map(Path.resolve, self._folders)]
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
         """The composition with options (`bias`), values (`bias.d`) and new values (`+hardware.noise.x`) set.
@@ -118,33 +117,98 @@ class Variations:
         ConfigError
             As `compose` does.
         """
-        from hydra.errors import HydraException
+        with self._errors_in_one_line():
+            config, choices = self._merged(self._split, settings, grid=True)
+            return self._finished(config, choices, tuple(_from_environment(config)))
+
+    def trial(self, settings: Mapping[str, Any]) -> Composition:
+        """The part of this composition that concerns a single trial.
+
+        The grid may be larger than all else, so it is neither composed nor copied again.
+
+        Raises
+        ------
+        ConfigError
+            As `compose` does.
+        """
+        from omegaconf import flag_override
+
+        with self._errors_in_one_line():
+            config, choices = self._merged(self._split_of_trials, settings, grid=False)
+            secret = tuple(_from_environment(config))
+            with flag_override(config, ["struct", "no_deepcopy_set_nodes"], [False, True]):
+                config["sweep"] = self._grid  # what a value refers to by interpolation
+            return self._finished(config, choices, secret, OF_SWEEPS)
+
+    def _merged(
+        self, split: _Split, settings: Mapping[str, Any], grid: bool
+    ) -> tuple[DictConfig, Mapping[str, str]]:
+        """The config, interpolations not yet resolved, and the choices of groups."""
+        files = state(self._read)
+        by_hydra = partial(composed, config_dir=self._config_dir, grid=grid, files=files)
+        groups = by_hydra(tuple(split.structure)).choices if settings else {}
+        options = [f"{key}={value}" for key, value in settings.items() if key in groups]
+        whole = by_hydra((*split.structure, *options))
+        config = whole.config.copy()
+        values = split.values | {key: value for key, value in settings.items() if key not in groups}
+        for key, value in values.items():
+            set_value(config, key, value)
+        return config, whole.choices
+
+    def _finished(
+        self,
+        config: DictConfig,
+        choices: Mapping[str, str],
+        from_environment: tuple[str, ...],
+        left_out: Sequence[str] = (),
+    ) -> Composition:
+        """The composition in plain containers, some groups left out."""
         from omegaconf import OmegaConf
+
+        values: dict[str, Any] = {str(key): config[key] for key in config if key not in left_out}
+        plain = {
+            key: OmegaConf.to_container(value, resolve=True, throw_on_missing=True)
+            if OmegaConf.is_config(value)
+            else value
+            for key, value in values.items()
+        }
+        chosen = {group: option for group, option in choices.items() if group not in left_out}
+        return Composition(plain, chosen, own(plain, self._folders, self._allowed), from_environment)
+
+    @contextmanager
+    def _errors_in_one_line(self) -> Iterator[None]:
+        """Hydra's, OmegaConf's and the system's errors are one line that names the key or the overrides."""
+        from hydra.errors import HydraException
         from omegaconf.errors import OmegaConfBaseException
 
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # Hydra only warns of a search path that does not exist
-                structure, changes = self._split
-                groups = self._compose(structure).choices if settings else {}
-                options = [f"{key}={value}" for key, value in settings.items() if key in groups]
-                composed = self._compose([*structure, *options])
-                values = changes | {key: value for key, value in settings.items() if key not in groups}
-                config = composed.config.copy() if values else composed.config
-                for key, value in values.items():
-                    _set(config, key, value)
-                plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+                yield
         except ConfigError:
             raise
         except (HydraException, OmegaConfBaseException, UserWarning) as error:
-            raise _in_one_line(error) from error
+            raise in_one_line(error) from error
         except Exception as error:  # of a file or a value; Hydra raises others than its own, too
             raise ConfigError(" ".join(self.overrides), reason(error)) from error
-        theirs = own(plain, self._folders, self._allowed)
-        return Composition(plain, dict(composed.choices), theirs, tuple(_from_environment(config)))
 
     @cached_property
-    def _split(self) -> tuple[list[str], dict[str, Any]]:
+    def _grid(self) -> DictConfig | None:
+        """The node `sweep`, which trials share."""
+        return self._merged(self._split, {}, grid=True)[0].get("sweep")
+
+    @cached_property
+    def _split(self) -> _Split:
+        """The overrides, split."""
+        return self._split_up(self.overrides)
+
+    @cached_property
+    def _split_of_trials(self) -> _Split:
+        """The overrides that concern a trial, split."""
+        pairs = zip(self.overrides, parsed(self.overrides), strict=True)
+        return self._split_up([text for text, each in pairs if not _is_of_the_grid(each)])
+
+    def _split_up(self, overrides: Sequence[str]) -> _Split:
         """The overrides that Hydra composes, and those that change values of what it composed.
 
         Where one adds or deletes a key, all are Hydra's: their order counts.
@@ -154,7 +218,7 @@ class Variations:
         folders = [resource_folder("conf"), *self._folders]
         structure: list[str] = []
         values: dict[str, Any] = {}
-        for text, each in zip(self.overrides, _parsed(self.overrides), strict=True):
+        for text, each in zip(overrides, parsed(overrides), strict=True):
             key = each.key_or_group
             changes = each.type is OverrideType.CHANGE and not each.is_sweep_override() and not each.package
             if "/" in key or any((folder / key).is_dir() for folder in folders) or key == "sweep":
@@ -162,13 +226,21 @@ class Variations:
             elif changes and not key.startswith("hydra."):
                 values[key] = each.value()
             else:
-                return self.overrides, {}
-        return structure, values
+                return _Split(overrides, {})
+        return _Split(structure, values)
 
-    def _compose(self, overrides: Sequence[str]) -> _Composed:
-        """Hydra's work: once for each choice of options, while no file changes."""
-        files = state([resource_folder("conf"), resource_folder("sweeps"), *map(Path.resolve, self._folders)])
-        return _composed(tuple(overrides), self._config_dir, files)
+
+class _Split(NamedTuple):
+    """Overrides by who sees to them."""
+
+    structure: Sequence[str]  # Hydra
+    values: dict[str, Any]  # that are set in what it composed
+
+
+def _is_of_the_grid(override: Override) -> bool:
+    """Whether an override says what the grid is, not what a trial is; a sweep's file says both."""
+    key, within, _ = override.key_or_group.partition(".")
+    return key == "sweep" and (bool(within) or not isinstance(override.value(), str))
 
 
 def _from_environment(config: DictConfig) -> Iterator[str]:
@@ -183,105 +255,3 @@ def _from_environment(config: DictConfig) -> Iterator[str]:
             waiting += [(f"{key}.{part}", each) for part, each in parts]
         elif "${oc.env:" in str(value):
             yield key
-
-
-class _Composed(NamedTuple):
-    """A composition by Hydra."""
-
-    config: DictConfig  # interpolations not yet resolved
-    choices: Mapping[str, str]
-
-
-@lru_cache(maxsize=2000)
-def _composed(overrides: Sequence[str], config_dir: str | None, files: frozenset) -> _Composed:
-    """Hydra's composition, which takes 40 ms; `files` is the state of what it reads."""
-    import hydra
-    from omegaconf import OmegaConf
-
-    if config_dir is not None:
-        for file in (Path(path) for path, *_ in files):
-            if file.is_relative_to(config_dir):
-                check_ends(file)
-        overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'file://{config_dir}')}]"]
-    values = {each.key_or_group: each.value() for each in _parsed(overrides)}  # the last of each
-    if isinstance(sweep := values.get("sweep"), str):
-        register_sweep(sweep, config_dir)
-    with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
-        composed = hydra.compose("config", [*WITHOUT_JOBS, *overrides], return_hydra_config=True)
-    runtime: dict[str, str] = dict(composed.hydra.runtime.choices)
-    choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
-    if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell
-        choices["preset"] = ",".join(map(str, presets))
-    own = OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
-    OmegaConf.set_struct(own, True)
-    return _Composed(own, choices)
-
-
-def _set(config: DictConfig, key: str, value: Any) -> None:
-    """Set a value; a key that the config lacks begins with +."""
-    from omegaconf import OmegaConf
-    from omegaconf.errors import ConfigAttributeError, ConfigKeyError
-
-    try:
-        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
-    except (ConfigAttributeError, ConfigKeyError) as error:
-        raise _no_such_key(key) from error
-
-
-def overridden(overrides: Sequence[str]) -> list[str]:
-    """The keys and groups that overrides set or delete.
-
-    Raises
-    ------
-    ConfigError
-        If one cannot be parsed.
-    """
-    from hydra.errors import HydraException
-
-    try:
-        return [each.key_or_group for each in _parsed(overrides)]
-    except HydraException as error:
-        raise _in_one_line(error) from error
-    except RecursionError as error:
-        raise ConfigError(" ".join(overrides), reason(error)) from error
-
-
-def _quoted(text: str) -> str:
-    """Text quoted as a value of an override, whichever characters it has."""
-    escaped = text.replace("'", "\\'")
-    return f"'{escaped}'"
-
-
-def _parsed(overrides: Sequence[str]) -> list[Override]:
-    """The overrides as Hydra parses them."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-
-    return OverridesParser.create().parse_overrides(list(overrides))
-
-
-def _in_one_line(error: Exception) -> ConfigError:
-    """Hydra's and OmegaConf's multi-line errors, as one line that names the key."""
-    from hydra.errors import MissingConfigException, OverrideParseException
-    from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
-
-    if isinstance(error, MissingConfigException) and error.options is not None:
-        group, _, option = (error.missing_cfg_file or "").rpartition("/")
-        choice = f"{group}={option}"
-        return unknown([choice], choice, f"no such option; {group} has {', '.join(error.options)}")
-    cause = error.__cause__
-    if isinstance(cause, ConfigAttributeError | ConfigKeyError):
-        return _no_such_key(str(error).split("'")[1])
-    lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
-    if isinstance(error, OverrideParseException):
-        said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it is the override again
-        return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
-    if isinstance(error, OmegaConfBaseException) and error.full_key:
-        return ConfigError(error.full_key, lines[0])
-    return unknown(re.findall("'(.+?)'", lines[0]), "", ": ".join(lines[:2]))
-
-
-def _no_such_key(key: str) -> ConfigError:
-    """The error of a key that the config has not."""
-    if key.startswith("sweep."):
-        return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
-    return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

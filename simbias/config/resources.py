@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from simbias.config.renamed import unknown
 from simbias.core.errors import ConfigError, reason
@@ -54,10 +56,13 @@ def _sweep_folders(config_dir: Path | str | None) -> Iterator[Path]:
     yield resource_folder("sweeps")
 
 
-def register_sweep(name: str, config_dir: Path | str | None, known: frozenset[str] = frozenset()) -> None:
+def register_sweep(
+    name: str, config_dir: Path | str | None, grid: bool = True, known: frozenset[str] = frozenset()
+) -> None:
     """Make a file of `sweeps`, and those that its defaults list names, options of Hydra's group `sweep`.
 
     A search path would make the folder a group of the name `sweeps`, and each file need a package header.
+    Without the grid, their node `sweep` is left out.
 
     Raises
     ------
@@ -65,7 +70,6 @@ def register_sweep(name: str, config_dir: Path | str | None, known: frozenset[st
         If there is no such file, or it cannot be read.
     """
     from hydra.core.config_store import ConfigStore
-    from omegaconf import DictConfig, OmegaConf
 
     found = (folder / f"{name}.yaml" for folder in _sweep_folders(config_dir))
     file = next((file for file in found if file.exists()), None)
@@ -74,15 +78,25 @@ def register_sweep(name: str, config_dir: Path | str | None, known: frozenset[st
         names = ", ".join(sweeps(config_dir))
         raise unknown([choice], choice, f"no such option; sweep has {names}")
     try:
-        node = OmegaConf.load(file)
+        about = file.stat()
+        content = _loaded(file, about.st_mtime_ns, about.st_size)
     except Exception as error:  # OmegaConf's, YAML's or the system's
         raise ConfigError(str(file), reason(error)) from error
-    if not isinstance(node, DictConfig):
+    if not isinstance(content, dict):
         raise ConfigError(str(file), "must be a mapping")
+    node = {key: value for key, value in content.items() if grid or key != "sweep"}
     ConfigStore.instance().store(name, node, "sweep", "_global_")
-    for other in node.get("defaults") or []:
+    for other in content.get("defaults") or []:
         if isinstance(other, str) and other not in {"_self_", name, *known}:
-            register_sweep(other, config_dir, known | {name})
+            register_sweep(other, config_dir, grid, known | {name})
+
+
+@lru_cache(maxsize=100)
+def _loaded(file: Path, time: int, size: int) -> Any:
+    """The content of a YAML file in plain containers; it is read again once its time or size changes."""
+    from omegaconf import OmegaConf
+
+    return OmegaConf.to_container(OmegaConf.load(file))
 
 
 def state(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:

@@ -22,6 +22,7 @@ FIELD = re.compile(
     r"(?P<topic>/[\w/]*)\.(?P<fields>[\w.]+?)(?:\[(?P<item>\w+)\])?$"
 )  # /joints.position[elbow]
 BAGS = (".mcap", ".db3", ".bag")
+NO_SAMPLE = ("", "nan")  # a cell
 NANOSECOND = 1e-9
 RESET = 1e4  # usual intervals between samples that a reset of the clock counts as
 
@@ -65,7 +66,7 @@ class Signals(ABC):
 
 
 class Columns(Signals):
-    """The signals of a CSV file; a blank cell is no sample, as where columns have rates of their own."""
+    """The signals of a CSV file; a blank cell, or nan, is no sample, as where columns have rates apart."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -87,13 +88,13 @@ class Columns(Signals):
         return self._known[name][1] if name in self._known else ""
 
     def signal(self, name: str, time: str) -> Signal:
-        """The cells of a column that are not blank."""
+        """The cells of a column that hold a sample."""
         lacking = [each for each in (time, name) if each not in self._known]
         if lacking:
             raise self.missing(lacking, list(self._known), "row 1: ")
         (clock, _), (column, _) = self._known[time], self._known[name]
         table, instants = self._table, self._instants(clock)
-        kept = [i for i, cells in enumerate(table.cells) if cells[column].strip()]
+        kept = [i for i, cells in enumerate(table.cells) if cells[column].strip().lower() not in NO_SAMPLE]
         if len(kept) < len(table.cells):
             rows = tuple(table.rows[i] for i in kept)
             cells = [table.cells[i] for i in kept]

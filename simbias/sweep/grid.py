@@ -16,7 +16,8 @@ from pydantic import Field
 from simbias.config import Composition, ConfigError, Variations
 from simbias.config.allowed import Own
 from simbias.config.components import construct, validate
-from simbias.config.composition import NOT_HASHED, overridden
+from simbias.config.composition import NOT_HASHED
+from simbias.config.hydra_config import overridden
 from simbias.core import Task
 from simbias.core.ranges import Share
 from simbias.sweep.axes import Axis, label, read_axis
@@ -229,16 +230,14 @@ def _cells(axes: Sequence[Axis], common_seeds: frozenset[str], variations: Varia
         if twin != labels:
             raise ConfigError("sweep.axes", f"{' '.join(twin)} and {' '.join(labels)} are the same config")
         if (key := repr(seeding)) not in identities:
-            identities[key] = (
-                variations.composition(seeding).trial.group_hash if common_seeds else composition.group_hash
-            )
+            identities[key] = variations.trial(seeding).group_hash if common_seeds else composition.group_hash
         yield Cell(labels, composition, identities[key])
 
 
 def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequence[Axis]) -> Composition:
     """The composition of a cell's trials; where the config has no such key, the error names the axis."""
     try:
-        return variations.composition(settings).trial
+        return variations.trial(settings)
     except ConfigError as error:
         for axis in axes:
             if error.key in axis.keys and error.problem.startswith("no such key"):

@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from simbias.config import compose
 from simbias.config.build import build
-from simbias.config.composition import overridden
+from simbias.config.hydra_config import overridden
 from simbias.core.messages import counted, with_trace
 from simbias.terminal.lines import say, temporary_traceback
 from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts

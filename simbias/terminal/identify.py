@@ -11,7 +11,7 @@ from rich.console import Console
 
 from simbias.config import Composition, ConfigError, compose
 from simbias.config.build import build
-from simbias.config.composition import overridden
+from simbias.config.hydra_config import overridden
 from simbias.recordings import words
 from simbias.recordings.assessment import Assessment, assess
 from simbias.recordings.excitation import Designer, Excitation

@@ -10,13 +10,12 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import psutil
 import pytest
 from conftest import ROOT
-from engine_tasks import Task, Trap, examine, hand_over, hand_over_a_view, set_trap, work
+from engine_tasks import Task, Trap, call, examine, hand_over, hand_over_a_view, set_trap, work
 from threadpoolctl import threadpool_limits
 
 from simbias.config import compose
@@ -60,58 +59,53 @@ def eventually(seconds: float, condition: Any) -> bool:
 class Counted(Sequence):
     """Tasks that count how many were taken out."""
 
-    def __init__(self, length: int) -> None:
-        self.length, self.starts = length, 0
+    def __init__(self, tasks: list[Any]) -> None:
+        self.tasks, self.starts = tasks, 0
 
     def __len__(self) -> int:
-        return self.length
+        return len(self.tasks)
 
     def __getitem__(self, index: Any) -> Any:
-        if index == self.length:
-            raise IndexError
+        task = self.tasks[index]
         self.starts += 1
-        return (index, 0.0, "")
+        return task
 
 
 @pytest.mark.parametrize("subject", ENGINES, ids=name_of)
-def test_200_tiny_tasks(subject: Engine) -> None:
-    """Each once; Dask has no more of them at a time than two for each worker."""
-    tasks, results = Counted(200), []
-    for index, result in subject.run(work, tasks):
-        assert not isinstance(subject, Dask) or tasks.starts - len(results) <= 2 * 2
-        results.append((index, result))
-    assert numbers(results) == [(i, 2 * i) for i in range(200)]
+def test_each_task_has_its_result_once(subject: Engine) -> None:
+    """The one that it has here: Dask looks into arguments for keys and calls, which is none of its business.
+
+    Dask has no more tasks at a time than two for each worker.
+    """
+    things = [{"a": ("x", [1, {"b": (None, len)}])}, (max, 1, 2), "_run_alone"]
+    others = [(examine, (0.1 * k, thing)) for k, thing in enumerate(things)]
+    others.append((hand_over_a_view, {"a": 1}))
+    tasks = Counted([*others, *((work, (number, 0.0, "")) for number in range(200))])
+    results = []
+    with threadpool_limits(1):
+        for result in subject.run(call, tasks):
+            results.append(result)
+            assert not isinstance(subject, Dask) or tasks.starts - len(results) < 2 * 2
+        found = dict(results)
+        assert [found.pop(index) for index in range(len(others))] == list(map(call, others))
+    assert len(results) == len(tasks)
+    assert [found[index][0] for index in sorted(found)] == [2 * number for number in range(200)]
     assert list(subject.run(work, [])) == []
 
 
 @pytest.mark.parametrize("subject", WORKERS, ids=name_of)
-def test_a_pure_function_has_the_same_result_everywhere(subject: Engine) -> None:
-    """Dask looks into arguments for keys and calls; tasks are none of its business."""
-    things = [{"a": ("x", [1, {"b": (None, len)}])}, (max, 1, 2), "_run_alone"]
-    tasks = [(0.1 * k, thing) for k, thing in enumerate(things)]
-    with threadpool_limits(1):
-        assert dict(subject.run(examine, tasks)) == dict(Sequential().run(examine, tasks))
-
-
-@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
 def test_a_worker_that_dies_once_loses_nothing(subject: Engine, tmp_path: Path) -> None:
-    tasks: list[Task] = [(number, 0.1, "") for number in range(8)]
-    tasks[3] = (3, 0.1, str(tmp_path / "died"))
-    results = list(subject.run(work, tasks))
-    assert numbers(results) == [(i, 2 * i) for i in range(8)]
-    assert (tmp_path / "died").exists()
-    assert os.getpid() not in {result[1] for _, result in results}  # type: ignore[index]
-
-
-@pytest.mark.parametrize("subject", WORKERS, ids=name_of)
-def test_a_result_that_died_with_its_worker_is_made_again(subject: Engine, tmp_path: Path) -> None:
-    ((index, result),) = subject.run(set_trap, [str(tmp_path / "died")])
-    assert (index, type(result)) == (0, Trap)
-
-
-@pytest.mark.parametrize("subject", ENGINES, ids=name_of)
-def test_results_are_what_they_were(subject: Engine) -> None:
-    assert dict(subject.run(hand_over_a_view, [{"a": 1}])) == {0: MappingProxyType({"a": 1})}
+    """Nor does one that dies as it sends a result."""
+    tasks: list[Any] = [(work, (number, 0.1, "")) for number in range(8)]
+    tasks[3] = (work, (3, 0.1, str(tmp_path / "died")))
+    tasks.append((set_trap, str(tmp_path / "died as well")))
+    results = list(subject.run(call, tasks))
+    found = dict(results)
+    assert len(results) == len(found) == len(tasks)
+    assert type(found.pop(8)) is Trap
+    assert numbers(found.items()) == [(i, 2 * i) for i in range(8)]
+    assert {file.name for file in tmp_path.iterdir()} >= {"died", "died as well"}
+    assert os.getpid() not in {result[1] for result in found.values()}  # type: ignore[index]
 
 
 @pytest.mark.parametrize("subject", WORKERS, ids=name_of)

@@ -11,7 +11,7 @@ from simbias.core import FittedBias
 from simbias.core.records import Array, Transitions
 
 OPTIONS = ["gp", "sparse_gp", "gp_learned", "sparse_gp_learned"]
-DRAWS = 4000
+DRAWS = 1500
 
 
 def data(n: int = 60) -> Transitions:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mechanisms import cart_pole, mjcf
-from pendulum import NOISE, pendulum
+from pendulum import NOISE, QUICK, pendulum
 
 from simbias.core import Nominal
 from simbias.core.parameters import values_at
@@ -109,7 +109,7 @@ def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
 def test_they_come_back(motors: str, sensors: str, true: dict[str, float]) -> None:
     """Beside the pendulum's eleven parameters, from two seconds."""
     study = pendulum(
-        *("identification=posterior", "identification.starts=4", "identification.rounds=2"),
+        *QUICK,
         f"+identification.motors={motors}",
         f"+identification.sensors={sensors}",
     )
@@ -180,7 +180,7 @@ def test_a_load_is_of_one_recording_and_all_else_is_shared() -> None:
 def test_recordings_that_are_fitted_together_have_their_own_zeros() -> None:
     """Each zero comes back; of yet another recording the prior alone is known."""
     study = pendulum(
-        *("identification=posterior", "identification.starts=4", "identification.rounds=2"),
+        *QUICK,
         "+identification.sensors={pos2: {zero: 0.05}}",
     )
     rig, rng = study.identification.prior(study.nominal), np.random.default_rng(1)  # type: ignore[attr-defined]

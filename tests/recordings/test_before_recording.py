@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from pendulum import NOISE, pendulum
+from pendulum import NOISE, QUICK, pendulum
 
 from simbias.__main__ import main
 from simbias.config import ConfigError
@@ -21,7 +21,6 @@ from simbias.recordings.recovery import Recovery, Take, record, recover
 from simbias.simulation.open_loop import PredictionModel
 from simbias.trial.study import Study
 
-QUICK = ["identification=posterior", "identification.starts=4", "identification.rounds=2"]
 LAB = "excitation_143601.csv.gz"
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import yaml
 from mechanisms import cart_pole, mjcf
-from pendulum import COLUMNS, experiment, pendulum, truth
+from pendulum import COLUMNS, QUICK, experiment, pendulum, truth
 from scipy.stats import multivariate_normal
 
 import simbias
@@ -28,8 +28,6 @@ from simbias.recordings.words import verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.trial.study import Study
-
-QUICK = ["identification=posterior", "identification.starts=4", "identification.rounds=2"]
 
 
 @pytest.fixture(scope="module")

@@ -352,16 +352,14 @@ def test_states_of_twenty_frames_stay_in_the_lanes() -> None:
 
 NUMBERS = """
 import hashlib, numpy as np, simbias
-from simbias.learning.bias.none import ZeroBias
 from simbias.core.records import Transitions
 study = simbias.load(["tracking=none", "task.horizon=300"])
 rng = np.random.default_rng(0)
 scale = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])
 data = Transitions(rng.normal(size=(100, 7)) * scale, 1e-4 * rng.normal(size=(100, 6)))
 thetas, starts = rng.uniform(-5, 5, (20, 5)), np.array([study.task.draw_start(rng) for _ in range(20)])
-for bias in (ZeroBias(6), study.bias.fit(data)):
-    rollouts = study.simulator(bias).rollouts(thetas, starts)
-    print(hashlib.sha256(b"".join(rollout.states.tobytes() for rollout in rollouts)).hexdigest())
+rollouts = study.simulator(study.bias.fit(data)).rollouts(thetas, starts)
+print(hashlib.sha256(b"".join(rollout.states.tobytes() for rollout in rollouts)).hexdigest())
 """
 
 
@@ -369,7 +367,7 @@ for bias in (ZeroBias(6), study.bias.fit(data)):
 def test_numbers_do_not_depend_on_the_kind_of_processor() -> None:
     """As long as it has AVX2 and fused products and sums: what vectors are wide as, and what is inlined."""
     numbers = set()
-    for processor in ("haswell", "znver3", None):
+    for processor in ("haswell", None):  # with vectors of 256 bits, and as wide as here
         environment = os.environ | ({"NUMBA_CPU_NAME": processor} if processor else {})
         made = subprocess.run(
             [sys.executable, "-c", NUMBERS], env=environment, capture_output=True, text=True

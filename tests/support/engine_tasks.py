@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,6 +16,12 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
+
+
+def call(task: tuple[Callable, Any]) -> Any:
+    """What a function gives for its argument."""
+    function, argument = task
+    return function(argument)
 
 
 def work(task: Task) -> tuple[int, int]:

@@ -17,6 +17,7 @@ OPTIONS = [
     *("preset=double_pendulum", "identification=none", "bias=gp", "tracking=none"),
     *("hardware.folder=tests/recordings", f"hardware.columns={{{COLUMNS}}}"),
 ]
+QUICK = ["identification=posterior", "identification.starts=4", "identification.rounds=2"]
 NOISE = np.array([2e-4, 2e-4, 0.05, 0.05])  # rad, rad/s
 
 

@@ -13,6 +13,9 @@ from simbias.config.components import TARGET
 from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
+GROUPS = (  # whose options go through the conformance suite; robots have theirs in tests/robots
+    *("policy", "bias", "samples", "cost", "evaluation", "identification", "optimizer"),
+)
 MODEL = "gymnasium:envs/mujoco/assets/inverted_pendulum.xml"
 COLUMNS = (  # of tests/recordings
     "hardware.columns={pos1:pos_meas1,pos2:pos_meas2,vel1:vel_meas1,vel2:vel_meas2,"

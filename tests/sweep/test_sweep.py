@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import re
 import shutil
 import subprocess
@@ -30,40 +29,63 @@ from sweeping import (
 
 import simbias
 from simbias.__main__ import main
-from simbias.config import ConfigError, compose, sweeps
-from simbias.sweep.axes import read_axis
-from simbias.sweep.grid import Trial, expand
-from simbias.sweep.running import SweepObserver
+from simbias.config import ConfigError, sweeps
+from simbias.engine.sequential import Sequential
+from simbias.sweep.grid import Sweep, Trial, expand
+from simbias.sweep.running import SweepObserver, run_sweep
+from simbias.sweep.state import finished
+from simbias.sweep.tracking import Folders
 from simbias.sweep.worker import Plan, Result, run_plan
 from simbias.terminal.notices import COMPILING
 from simbias.terminal.sweep import SweepConsole
 
 pytestmark = pytest.mark.slow
 
+SHORT = {
+    "task": {"horizon": 200},
+    "evaluation": {"seconds": 0.2},
+    "optimizer": {"max_evaluations": 5, "explorations": 5},
+    "method": {"max_iterations": 1, "lqr_candidates": 1},
+    "policy_test": {"episodes": 1, "long_episodes": 0},
+}
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
 
 
+def corners(sweep: Sweep) -> tuple[Trial, ...]:
+    """Few trials in which every point of every axis comes up."""
+    labels = [axis.labels for axis in sweep.axes]
+    some = {tuple(each[i % len(each)] for each in labels) for i in range(max(map(len, labels)))}
+    return tuple(trial for trial in sweep.trials if trial.cell.labels in some)
+
+
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith(("fig", "methods"))])
-def test_every_sweep_runs_shortened(name: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    base = compose([f"+sweep={name}"]).config  # not expanded: that takes as long as the trials
-    axes = [read_axis(*axis) for axis in base["sweep"]["axes"].items()]
-    swept = {key for axis in axes for key in axis.keys}
-    wanted = {"evaluation.seconds": 0.2, "method.lqr_candidates": 1}
-    known = {f"{group}.{key}" for group in ("evaluation", "method") for key in base[group]}
-    shorter = [
-        f"{key}={value}" for key, value in wanted.items() if key in known and key.split(".")[0] not in swept
-    ]
-    quick = ["method.max_iterations=1", "optimizer.max_evaluations=5", "sweep.trials=1"]
-    quick += ["policy_test.long_episodes=0", "policy_test.episodes=1", "tracking=none", "engine=sequential"]
-    assert main([f"+sweep={name}", *QUICK, *quick, *shorter]) == 0
-    out = capsys.readouterr().out
-    cells = math.prod(len(axis.points) for axis in axes)
-    assert f"{cells} cells x 1 trials = {cells}" in out
-    assert f"[{cells}/{cells}]" in out
-    assert ("the paper's" in out.partition("experiments: ")[2]) == (
-        "paper" in base["sweep"].get("report", {})
+def test_every_sweep_runs_shortened(
+    name: str, folder: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    """Its corners; they are read back, its table has a line for every cell, and its figures are drawn."""
+    whole = expand([f"+sweep={name}", "sweep.trials=1"])
+    if {cell.composition.choices["task"] for cell in whole.cells} != {"bongoboard"}:
+        request.getfixturevalue("uncompiled")
+    configs = [whole.base.config, *(cell.composition.config for cell in whole.cells)]
+    known = set.intersection(
+        *({f"{group}.{key}" for group in SHORT for key in each[group]} for each in configs)
     )
-    assert {file.name for file in folder.iterdir()} <= {"figures"}  # tracking=none keeps nothing
+    keys = known - {key for axis in whole.axes for key in axis.keys}
+    shorter = [f"{group}.{key}={value}" for group, values in SHORT.items() for key, value in values.items()]
+    sweep = expand(
+        [f"+sweep={name}", "sweep.trials=1", *(each for each in shorter if each.split("=")[0] in keys)]
+    )
+    vars(sweep)["trials"] = corners(sweep)
+    trials, _ = run_sweep(sweep, Sequential(), store := Folders(pictures=False), "again", SweepConsole())
+    count = max(len(axis.points) for axis in sweep.axes)
+    assert len(trials) == count
+    assert set(trials["raised"]) == {""}
+    pd.testing.assert_frame_equal(finished(sweep, store), trials)
+    out = capsys.readouterr().out
+    assert f"{len(sweep.cells)} cells x 1 trials = {count}" in out
+    assert f"[{count}/{count}]" in out
+    assert len(table(folder).splitlines()) == 1 + len(sweep.cells)
+    assert {file.stem for file in sweep_folder(folder).glob("figures/*")} == set(sweep.figures)
 
 
 def test_the_folder_tells_everything(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -242,13 +264,13 @@ from simbias.__main__ import main
 command = ["--config-dir", sys.argv[1], *sys.argv[2:]]
 assert main([*command, "sweep.trials=2"]) == 0
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-assert main([*command, "sweep.trials=14"]) == 0
+assert main([*command, "sweep.trials=8"]) == 0
 print("more MiB:", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 """
 
 
 def test_parents_memory_is_flat(folder: Path) -> None:
-    """24 trials more, whose rollouts alone are 3 MiB when unpacked; their export to MLflow too."""
+    """12 trials more; their export to MLflow too."""
     small = [*QUICK, "task.horizon=500", "tracking.pictures=false"]
     done = subprocess.run(
         [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *small],
@@ -258,8 +280,8 @@ def test_parents_memory_is_flat(folder: Path) -> None:
         check=True,
     )
     more = float(done.stdout.splitlines()[-1].split()[-1])
-    print(f"24 trials more take {more:.1f} MiB more")
-    assert more < 15
+    print(f"12 trials more take {more:.1f} MiB more")
+    assert more < 8
 
 
 def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from sweeping import finish, run, start, until_trials, write_sweep
+from sweeping import FOLDERS, finish, run, start, until_trials, write_sweep
 
 import simbias
 from simbias.__main__ import main
@@ -37,7 +37,6 @@ SMALL = {
         "sweep.figures.fig7.experiments=1",
     ],
 }
-FOLDERS = ["tracking=folders", "tracking.pictures=false"]
 
 
 def command(name: str) -> list[str]:

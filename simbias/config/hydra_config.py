@@ -1,0 +1,123 @@
+"""A config as Hydra composes it from overrides; what is wrong with them, in one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from simbias.config.renamed import unknown
+from simbias.config.resources import check_ends, register_sweep, resource_folder
+from simbias.core.errors import ConfigError, reason
+
+if TYPE_CHECKING:
+    from hydra.core.override_parser.types import Override
+    from omegaconf import DictConfig
+
+JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
+WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # which Hydra runs none of here: a fourth of its time
+
+
+class Composed(NamedTuple):
+    """A composition by Hydra."""
+
+    config: DictConfig  # interpolations not yet resolved
+    choices: Mapping[str, str]
+
+
+@lru_cache(maxsize=2000)
+def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files: frozenset) -> Composed:
+    """Hydra's composition, with or without the grid; `files` is the state of what it reads."""
+    import hydra
+    from omegaconf import OmegaConf, open_dict
+
+    if config_dir is not None:
+        for file in (Path(path) for path, *_ in files):
+            if file.is_relative_to(config_dir):
+                check_ends(file)
+        overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'file://{config_dir}')}]"]
+    values = {each.key_or_group: each.value() for each in parsed(overrides)}  # the last of each
+    if isinstance(sweep := values.get("sweep"), str):
+        register_sweep(sweep, config_dir, grid)
+    with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
+        config = hydra.compose("config", [*WITHOUT_JOBS, *overrides], return_hydra_config=True)
+    runtime: dict[str, str] = dict(config.hydra.runtime.choices)
+    choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
+    if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell
+        choices["preset"] = ",".join(map(str, presets))
+    with open_dict(config):
+        del config["hydra"]
+    OmegaConf.set_struct(config, True)
+    return Composed(config, choices)
+
+
+def set_value(config: DictConfig, key: str, value: Any) -> None:
+    """Set a value; a key that the config lacks begins with +."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import ConfigAttributeError, ConfigKeyError
+
+    try:
+        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
+    except (ConfigAttributeError, ConfigKeyError) as error:
+        raise _no_such_key(key) from error
+
+
+def overridden(overrides: Sequence[str]) -> list[str]:
+    """The keys and groups that overrides set or delete.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be parsed.
+    """
+    from hydra.errors import HydraException
+
+    try:
+        return [each.key_or_group for each in parsed(overrides)]
+    except HydraException as error:
+        raise in_one_line(error) from error
+    except RecursionError as error:
+        raise ConfigError(" ".join(overrides), reason(error)) from error
+
+
+def _quoted(text: str) -> str:
+    """Text quoted as a value of an override, whichever characters it has."""
+    escaped = text.replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def parsed(overrides: Sequence[str]) -> list[Override]:
+    """The overrides as Hydra parses them."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    return OverridesParser.create().parse_overrides(list(overrides))
+
+
+def in_one_line(error: Exception) -> ConfigError:
+    """Hydra's and OmegaConf's multi-line errors, as one line that names the key."""
+    from hydra.errors import MissingConfigException, OverrideParseException
+    from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+
+    if isinstance(error, MissingConfigException) and error.options is not None:
+        group, _, option = (error.missing_cfg_file or "").rpartition("/")
+        choice = f"{group}={option}"
+        return unknown([choice], choice, f"no such option; {group} has {', '.join(error.options)}")
+    cause = error.__cause__
+    if isinstance(cause, ConfigAttributeError | ConfigKeyError):
+        return _no_such_key(str(error).split("'")[1])
+    lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
+    if isinstance(error, OverrideParseException):
+        said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it is the override again
+        return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
+    if isinstance(error, OmegaConfBaseException) and error.full_key:
+        return ConfigError(error.full_key, lines[0])
+    return unknown(re.findall("'(.+?)'", lines[0]), "", ": ".join(lines[:2]))
+
+
+def _no_such_key(key: str) -> ConfigError:
+    """The error of a key that the config has not."""
+    if key.startswith("sweep."):
+        return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
+    return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")
