@@ -220,7 +220,8 @@ class WindowPosterior(FittedBias):
         shares = [block / s**2 for block, s in zip(self._blocks(), self._signal, strict=True)]
         values, vectors = np.linalg.eigh(np.eye(len(self._Z)) - np.mean(shares, axis=0))
         A = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ self._root)
-        U = np.linalg.qr(A[:, ::-1], mode="r")[::-1, ::-1]  # lower, with U^T U = A^T A
+        triangle: Array = np.linalg.qr(np.flip(A, axis=1), mode="r")  # type: ignore[assignment]  # mode "r" gives R alone
+        U = np.flip(triangle)  # lower, with U^T U = A^T A
         W = self._root.T @ self._mean.reshape(len(self._signal), -1).T
         return Posterior(self._hyper, self._signal, self._Z, U, W, np.empty((0, len(W))), {})
 

@@ -216,13 +216,14 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
     most = max(float(method.trials["experiments"].max()) for method in methods.values())
     handles = {}
     for index, (name, method) in enumerate(methods.items()):
-        color, _ = series_style(index)
+        color, marker = series_style(index)
+        style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.4}
         profile = performance_profile(method.scores, THRESHOLDS)
-        (handles[name],) = left.plot(THRESHOLDS, profile, color=color, linewidth=1.4)
+        (handles[name],) = left.plot(THRESHOLDS, profile, markevery=(2 * index, 20), **style)
         curve = method.curve
         x = np.array([0.0, *curve.experiments, most])
         probability = np.array([0.0, *curve.probability])
-        right.step(x, np.append(probability, probability[-1]), where="post", color=color, linewidth=1.4)
+        right.step(x, np.append(probability, probability[-1]), where="post", **style)
     left.set_xlabel("test episodes that last")
     left.set_ylabel("trials with more")
     left.xaxis.set_major_formatter(PercentFormatter(1.0))
