@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from simbias.core import HardwareError
-from simbias.core.errors import ConfigError
+from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
@@ -70,8 +70,8 @@ def columns(text: str) -> dict[str, str]:
 
     try:
         found = yaml.safe_load(Path(text).read_text() if text.endswith((".yaml", ".yml")) else text)
-    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError("--columns", words(error)) from error
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError("--columns", reason(error)) from error
     if not isinstance(found, dict) or not all(
         isinstance(each, str) for pair in found.items() for each in pair
     ):

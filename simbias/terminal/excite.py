@@ -23,6 +23,7 @@ from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 200
+LEAST, MOST = 0.01, 3600.0  # s of inputs
 NO_INPUTS = "no inputs were found that keep these limits and the task's criteria"
 
 
@@ -32,8 +33,10 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     Raises
     ------
     ConfigError
-        If no inputs keep the limits, or the file cannot be written.
+        If there are no inputs of this duration, none keep the limits, or the file cannot be written.
     """
+    if not LEAST <= seconds <= MOST:
+        raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
     console = Console(highlight=False)
     study, given = _prepared(request)
     recordings = list(given.rollouts.values())

@@ -32,6 +32,15 @@ class Method(ABC):
         """Hardware experiments of a trial that never succeeds, at most."""
         return self.max_iterations * self.experiments
 
+    def check(self, study: Study) -> None:  # noqa: B027 (most work with any)
+        """Refuse components that the method cannot work with, before anything is made.
+
+        Raises
+        ------
+        ConfigError
+            Naming the key.
+        """
+
     @abstractmethod
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration as it ends."""

@@ -54,10 +54,12 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     Raises
     ------
     ConfigError
-        If the folder cannot be written, or another process runs this trial.
+        If the method cannot work with a component, the folder cannot be written, or another process runs this
+        trial.
     KeyboardInterrupt
         When interrupted; what was done is kept.
     """
+    study.method.check(study)
     kept = None if folder is None else FolderRecord(folder, study)
     run, record = _Run(study, kept, observer or Observer()), None
     with threadpool_limits(1, user_api="blas"), kept.opened() if kept else nullcontext():

@@ -130,6 +130,14 @@ def test_noise_is_that_which_was_added() -> None:
     np.testing.assert_allclose(noise_of([Rollout(noisy, noisy[:-1])]), [0.01, 0.1], rtol=0.1)
 
 
+def test_no_inputs_last_for_ever(capsys: pytest.CaptureFixture[str]) -> None:
+    for seconds in ("1e5000", "nan", "-1", "0", "1e9"):
+        assert main(["excite", f"--seconds={seconds}"]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("simbias: --seconds: must be from 0.01 to 3600, got ")
+        assert said.count("\n") == 1
+
+
 @pytest.mark.slow
 def test_the_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

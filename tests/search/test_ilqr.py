@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
@@ -11,6 +13,8 @@ from simbias.core.errors import ConfigError
 from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
+from simbias.trial.methods.model_based import ModelBased
+from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
 A = np.array([[1.0, 0.1], [0.3, 0.98]])
@@ -65,4 +69,6 @@ def test_without_a_policy_that_follows_it_is_one_line(cartpole: Study) -> None:
     other = simbias.load(["preset=cartpole", "tracking=none"])
     with pytest.raises(ConfigError, match="OutputFeedback follows no trajectory; policy=trajectory does"):
         next(trajectory_candidates(other.first_model(), 1))
+    with pytest.raises(ConfigError, match=r"^method\.trajectories: OutputFeedback follows no trajectory"):
+        run_trial(replace(other, method=ModelBased(trajectories=1)))  # before it begins
     assert not list(trajectory_candidates(other.first_model(), 0))

@@ -102,6 +102,13 @@ def test_a_file_name_that_no_system_takes_is_one_line(line: Any) -> None:
         assert err.endswith(": File name too long\n")
 
 
+def test_columns_that_are_nested_too_deeply_are_one_line(line: Any) -> None:
+    for nested in ("[" * 3000, "{a: " * 3000):
+        status, out, err = line("identify", "x.csv", "--columns", nested)
+        assert (status, out, err.count("\n")) == (2, "", 1), err
+        assert err.startswith("simbias: --columns: ")
+
+
 def test_options_may_stand_anywhere() -> None:
     places = ["one.csv", "preset=cartpole", "seed=1"]
     for words in (

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import Model, wrapped
+from simbias.core import Model, Policy, wrapped
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
@@ -60,16 +60,27 @@ def trajectory_candidates(model: Model, count: int) -> Iterator[Array]:
     """
     if not count:
         return
-    if not isinstance(model.policy, Trajectory):
-        problem = f"{type(model.policy).__name__} follows no trajectory; policy=trajectory does"
-        raise ConfigError("method.trajectories", problem)
-    shooting = Shooting(model)
+    shooting, policy = Shooting(model), follower(model.policy)
     plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
     found = [plan for plan in plans if plan is not None]
     if not found:
         raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
     best = min(found, key=lambda plan: plan.cost)
-    yield from shooting.following(best, model.policy, GAIN_WEIGHTS)
+    yield from shooting.following(best, policy, GAIN_WEIGHTS)
+
+
+def follower(policy: Policy) -> Trajectory:
+    """The policy, which follows trajectories.
+
+    Raises
+    ------
+    ConfigError
+        If it does not.
+    """
+    if not isinstance(policy, Trajectory):
+        problem = f"{type(policy).__name__} follows no trajectory; policy=trajectory does"
+        raise ConfigError("method.trajectories", problem)
+    return policy
 
 
 class Shooting:

@@ -10,6 +10,7 @@ import numpy as np
 
 from simbias.core.errors import ConfigError
 from simbias.core.extras import library
+from simbias.core.model import Model
 from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
@@ -50,6 +51,19 @@ class DirectSearch(Method):
     max_iterations: Count = 20
     experiments: Count = 2
 
+    def check(self, study: Study) -> None:
+        """Refuse a policy that imitates no LQR, and a model that has none, if it is to begin there."""
+        self._start(study, None if self.begin == "cold" else study.model())
+
+    def _start(self, study: Study, model: Model | None) -> Array:
+        """The policy (p,) that it begins with: the LQR of a model, or the middle of the bounds."""
+        lower, upper = study.policy.bounds
+        policies = [0.5 * (lower + upper)] if model is None else lqr_policies(model, INPUT_WEIGHTS[1:2])
+        if not policies:
+            problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
+            raise ConfigError("method.begin", problem)
+        return policies[0]
+
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every policy that is tried.
 
@@ -59,13 +73,9 @@ class DirectSearch(Method):
             If it is to begin with LQR, and the model has none or the policy cannot imitate it.
         """
         proposal_rng, hardware_rng = rng.spawn(2)
-        lower, upper = study.policy.bounds
         model = None if self.begin == "cold" else study.first_model()
-        policies = [0.5 * (lower + upper)] if model is None else lqr_policies(model, INPUT_WEIGHTS[1:2])
-        if not policies:
-            problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
-            raise ConfigError("method.begin", problem)
-        proposals = PROPOSALS[self.strategy](lower, upper, policies[0], self.deviation, proposal_rng)
+        start = self._start(study, model)
+        proposals = PROPOSALS[self.strategy](*study.policy.bounds, start, self.deviation, proposal_rng)
         theta, made = next(proposals), 0
         for index in range(self.max_iterations):
             clock = Stopwatch()

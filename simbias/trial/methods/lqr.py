@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from simbias.core.errors import ConfigError
+from simbias.core.model import Model
 from simbias.core.ranges import Count, NonNegative, Scale
-from simbias.core.records import Iteration, Rollout
+from simbias.core.records import Array, Iteration, Rollout
 from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
 from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.method import Method
@@ -66,6 +67,20 @@ class Lqr(Method):
         """Experiments that the policy of this number has to pass."""
         return passes_for(self.confidence, policy, self.experiments)
 
+    def check(self, study: Study) -> None:
+        """Refuse a policy that imitates no such regulator, and a model that has none."""
+        self._design(study.model())
+
+    def _design(self, model: Model) -> Array:
+        """The policy (p,) that imitates the model's regulator."""
+        policies = lqr_policies(model, (self.input_weight,), self.integral_weight, sticking=self.sticking)
+        if not policies:
+            kind = "LQI" if self.integral_weight else "LQR"
+            problem = f"{type(model.policy).__name__} imitates no {kind}, or the model has none"
+            raise ConfigError("method", problem)
+        (theta,) = policies
+        return theta
+
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration.
 
@@ -81,13 +96,7 @@ class Lqr(Method):
                 if experiments:
                     model = study.model(None, study.identification.fit(study.nominal, experiments))
             with clock("design"):
-                weights = (self.input_weight,), self.integral_weight
-                policies = lqr_policies(model, *weights, sticking=self.sticking)
-            if not policies:
-                kind = "LQI" if self.integral_weight else "LQR"
-                problem = f"{type(study.policy).__name__} imitates no {kind}, or the model has none"
-                raise ConfigError("method", problem)
-            (theta,) = policies
+                theta = self._design(model)
             observer.designed(theta, model)
             with clock("experiments"):
                 passes = self._passes_of(index)

@@ -10,6 +10,7 @@ import numpy as np
 
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout
+from simbias.search.optimizer.ilqr import follower
 from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
@@ -95,6 +96,11 @@ class ModelBased(Method):
         """Experiments that the policy of this number has to pass."""
         least = self.experiments if self.confidence else self.passes or self.experiments
         return passes_for(self.confidence, policy, least)
+
+    def check(self, study: Study) -> None:
+        """Refuse a policy that follows no trajectory, if trajectories are planned."""
+        if self.trajectories:
+            follower(study.policy)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""
