@@ -78,7 +78,7 @@ def overridden(overrides: Sequence[str]) -> list[str]:
         return [each.key_or_group for each in parsed(overrides)]
     except HydraException as error:
         raise in_one_line(error) from error
-    except RecursionError as error:
+    except (RecursionError, ValueError) as error:  # also of a number with too many digits
         raise ConfigError(" ".join(overrides), reason(error)) from error
 
 

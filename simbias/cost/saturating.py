@@ -11,6 +11,8 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
 
+LEAST = 1e-9  # width, in any unit
+
 
 @final
 class Saturating(Cost):
@@ -45,6 +47,8 @@ class Saturating(Cost):
         w = weights_of("widths", widths, task.goals)
         if not w.any():
             raise ValueError("widths: one has to be more than 0 at least")
+        if w[w > 0].min() < LEAST:
+            raise ValueError(f"widths: those above 0 have to be {LEAST:g} at least, got {w[w > 0].min():g}")
         self._W = np.divide(0.5, w**2, out=np.zeros_like(w), where=w > 0)  # (g,)
         self._Q = weights_of("input_weights", input_weights or {}, task.inputs)  # (m,)
 

@@ -10,6 +10,7 @@ import pytest
 
 import simbias
 from simbias.config import ConfigError, compose, sweeps
+from simbias.config.hydra_config import overridden
 from simbias.core.errors import LONGEST_KEY
 from simbias.core.messages import LONGEST, quote, words
 from simbias.sweep.grid import expand
@@ -120,6 +121,11 @@ def test_a_pipe_in_place_of_a_config_is_named(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: is no file"):
             compose([use], tmp_path)
         file.unlink()
+
+
+def test_a_number_with_too_many_digits_is_one_line() -> None:
+    with pytest.raises(ConfigError, match=r"^seed=9+ \.\.\. 9+: Exceeds the limit \(4300 digits\)"):
+        overridden([f"seed={'9' * 5000}"])
 
 
 def test_an_error_that_cannot_speak_is_one_line() -> None:

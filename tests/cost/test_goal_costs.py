@@ -83,5 +83,7 @@ def test_what_it_does_not_know_is_refused() -> None:
         Saturating(task, {"torque": 1.0}, 0.5)
     with pytest.raises(ValueError, match="widths: one has to be more than 0"):
         Saturating(task, {}, 0.5)
+    with pytest.raises(ValueError, match="widths: those above 0 have to be 1e-09 at least, got 1e-300"):
+        Saturating(task, {task.goals[0].name: 1e-300}, 0.5)
     with pytest.raises(ValueError, match="running: 'power': nothing is called power"):
         Declared(task, 1.0, 1.0, running="power")
