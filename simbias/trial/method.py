@@ -30,7 +30,11 @@ class Method(ABC):
     @cached_property
     def max_experiments(self) -> int:
         """Hardware experiments of a trial that never succeeds, at most."""
-        return self.max_iterations * self.experiments
+        return sum(map(self.passes_of, range(self.max_iterations)))
+
+    def passes_of(self, policy: int) -> int:
+        """Experiments that the trial's policy of this number, from 0, has to pass, and so makes at most."""
+        return self.experiments
 
     def check(self, study: Study) -> None:  # noqa: B027 (most work with any)
         """Refuse components that the method cannot work with, before anything is made.

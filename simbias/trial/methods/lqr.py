@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -58,12 +57,7 @@ class Lqr(Method):
         if not self.identified:
             self.max_iterations = 1
 
-    @cached_property
-    def max_experiments(self) -> int:
-        """Hardware experiments of a trial that never succeeds, at most."""
-        return sum(map(self._passes_of, range(self.max_iterations)))
-
-    def _passes_of(self, policy: int) -> int:
+    def passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
         return passes_for(self.confidence, policy, self.experiments)
 
@@ -99,7 +93,7 @@ class Lqr(Method):
                 theta = self._design(model)
             observer.designed(theta, model)
             with clock("experiments"):
-                passes = self._passes_of(index)
+                passes = self.passes_of(index)
                 rollouts = experiment(study, theta, rng, observer, passes, self.experiments)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -87,12 +86,7 @@ class ModelBased(Method):
             problem = f"{self.passes} are fewer than the {self.experiments} experiments of an iteration"
             raise ValueError(f"passes: {problem}")
 
-    @cached_property
-    def max_experiments(self) -> int:
-        """Hardware experiments of a trial that never succeeds."""
-        return sum(map(self._passes_of, range(self.max_iterations)))
-
-    def _passes_of(self, policy: int) -> int:
+    def passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
         least = self.experiments if self.confidence else self.passes or self.experiments
         return passes_for(self.confidence, policy, least)
@@ -122,7 +116,7 @@ class ModelBased(Method):
                 data, learned_from = study.no_data, []
             with clock("experiments"):
                 before_stop = 1 if self.stop_at_failure else self.experiments
-                passes = self._passes_of(index)
+                passes = self.passes_of(index)
                 rollouts = experiment(study, theta, hardware_rng, observer, passes, before_stop)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
