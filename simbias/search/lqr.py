@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.linalg import block_diag, solve_discrete_are
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
-from simbias.simulation.linearization import STEP, derivatives
+from simbias.simulation.linearization import STEP, advanced, derivatives
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
@@ -108,13 +109,7 @@ def linearised(model: Model) -> Linear:
     model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
     point = np.concatenate([x, model_state, u])
     steps = STEP * np.concatenate([np.ones(n + size), limit])
-
-    def following(points: Array) -> Array:
-        states, model_states, inputs = np.split(points, [n, n + size], axis=-1)
-        after, kept = model.nominal.advance(states, inputs, model_states)
-        return np.concatenate([after + model.bias.correction(states, inputs), kept], axis=-1)
-
-    slopes = derivatives(following, point, steps)
+    slopes = derivatives(partial(advanced, model.nominal, model.bias, n), point, steps)
     Q = np.diag(np.concatenate([np.ones(n), np.full(size, MODEL_STATE_WEIGHT)]))
     return Linear(slopes[:, : n + size], slopes[:, n + size :], point[: n + size], u, n, Q)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from simbias.core import Nominal
+from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array
 
 STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
@@ -17,6 +17,13 @@ def derivatives(function: Callable[[Array], Array], points: Array, steps: Array)
     moved = np.diag(steps)
     ahead, behind = (function(points[..., None, :] + sign * moved) for sign in (1.0, -1.0))
     return np.swapaxes((ahead - behind) / (2 * steps[:, None]), -1, -2)
+
+
+def advanced(nominal: Nominal, bias: FittedBias, n: int, points: Array) -> Array:
+    """States and model state (..., l) of the corrected model after points (..., l+m), inputs being last."""
+    x, model_state, u = np.split(points, [n, n + nominal.state_size], axis=-1)
+    after, kept = nominal.advance(x, u, model_state)
+    return np.concatenate([after + bias.correction(x, u), kept], axis=-1)
 
 
 def linearization(nominal: Nominal, x: Array, u: Array, input_limit: Array) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.riccati import Quadratic, beside, regulator, solved
 from simbias.simulation.closed_loop import simulator
-from simbias.simulation.linearization import derivatives
+from simbias.simulation.linearization import advanced, derivatives
 
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
 FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
@@ -95,7 +96,7 @@ class Shooting:
         self._simulator = simulator(replace(model, policy=self._every_frame))
         goal = [task.reference(t) for t in task.time_step * np.arange(self._T + 1)]
         self._goal = np.array(goal)  # (T+1, g)
-        rates = np.array([goal.unit.endswith("/s") for goal in task.goals])
+        rates = np.array([goal.is_rate for goal in task.goals])
         weights = np.where(rates, RATE_WEIGHT, ERROR_WEIGHT)
         self._weights = np.tile(task.time_step * weights, (self._T + 1, 1))  # (T+1, g)
         self._weights[-1] = FINAL_WEIGHT * weights
@@ -190,17 +191,10 @@ class Shooting:
 
     def _linearised(self, states: Array, inputs: Array) -> Array:
         """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m)."""
-        n, size = self._n, self._model.nominal.state_size
-
-        def following(points: Array) -> Array:
-            x, memory, u = np.split(points, [n, n + size], axis=-1)
-            after, kept = self._sliding.advance(x, u, memory)
-            return np.concatenate([after + self._model.bias.correction(x, u), kept], axis=-1)
-
-        memory = self._model.nominal.model_states(states[:-1], inputs)
-        points = np.concatenate([states[:-1], memory, inputs], axis=-1)
-        steps = STEP * np.concatenate([np.ones(n + size), self._task.input_limit])
-        return derivatives(following, points, steps)
+        model_state = self._model.nominal.model_states(states[:-1], inputs)
+        points = np.concatenate([states[:-1], model_state, inputs], axis=-1)
+        steps = STEP * np.concatenate([np.ones(points.shape[-1] - self._m), self._task.input_limit])
+        return derivatives(partial(advanced, self._sliding, self._model.bias, self._n), points, steps)
 
 
 def _at(frames: Array, rows: Array) -> Array:
