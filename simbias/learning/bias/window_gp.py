@@ -207,8 +207,11 @@ class WindowPosterior(FittedBias):
 
     def _of(self, weights: Array) -> GPSample:
         """The bias of feature weights (n R,)."""
-        W = self._root.T @ weights.reshape(len(self._signal), -1).T
-        return GPSample(self._hyper, self._Z, W)
+        return GPSample(self._hyper, self._Z, self._at_points(weights))
+
+    def _at_points(self, weights: Array) -> Array:
+        """Weights (R, n) of the covariances with the inducing points, of feature weights (n R,)."""
+        return self._root.T @ weights.reshape(len(self._signal), -1).T
 
     def _blocks(self) -> list[Array]:
         """Covariances (R, R) of the weights of each state's features."""
@@ -220,9 +223,8 @@ class WindowPosterior(FittedBias):
         shares = [block / s**2 for block, s in zip(self._blocks(), self._signal, strict=True)]
         values, vectors = np.linalg.eigh(np.eye(len(self._Z)) - np.mean(shares, axis=0))
         A = np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ self._root)
-        triangle: Array = np.linalg.qr(np.flip(A, axis=1), mode="r")  # type: ignore[assignment]  # mode "r" gives R alone
-        U = np.flip(triangle)  # lower, with U^T U = A^T A
-        W = self._root.T @ self._mean.reshape(len(self._signal), -1).T
+        U = np.flip(np.linalg.qr(np.flip(A, axis=1))[1])  # lower, with U^T U = A^T A
+        W = self._at_points(self._mean)
         return Posterior(self._hyper, self._signal, self._Z, U, W, np.empty((0, len(W))), {})
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
