@@ -29,7 +29,7 @@ PAGES = [
     ),
 ]
 SHORT = [
-    "task.horizon=200",
+    "task.horizon=120",  # swing-ups hold for 100 frames
     "optimizer.max_evaluations=20",
     "method.max_iterations=1",
     "tracking.pictures=false",

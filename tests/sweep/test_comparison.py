@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import chdir
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from sweeping import TINY
 
-from simbias.__main__ import main
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.comparison import Comparison
 from simbias.sweep.grid import Sweep, expand
 
 pytestmark = pytest.mark.slow  # to compose 22 methods takes seconds
-
-TINY = [  # one cell in place of eleven, of a second each
-    "+sweep.suite.tiny={cart-pole: {preset: cartpole}}",
-    "+sweep.suite.seeds.tiny=1",
-    "sweep.suite.split=tiny",
-]
-QUICK = [*TINY, "task.horizon=50", "budget.experiments=3"]
-QUICK += ["policy_test.episodes=2", "policy_test.long_seconds=3"]
 
 
 @pytest.fixture(scope="module")
@@ -76,22 +65,3 @@ def test_methods_of_a_cell_meet_the_same_starts(sweep: Sweep) -> None:
     seeds = {trial.repetition: trial.seed for trial in sweep.trials}
     assert all(trial.seed == seeds[trial.repetition] for trial in sweep.trials)
     assert len(sweep.cells) == len({cell.composition.group_hash for cell in sweep.cells}) == 23
-
-
-def test_all_methods_run_shortened_and_are_resumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["+sweep=methods", *QUICK, "engine=sequential", "tracking=folders", "tracking.pictures=false"]
-    with chdir(tmp_path):
-        assert main([*command, "sweep.dry_run=true"]) == 0
-        assert "23" in capsys.readouterr().out
-        assert main(command) == 0
-        first = sorted(path.name for path in tmp_path.glob("trials/*/outcome.json"))
-        assert main(command) == 0
-    out = capsys.readouterr().out
-    assert "23 of them finished already" in out
-    assert len(first) == 23
-    (csv,) = tmp_path.glob("trials/sweeps/*/figures/methods.csv")
-    numbers = pd.read_csv(csv)
-    assert (numbers["trials"] == 1).all()
-    assert not numbers["raised"].any()

@@ -20,6 +20,7 @@ from sweeping import (
     FOLDERS,
     NO_FIGURES,
     QUICK,
+    TINY,
     content,
     run,
     state,
@@ -49,7 +50,10 @@ SHORT: dict[str, dict[str, Any]] = {  # at most
     "evaluation": {"seconds": 0.2, "rollouts": 3},
     "optimizer": {"max_evaluations": 5, "explorations": 5},
     "identification": {"starts": 4, "rounds": 1, "evaluations": 4},
-    "method": {"max_iterations": 1, "lqr_candidates": 1, "trajectories": 1, "retry_search": 0},
+    "method": {
+        **{"max_iterations": 1, "retry_search": 0, "passes": 2, "confidence": 0.2},
+        **{"lqr_candidates": 1, "trajectories": 1},
+    },
     "policy_test": {"episodes": 1, "long_episodes": 0},
 }
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
@@ -60,8 +64,8 @@ def shortened(composition: Composition) -> Composition:
     config = {key: dict(value) if key in SHORT else value for key, value in composition.config.items()}
     for group, most in SHORT.items():
         for key in most.keys() & config[group].keys():
-            value = config[group][key]
-            config[group][key] = most[key] if value is None else min(value, most[key])
+            if config[group][key] is not None:
+                config[group][key] = min(config[group][key], most[key])
     return replace(composition, config=config)
 
 
@@ -72,12 +76,12 @@ def corners(sweep: Sweep) -> tuple[Trial, ...]:
     return tuple(trial for trial in sweep.trials if trial.cell.labels in some)
 
 
-@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith(("fig", "methods"))])
+@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])
 def test_every_sweep_runs_shortened(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     """Its corners; they are read back, its table has a line for every cell, and its figures are drawn."""
-    whole = expand([f"+sweep={name}", "sweep.trials=1"])
+    whole = expand([f"+sweep={name}", "sweep.trials=1", *(TINY if name == "methods" else [])])
     if {cell.composition.choices["task"] for cell in whole.cells} != {"bongoboard"}:
         request.getfixturevalue("uncompiled")
     cells = [replace(cell, composition=shortened(cell.composition)) for cell in whole.cells]
