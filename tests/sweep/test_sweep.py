@@ -51,8 +51,12 @@ SHORT: dict[str, dict[str, Any]] = {  # at most
     "optimizer": {"max_evaluations": 5, "explorations": 5},
     "identification": {"starts": 4, "rounds": 1, "evaluations": 4},
     "method": {
-        **{"max_iterations": 1, "retry_search": 0, "passes": 2, "confidence": 0.2},
-        **{"lqr_candidates": 1, "trajectories": 1},
+        "max_iterations": 1,
+        "retry_search": 0,
+        "passes": 2,
+        "confidence": 0.2,
+        "lqr_candidates": 1,
+        "trajectories": 1,
     },
     "policy_test": {"episodes": 1, "long_episodes": 0},
 }
