@@ -54,6 +54,7 @@ class Mechanism:
         engine = mujoco()
         self._file, self._added = file, actuators or ()
         model = self.model = read_model(file, self._added)
+        self._data = engine.MjData(model)  # for what follows from its parameters, in every copy
         self.source_files = source_files(file)
         known = names_of(model, "joint")
         joints = known if joints is None else list(joints)
@@ -105,7 +106,7 @@ class Mechanism:
         """The mechanism with other values of its parameters, by name, in their units."""
         changed = copy.copy(self)
         changed.model = copy.copy(self.model)
-        put_values(changed.model, values)
+        put_values(changed.model, values, self._data)
         return changed
 
     def text(self) -> str:

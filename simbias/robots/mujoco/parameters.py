@@ -126,15 +126,18 @@ def values_of(model: Any, pattern: str) -> dict[str, float]:
     return found
 
 
-def put_values(model: Any, values: Mapping[str, float]) -> None:
-    """Set parameters of a compiled model, by name, in their units; masses first, inertias grow with them."""
+def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> None:
+    """Set parameters of a compiled model, by name, in their units; masses first, inertias grow with them.
+
+    The engine computes what follows from them in data of a model of the same sizes; new data take 0.4 ms.
+    """
     for kind, quantity in QUANTITIES.items():
         for name, value in values.items():
             element, _, own = name.rpartition(".")
             if own == kind:
                 quantity.put(model, element, value)
     engine = mujoco()
-    engine.mj_setConst(model, engine.MjData(model))
+    engine.mj_setConst(model, engine.MjData(model) if data is None else data)
 
 
 def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
