@@ -55,6 +55,19 @@ class Branching(Integral):
         return (x[..., :1] if x[..., 0] > 0 else -x[..., :1]), policy_state
 
 
+class SignsOfZeros(Integral):
+    """The signs of zeros that extremes take: copysign makes them a force."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        a, b = 0.0 * x[..., :1], 0.0 * x[..., 1:]  # zeros with the signs of x
+        extremes = [f(*pair) for f in (np.maximum, np.minimum) for pair in ((a, b), (b, a))]
+        for known in (0.0, -0.0):
+            extremes += [np.maximum(a, known), np.maximum(known, a), np.clip(a, known, 1.0)]
+            extremes += [np.minimum(a, known), np.minimum(known, a), np.clip(a, -1.0, known)]
+        u = sum(2.0**-i * np.copysign(1.0, extreme) for i, extreme in enumerate(extremes))
+        return np.asarray(u), policy_state
+
+
 def controller(request: ExperimentRequest) -> Any:
     """The controller in Python."""
     names: dict[str, Any] = {}
@@ -87,6 +100,13 @@ def test_the_code_is_the_policy_over_hundreds_of_frames(request_: ExperimentRequ
     for request in (request_, with_everything(study), own):
         assert request.why_no_code == ""
         assert {HEADER, MODULE} <= files(request).keys()
+
+
+def test_of_equal_zeros_the_code_takes_the_one_that_numpy_takes() -> None:
+    """Over hundreds of frames, in Python and C."""
+    task = PointMass()
+    request = ExperimentRequest(task, SignsOfZeros(task), np.zeros(1), task.start_mean)
+    assert request.why_no_code == ""
 
 
 def test_python_gives_the_policys_inputs(request_: ExperimentRequest, study: Study) -> None:

@@ -43,11 +43,12 @@ both, either, neither = (_operation(name, True, of=_truth) for name in ("and", "
 
 
 def _extreme(name: str, of_known: str) -> Callable[[Symbol, Symbol], Symbol]:
-    """The lesser or the greater; one that is known is a number, so that less has to be asked."""
+    """The lesser or the greater, of equal zeros the second; less has to be asked where the first is known."""
 
     def extreme(a: Symbol, b: Symbol) -> Symbol:
-        a, b = (b, a) if a.name == "number" else (a, b)
-        return a.trace.operation(of_known if b.name == "number" else name, numeric(a), numeric(b))
+        if a.name == "number":
+            return a.trace.operation(of_known, numeric(b), numeric(a))
+        return a.trace.operation(name, numeric(a), numeric(b))
 
     return extreme
 

@@ -172,8 +172,8 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
 
 def _clip(values: Any, low: Any = None, high: Any = None, **others: Any) -> Any:
     low, high = others.get("min", low), others.get("max", high)
-    raised = values if low is None else np.maximum(values, low)
-    return raised if high is None else np.minimum(raised, high)
+    raised = values if low is None else np.maximum(low, values)  # in this order a zero keeps its sign
+    return raised if high is None else np.minimum(high, raised)
 
 
 def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Any:
