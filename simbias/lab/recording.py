@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from simbias.core import HardwareError, Task
-from simbias.core.messages import words
+from simbias.core.messages import quote, words
 from simbias.core.records import Array, Rollout
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
@@ -89,7 +89,8 @@ class Reader:
         for i, quantity in enumerate(quantities):
             name, unit = split_name(self._columns[quantity.name])
             if i in self._rates and not file.has(name):
-                notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}")
+                lacks = "" if name == quantity.name else f", as there is no column {quote(name)}"
+                notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}")
                 continue
             signal = file.signal(name, time)
             try:

@@ -142,6 +142,8 @@ def test_a_velocity_that_lacks_is_estimated_and_said_so(
     inner = slice(10, -10)
     error = found.pieces[0].states[inner, 3] - rollout.states[:-1][inner, 3]
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.std(rollout.states[:, 3])
+    mistyped = read(study, frame(rollout), tmp_path, vel2="vle2")
+    assert mistyped.notes == ("vel2 is estimated from pos2, as there is no column 'vle2'",)
 
 
 @pytest.mark.parametrize(
