@@ -25,7 +25,11 @@ PYTHONPATH = os.pathsep.join(
 POINT_MASS = [f"{group.name}=point_mass" for group in sorted(OWN_CONF.iterdir())]
 ALL_SLOW = re.compile(r"^pytestmark = \[?\s*pytest\.mark\.slow\b", re.MULTILINE)
 
+MEMORY = Path("/dev/shm")  # as a disk, for which each trial waits some thirty times
+
 os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = "1"  # colouring what nobody reads takes a tenth
+if os.access(MEMORY, os.W_OK) and not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 _writes_no_bytecode = sys.dont_write_bytecode
 
 

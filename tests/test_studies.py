@@ -101,7 +101,8 @@ def test_what_is_learned_on_one_engine_is_tried_on_all(study: Study, tmp_path: P
 
 def test_what_is_learned_of_gaps_predicts_other_experiments(study: Study, tmp_path: Path) -> None:
     """A motor of 40% is a parameter of the model: what is identified predicts best."""
-    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=1000"]
+    quick = ["identification.starts=8", "identification.rounds=2", "identification.evaluations=6"]
+    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=600", *quick]
     printed = study("gaps_predicted", "predicted.csv", *arguments)
     assert printed.splitlines()[-1].startswith("| motor 40% | ")
     errors = pd.read_csv(tmp_path / "predicted.csv").set_index("way")["error"]

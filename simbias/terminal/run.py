@@ -9,6 +9,7 @@ from simbias.config.build import build, service
 from simbias.core.commands import FAILED, SUCCEEDED, WAITING
 from simbias.core.messages import counted, with_type
 from simbias.engine.contract import Engine
+from simbias.engine.workplace import tidy
 from simbias.sweep.tracking import Export, Tracking
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
@@ -23,6 +24,7 @@ from simbias.trial.summary import Outcome
 def run(composition: Composition, again: str) -> int:
     """Run one trial, or resume it; `again` is the command that does."""
     service(composition, "engine", Engine)  # a single trial needs none, but a bad one is bad input
+    tidy()  # a trial that has ended makes no folder of its own, which would
     store: Tracking = service(composition, "tracking", Tracking)
     with slowness_in_one_line():
         with preparing():

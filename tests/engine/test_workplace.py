@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import OWN_CONF, POINT_MASS
 
+from simbias.__main__ import main
 from simbias.engine import workplace
 
 
@@ -26,6 +28,18 @@ def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_leftovers_of_the_dead_are_removed(left: Path) -> None:
     workplace.tidy()
+    assert not left.exists()
+
+
+def test_a_trial_that_has_ended_removes_them_too(left: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It writes nothing, so it makes no folder of its own."""
+    monkeypatch.chdir(left.parent)
+    command = [*POINT_MASS, "--config-dir", str(OWN_CONF), "tracking=folders", "tracking.pictures=false"]
+    short = ["optimizer.max_evaluations=20", "method.max_iterations=1"]
+    status = main([*command, *short])
+    (left / workplace.LOCK).parent.mkdir(exist_ok=True)
+    (left / workplace.LOCK).touch()
+    assert main([*command, *short]) == status
     assert not left.exists()
 
 

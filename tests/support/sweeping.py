@@ -32,12 +32,12 @@ TINY = [  # a suite of one cell in place of eleven
     "sweep.suite.split=tiny",
 ]
 FOUR_CELLS = """
-task: {horizon: 600}
-optimizer: {max_evaluations: 30}
+task: {horizon: 400}
+optimizer: {max_evaluations: 20}
 method: {max_iterations: 2}
 tracking: {pictures: false}
 sweep:
-  trials: 5
+  trials: 4
   figures: {}
   axes:
     hardware.noise.torque_variance: [0.0, 0.1]

@@ -6,13 +6,14 @@ import re
 from pathlib import Path
 
 import pytest
-from faulty_hardware import DEADLY, LEFT, MENDED
+from faulty_hardware import LEFT, MENDED
 from sweeping import FOLDERS, run, write_sweep
 
 from simbias.trial.folder import TrialFolder
 
 pytestmark = pytest.mark.slow
 
+DEADLY = ["SIGSEGV", "SIGKILL beside a child"]  # tests of engines have others
 SWEEP = """
 task: {{horizon: 200}}
 optimizer: {{max_evaluations: 20}}

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 COMMAND = ["--config-dir", "conf", "+sweep=mine", "tracking=folders"]
 ONE_PROCESS = "engine=sequential"  # where it is the parent that something happens to
-TRIALS = 20  # enough that some are left after every kill
+TRIALS = 16  # enough that some are left after every kill
 ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
 
 
