@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from conftest import ROOT
 from paired import paired
+from published import held
 from side_by_side import side_by_side
 
 from simbias.config import ConfigError
@@ -75,6 +76,13 @@ def test_cells_count_once_and_what_raised_counts_as_nothing(tmp_path: Path) -> N
     assert list(cells_compared.shortfalls(read, "A")) == []
     assert list(cells_compared.shortfalls(read, "B")) == ["one, A (88% > 19%)"]
     assert "| mean of 2 that B does not hold | 94% | 25% |" in cells_compared.report(read, "A", ["B"], "B")
+
+
+def test_what_last_policies_hold_is_counted() -> None:
+    """Of three: all starts and both minutes, nine in ten but no minute, half of them."""
+    rows = {"test_episodes": ["1" * 20, "1" * 18 + "00", "10" * 10], "long_success_rate": [1.0, 0.5, 1.0]}
+    (row,) = held(pd.DataFrame({"sweep": "mine", **rows}))
+    assert row == ["mine", "3", "80% [50%, 100%]", "2 of 3 (21% to 94%)", "2 of 3 (21% to 94%)"]
 
 
 @pytest.mark.slow
