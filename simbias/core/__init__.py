@@ -37,6 +37,7 @@ from simbias.core.robot import (
     Task,
     Waiting,
     failure_name,
+    rates_and_positions,
     wrapped,
 )
 from simbias.core.search import Cost, Evaluation, Optimizer, Simulator
@@ -67,5 +68,6 @@ __all__ = [
     "Task",
     "Waiting",
     "failure_name",
+    "rates_and_positions",
     "wrapped",
 ]

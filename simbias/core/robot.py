@@ -71,6 +71,21 @@ def wrapped(differences: Array, quantities: Sequence[Quantity]) -> Array:
     return differences - 2 * np.pi * wraps * np.floor((differences + np.pi) / (2 * np.pi))
 
 
+def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indices]:
+    """Places (n / 2,) of rates, and of what they are the rates of, in the same order.
+
+    Raises
+    ------
+    ValueError
+        If there are not as many rates as others.
+    """
+    is_rate = np.array([quantity.is_rate for quantity in quantities])
+    rates, positions = np.flatnonzero(is_rate), np.flatnonzero(~is_rate)
+    if len(rates) != len(positions):
+        raise ValueError("the task has not a rate for each position")
+    return rates, positions
+
+
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:
     """The name of a violated criterion, or of a state that is no number and violates none."""
     return criteria[index].name if index < len(criteria) else NOT_A_NUMBER

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from simbias.core import Nominal, Task, wrapped
+from simbias.core import Nominal, Task, rates_and_positions, wrapped
 from simbias.core.records import Array
 
 ObserverKind = Literal["none", "filter", "derivative", "model"]
@@ -80,9 +80,7 @@ class RatesOfPositions(Observer):
 
     def __init__(self, task: Task, nominal: Nominal) -> None:
         super().__init__(task, nominal)
-        rates, positions = np.flatnonzero(self._is_rate), np.flatnonzero(~self._is_rate)
-        if len(rates) != len(positions):
-            raise ValueError("observer=derivative: the task has not a rate for each position")
+        rates, positions = rates_and_positions(task.states)
         self._source = np.arange(len(task.states))
         self._source[rates] = positions  # of each state, the one whose difference counts
         self._quantities = [task.states[index] for index in self._source]
