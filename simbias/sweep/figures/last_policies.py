@@ -79,7 +79,7 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str]) -> Figure:
         axes.set_axisbelow(True)
         plain(axes)
     left.set_xlim(left=0)
-    left.xaxis.set_major_locator(MaxNLocator(integer=True))
+    left.xaxis.set_major_locator(MaxNLocator(4, integer=True))
     right.set_xlim(-0.03, 1.03)
     right.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
