@@ -39,7 +39,7 @@ from simbias.core.robot import (
     failure_name,
     wrapped,
 )
-from simbias.core.search import Cost, Evaluation, Optimizer, Simulator
+from simbias.core.search import Cost, Evaluation, GoalWeights, Optimizer, Simulator
 
 __all__ = [
     "NOT_A_NUMBER",
@@ -49,6 +49,7 @@ __all__ = [
     "Criterion",
     "Evaluation",
     "FittedBias",
+    "GoalWeights",
     "Hardware",
     "HardwareError",
     "Identification",
