@@ -35,7 +35,10 @@ SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
 LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
-FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping that begins at rest, far from a goal that moves; patience there
+FROM_REST, FROM_REST_PATIENCE = (
+    1e6,
+    3,
+)  # damping that begins at rest, far from a goal that moves; patience there
 PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
 SETTLED = 1000  # frames, after which the gains of a rest are those of an infinite horizon
 SEED = 0  # of these inputs: the same model has the same trajectories
@@ -49,9 +52,7 @@ class Plan(NamedTuple):
     cost: float
 
 
-def trajectory_candidates(
-    model: Model, count: int, weights: GoalWeights | None = None
-) -> Iterator[Array]:
+def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None = None) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
     A trajectory costs what the weights say, those of a cost that is quadratic about the goal; else there are
@@ -116,7 +117,7 @@ class Shooting:
         self._damping = np.diag(task.time_step * INPUT_WEIGHT * task.input_limit**-2.0)  # (m, m)
 
     def plan(self, rng: np.random.Generator) -> Plan | None:
-        """A trajectory that begins with random inputs or, if the goal moves, at rest; None where this fails."""
+        """A trajectory that begins with random inputs, or at rest if the goal moves; None where all fail."""
         best, costs = self._rest() if self._moves else self._first(rng), list[float]()
         damping, patience = (FROM_REST, FROM_REST_PATIENCE) if self._moves else (1.0, PATIENCE)
         while best is not None and damping < MOST and len(costs) < ITERATIONS:
