@@ -45,7 +45,7 @@ from simbias.terminal.sweep import SweepConsole
 pytestmark = pytest.mark.slow
 
 SHORT: dict[str, dict[str, Any]] = {  # at most
-    "task": {"horizon": 120},  # swing-ups hold for 100 frames
+    "task": {"horizon": 120, "hold": 0.2},  # at most 100 frames
     "policy": {"knots": 21},
     "evaluation": {"seconds": 0.2, "rollouts": 3},
     "optimizer": {"max_evaluations": 5, "explorations": 5},
