@@ -34,6 +34,7 @@ import simbias
 from simbias.__main__ import main
 from simbias.config import Composition, ConfigError, sweeps
 from simbias.engine.sequential import Sequential
+from simbias.search.optimizer import ilqr
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.running import SweepObserver, run_sweep
 from simbias.sweep.state import finished
@@ -82,9 +83,14 @@ def corners(sweep: Sweep) -> tuple[Trial, ...]:
 
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])
 def test_every_sweep_runs_shortened(
-    name: str, folder: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+    name: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its corners; they are read back, its table has a line for every cell, and its figures are drawn."""
+    monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
     whole = expand([f"+sweep={name}", "sweep.trials=1", *(TINY if name == "methods" else [])])
     if {cell.composition.choices["task"] for cell in whole.cells} != {"bongoboard"}:
         request.getfixturevalue("uncompiled")
