@@ -18,7 +18,9 @@ from simbias.trial.study import Study
 SHORT = ["task.horizon=200", "task.hold=1.0", "policy.knots=101", "identification=none", "tracking=none"]
 
 
-@pytest.fixture(scope="module", params=["arm", pytest.param("quadrotor", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=["arm_eight", pytest.param("quadrotor_square", marks=pytest.mark.slow)]
+)
 def robot(request: pytest.FixtureRequest) -> Study:
     return simbias.load([f"preset={request.param}", "bias=none", *SHORT])
 
