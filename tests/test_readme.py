@@ -69,7 +69,8 @@ def shortened(command: str) -> list[str]:
             *(["--seconds", "1"] if "excite" in arguments else []),
         ]
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
-    return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
+    needed = {"+sweep=table2": trials, "preset=arm_eight": ["task.hold=1.0"]}
+    return [*arguments, *SHORT, *(each for word in arguments for each in needed.get(word, []))]
 
 
 PROGRAM = """

@@ -40,7 +40,7 @@ from simbias.core.robot import (
     rates_and_positions,
     wrapped,
 )
-from simbias.core.search import Cost, Evaluation, Optimizer, Simulator
+from simbias.core.search import Cost, Evaluation, GoalWeights, Optimizer, Simulator
 
 __all__ = [
     "NOT_A_NUMBER",
@@ -50,6 +50,7 @@ __all__ = [
     "Criterion",
     "Evaluation",
     "FittedBias",
+    "GoalWeights",
     "Hardware",
     "HardwareError",
     "Identification",

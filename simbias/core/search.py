@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -31,6 +31,14 @@ class Simulator(Protocol):
         """Costs (k,) of these rollouts, and how many frames (k,) they have; faster than the rollouts."""
 
 
+class GoalWeights(NamedTuple):
+    """Diagonals of a cost that is quadratic about the goal."""
+
+    errors: Array  # (g,) of squared errors, 1/s
+    inputs: Array  # (m,) of squared inputs, 1/s
+    final: Array  # (g,) of the last squared error
+
+
 class Cost(ABC):
     """The cost of a rollout, and the limit above which a policy has failed.
 
@@ -43,6 +51,7 @@ class Cost(ABC):
     horizon: int  # T, frames of a rollout that does not fail
     time_step: float  # s
     reductions: tuple[Reduction, ...] = ()  # of each of the s terms to its total
+    goal_weights: GoalWeights | None = None  # if it is quadratic about the goal, up to a factor
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """Terms (..., s) of frames that end in x_next (..., n) at the time t (...) in s, under u (..., m)."""

@@ -6,7 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
-from simbias.core import Cost, Task
+from simbias.core import Cost, GoalWeights, Task
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
@@ -46,6 +46,12 @@ class Tracking(Cost):
         self._R = weights_of("error_weights", error_weights, task.goals)  # (g,)
         self._Q = weights_of("input_weights", input_weights or {}, task.inputs)  # (m,)
         self._P = weights_of("final_weights", final_weights or {}, task.goals)  # (g,)
+
+    @property
+    def goal_weights(self) -> GoalWeights:  # type: ignore[override]
+        """R and Q over time, P at the end, of Z times the horizon."""
+        seconds = self.horizon * self.time_step
+        return GoalWeights(self._R, self._Q, self.time_step * self._R + seconds * self._P)
 
     def terms(self, x_next: Array, u: Array, t: Any) -> Array:
         """The cost of frames, and that of the last one (..., 2)."""

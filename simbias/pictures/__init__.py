@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from simbias.pictures.trial.animation import save_animation
     from simbias.pictures.trial.costs import costs
     from simbias.pictures.trial.errors import prediction_errors
+    from simbias.pictures.trial.following import following
     from simbias.pictures.trial.forecast import forecast
     from simbias.pictures.trial.overview import overview
     from simbias.pictures.trial.phases import phases
@@ -29,6 +30,7 @@ __all__ = [
     "NoPictureError",
     "costs",
     "drawing_of",
+    "following",
     "forecast",
     "overview",
     "phases",
@@ -39,7 +41,15 @@ __all__ = [
     "snapshots",
 ]
 
-_ALONE = ("costs", "forecast", "overview", "phases", "rejections", "snapshots")  # in modules so called
+_ALONE = (
+    "costs",
+    "following",
+    "forecast",
+    "overview",
+    "phases",
+    "rejections",
+    "snapshots",
+)  # in modules so called
 _MODULES = {
     **dict.fromkeys(("Drawing", "NoPictureError", "drawing_of"), "elements.drawing"),
     "save": "elements.style",

@@ -43,6 +43,7 @@ class Episode(NamedTuple):
     seconds: float  # that it lasted
     failure: str | None
     succeeds: bool | None = None  # as the task says; None: whoever lasts for the task's horizon succeeds
+    errors: Sequence[float] = ()  # (g,) root mean square, while it lasted, of each of the goal's quantities
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,9 @@ def run_policy_test(
         asked, lasted = own.task.horizon * task.time_step, rollout.frames * task.time_step
         succeeds = own.task.succeeds(rollout.states)
         succeeds = None if succeeds is None else succeeds and rollout.failure is None
-        episodes.append(Episode(start, asked, lasted, rollout.failure, succeeds))
+        times = task.time_step * np.arange(len(rollout.states))
+        errors = np.sqrt(np.mean(np.square(own.task.error(rollout.states, times)), axis=0))
+        episodes.append(Episode(start, asked, lasted, rollout.failure, succeeds, errors.tolist()))
     return PolicyTestResult(task.horizon * task.time_step, tuple(episodes))
 
 
@@ -143,9 +146,16 @@ def _horizons(task: Task, test: PolicyTest) -> Sequence[int]:
 
 
 def episodes_csv(result: PolicyTestResult, task: Task) -> str:
-    """A row for each episode: its start, how long it was to last and how long it did, and its failure."""
+    """A row for each episode: its start, how long it was to last and did, its failure, its errors.
+
+    Errors are root mean squares, of each of the goal's quantities.
+    """
     import pandas as pd  # lazily: workers do without it
 
-    names = [*(state.name for state in task.states), "asked_seconds", "lasted_seconds", "failure"]
-    rows = [(*e.start.tolist(), e.asked_seconds, e.seconds, e.failure or "") for e in result.episodes]
+    ended = ("asked_seconds", "lasted_seconds", "failure")
+    errors = (f"{goal.name}_rms_error" for goal in task.goals)
+    names = [*(state.name for state in task.states), *ended, *errors]
+    rows = [
+        (*e.start.tolist(), e.asked_seconds, e.seconds, e.failure or "", *e.errors) for e in result.episodes
+    ]
     return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")

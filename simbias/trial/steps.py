@@ -43,7 +43,8 @@ def search(
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model
-    designs = lqr.lqr_candidates(model, lqr_candidates), trajectory_candidates(model, trajectories)
+    planned = trajectory_candidates(model, trajectories, study.cost.goal_weights)
+    designs = lqr.lqr_candidates(model, lqr_candidates), planned
     candidates: Iterator[Array] = chain(last, *designs)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):
         (search_rng,) = rng.spawn(1)

@@ -28,6 +28,7 @@ NEEDED = {  # by options that say nothing of a robot
         "hardware.action=[force/100]",
     ],
     "preset=double_pendulum": [f"hardware.folder={Path(__file__).parents[1] / 'recordings'}", COLUMNS],
+    **{f"preset={name}": ["task.hold=1.0"] for name in ("arm_eight", "quadrotor_square")},  # tests are short
     "hardware=process": ["hardware.command=cat"],
     "hardware=mujoco": ["preset=cartpole", f"hardware.file={MODEL}"],
     "method=trajectory": ["preset=cartpole_trajectory"],

@@ -34,6 +34,7 @@ import simbias
 from simbias.__main__ import main
 from simbias.config import Composition, ConfigError, sweeps
 from simbias.engine.sequential import Sequential
+from simbias.search.optimizer import ilqr
 from simbias.sweep.grid import Sweep, Trial, expand
 from simbias.sweep.running import SweepObserver, run_sweep
 from simbias.sweep.state import finished
@@ -45,7 +46,7 @@ from simbias.terminal.sweep import SweepConsole
 pytestmark = pytest.mark.slow
 
 SHORT: dict[str, dict[str, Any]] = {  # at most
-    "task": {"horizon": 30},
+    "task": {"horizon": 30, "hold": 0.05},
     "policy": {"knots": 21},
     "evaluation": {"seconds": 0.03, "rollouts": 3},
     "optimizer": {"max_evaluations": 5, "explorations": 5},
@@ -60,7 +61,6 @@ SHORT: dict[str, dict[str, Any]] = {  # at most
     },
     "policy_test": {"episodes": 1, "long_episodes": 0},
 }
-HELD = 120  # frames at most of a task that has to be held for some before it succeeds
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
 
 
@@ -71,8 +71,6 @@ def shortened(composition: Composition) -> Composition:
         for key in most.keys() & config[group].keys():
             if config[group][key] is not None:
                 config[group][key] = min(config[group][key], most[key])
-    if config["task"].get("success"):
-        config["task"]["horizon"] = min(composition.config["task"]["horizon"], HELD)
     return replace(composition, config=config)
 
 
@@ -85,9 +83,14 @@ def corners(sweep: Sweep) -> tuple[Trial, ...]:
 
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])
 def test_every_sweep_runs_shortened(
-    name: str, folder: Path, capsys: pytest.CaptureFixture[str], uncompiled: None
+    name: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    uncompiled: None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its corners; they are read back, its table has a line for every cell, and its figures are drawn."""
+    monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
     whole = expand([f"+sweep={name}", "sweep.trials=1", *(TINY if name == "methods" else [])])
     cells = [replace(cell, composition=shortened(cell.composition)) for cell in whole.cells]
     sweep = replace(whole, base=shortened(whole.base), cells=tuple(cells))

@@ -71,7 +71,8 @@ def test_the_first_episodes_may_last_beyond_the_horizon() -> None:
 
 def test_its_result_in_numbers_and_words() -> None:
     x, failure = np.zeros(2), "distance"
-    episodes = (Episode(x, 60.0, 60.0, None), Episode(x, 60.0, 7.0, failure), Episode(x, 5.0, 3.0, failure))
+    ends = ((60.0, 60.0, None), (60.0, 7.0, failure), (5.0, 3.0, failure))
+    episodes = tuple(Episode(x, *end, errors=(0.5, 2.0)) for end in ends)
     result = PolicyTestResult(5.0, episodes)
     assert result.successes == "110"
     numbers = (result.success_rate, result.long_success_rate, result.long_seconds)
@@ -79,5 +80,7 @@ def test_its_result_in_numbers_and_words() -> None:
     assert "2 of 3 (21% to 94%) test episodes of 5 s, and in 1 of 2 (9% to 91%) of 60 s (" in result.words
     assert "they last 34 s on average" in result.words
     rows = episodes_csv(result, study().task).splitlines()
-    assert rows[0].endswith("asked_seconds,lasted_seconds,failure")
-    assert [row.split(",", 2)[2] for row in rows[1:]] == ["60,60,", "60,7,distance", "5,3,distance"]
+    assert rows[0].endswith("asked_seconds,lasted_seconds,failure,position_rms_error,velocity_rms_error")
+    assert [row.split(",", 2)[2] for row in rows[1:]] == [
+        f"{end},0.5,2" for end in ("60,60,", "60,7,distance", "5,3,distance")
+    ]

@@ -19,6 +19,7 @@ from simbias.pictures.elements.style import SMALL, png, save
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.costs import costs
 from simbias.pictures.trial.errors import prediction_errors
+from simbias.pictures.trial.following import following
 from simbias.pictures.trial.forecast import forecast
 from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
@@ -30,6 +31,7 @@ from simbias.trial.study import Study
 
 FIGURES: dict[str, Callable[[Study, Sequence[Iteration]], Figure]] = {
     "overview": overview,
+    "following": following,
     "costs": costs,
     "prediction_errors": prediction_errors,
     "forecast": forecast,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import Model, Policy, wrapped
+from simbias.core import GoalWeights, Model, Policy, Task, wrapped
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
@@ -35,6 +35,10 @@ SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
 LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
+FROM_REST, FROM_REST_PATIENCE = (
+    1e6,
+    3,
+)  # damping that begins at rest, far from a goal that moves; patience there
 PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
 SETTLED = 1000  # frames, after which the gains of a rest are those of an infinite horizon
 SEED = 0  # of these inputs: the same model has the same trajectories
@@ -48,11 +52,13 @@ class Plan(NamedTuple):
     cost: float
 
 
-def trajectory_candidates(model: Model, count: int) -> Iterator[Array]:
+def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None = None) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
-    Trajectories begin with different random inputs; they are planned once the first policy is asked for,
-    which a search that is replayed does not do.
+    A trajectory costs what the weights say, those of a cost that is quadratic about the goal; else there are
+    weights of its own. Trajectories to a goal that rests begin with different random inputs, those to a goal
+    that moves at rest. They are planned once the first policy is asked for, which a search that is replayed
+    does not do.
 
     Raises
     ------
@@ -61,7 +67,7 @@ def trajectory_candidates(model: Model, count: int) -> Iterator[Array]:
     """
     if not count:
         return
-    shooting, policy = Shooting(model), follower(model.policy)
+    shooting, policy = Shooting(model, weights), follower(model.policy)
     plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
     found = [plan for plan in plans if plan is not None]
     if not found:
@@ -84,10 +90,16 @@ def follower(policy: Policy) -> Trajectory:
     return policy
 
 
+def default_weights(task: Task) -> GoalWeights:
+    """Weights of errors, of rates and of inputs at their limits, for costs that are not quadratic."""
+    weights = np.where([goal.is_rate for goal in task.goals], RATE_WEIGHT, ERROR_WEIGHT)
+    return GoalWeights(weights, INPUT_WEIGHT * task.input_limit**-2.0, FINAL_WEIGHT * weights)
+
+
 class Shooting:
     """Trajectories of a model from the task's mean start to its goal."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, weights: GoalWeights | None = None) -> None:
         task = model.task
         self._model, self._task = model, task
         self._sliding = model.nominal.without_dry_friction()  # friction is steep at rest
@@ -96,52 +108,64 @@ class Shooting:
         self._simulator = simulator(replace(model, policy=self._every_frame))
         goal = [task.reference(t) for t in task.time_step * np.arange(self._T + 1)]
         self._goal = np.array(goal)  # (T+1, g)
-        rates = np.array([goal.is_rate for goal in task.goals])
-        weights = np.where(rates, RATE_WEIGHT, ERROR_WEIGHT)
-        self._weights = np.tile(task.time_step * weights, (self._T + 1, 1))  # (T+1, g)
-        self._weights[-1] = FINAL_WEIGHT * weights
-        self._input_weights = task.time_step * INPUT_WEIGHT * task.input_limit**-2.0  # (m,)
+        self._moves = bool((self._goal != self._goal[0]).any())
+        self._off_goal = None if weights is None else weights.errors  # (g,) what gains weigh; None: states
+        weights = weights or default_weights(task)
+        self._weights = np.tile(task.time_step * weights.errors, (self._T + 1, 1))  # (T+1, g)
+        self._weights[-1] = weights.final
+        self._input_weights = task.time_step * weights.inputs  # (m,)
+        self._damping = np.diag(task.time_step * INPUT_WEIGHT * task.input_limit**-2.0)  # (m, m)
 
     def plan(self, rng: np.random.Generator) -> Plan | None:
-        """A trajectory that begins with random inputs; None where all of these fail."""
-        best, damping, costs = self._first(rng), 1.0, list[float]()
+        """A trajectory that begins with random inputs, or at rest if the goal moves; None where all fail."""
+        best, costs = self._rest() if self._moves else self._first(rng), list[float]()
+        damping, patience = (FROM_REST, FROM_REST_PATIENCE) if self._moves else (1.0, PATIENCE)
         while best is not None and damping < MOST and len(costs) < ITERATIONS:
             better = self._improved(best, damping)
             damping = damping * 10 if better is None else max(damping / 5, LEAST)
             if better is None:
                 continue
             best, costs = better, [*costs, better.cost]
-            if len(costs) > PATIENCE and costs[-1] > (1 - PROGRESS) * costs[-1 - PATIENCE]:
+            if len(costs) > patience and costs[-1] > (1 - PROGRESS) * costs[-1 - patience]:
                 break
         return best
 
     def following(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
         """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
 
-        The weight of a state's deviation by one unit is 1. A goal about all states is a rest: the last knot
-        is there, its gains those of an infinite horizon.
+        Beside them, deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in
+        each state's unit. A goal about all states, where it does not move, is a rest: the last knot is there,
+        its gains those of an infinite horizon.
         """
-        M = self._linearised(plan.states, plan.inputs)
+        M, Q = self._linearised(plan.states, plan.inputs), self._state_weights(plan.states)
         x, u, final = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]]), None
-        if self._task.goals == self._task.states:
+        if self._task.goals == self._task.states and not self._moves:
             x_rest, u_rest = rest(self._model, self._goal[-1])
             x_rest = x[-1] - wrapped(x[-1] - x_rest, self._task.states)
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
             final = self._linearised(np.tile(x_rest, (2, 1)), u_rest[None])
         frames = policy.times / self._task.time_step
         for weight in input_weights:
-            gains = self._gains(M, weight, final)
+            gains = self._gains(M, Q, weight, final)
             rows = (_at(frames, each.reshape(len(each), -1)) for each in (x, u, gains))
             yield policy.following(*rows)
 
-    def _gains(self, M: Array, weight: float, final: Array | None) -> Array:
+    def _state_weights(self, states: Array) -> Array:
+        """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
+        if self._off_goal is None:
+            return np.tile(np.eye(self._n), (len(states), 1, 1))
+        G = self._slopes(states)
+        return np.einsum("g,tgi,tgj->tij", self._off_goal, G, G)
+
+    def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:
         """K_t (T+1, m, n) of the time-varying regulator along M, which ends with that of the rest."""
-        Q = np.diag(np.r_[np.ones(self._n), np.zeros(M.shape[1] - self._n)])
-        R, V = weight * np.diag(self._task.input_limit**-2.0), Q
-        settled = np.empty((0, self._m, len(Q)))
+        hidden = 0, M.shape[1] - self._n
+        Q = np.pad(Q, ((0, 0), hidden, hidden))
+        R, V = weight * np.diag(self._task.input_limit**-2.0), Q[-1]
+        settled = np.empty((0, self._m, len(V)))
         if final is not None:
-            _, settled, V = solved(regulator(np.repeat(final, SETTLED, axis=0), Q, R, Q), self._n)
-        _, K, _ = solved(regulator(M, Q, R, V), self._n)
+            _, settled, V = solved(regulator(np.repeat(final, SETTLED, axis=0), V, R, V), self._n)
+        _, K, _ = solved(regulator(M, Q[:-1], R, V), self._n)
         return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
 
     def _first(self, rng: np.random.Generator) -> Plan | None:
@@ -152,12 +176,20 @@ class Shooting:
         states = np.tile(self._task.start_mean, (self._T + 1, 1))
         return self._best(states, SHORTER[:, None, None] * inputs, np.zeros((self._T, self._m, self._n)))
 
+    def _rest(self) -> Plan | None:
+        """The start, or the rest that is nearest to it, held by a soft regulator."""
+        x, u = rest(replace(self._model, nominal=self._sliding), self._task.start_mean)
+        states, inputs = np.tile(x, (self._T + 1, 1)), np.tile(u, (self._T, 1))
+        M = self._linearised(states, inputs)
+        K = self._gains(M, self._state_weights(states), GAIN_WEIGHTS[-1], None)
+        return self._best(states, inputs[None], K[:-1])
+
     def _improved(self, plan: Plan, damping: float) -> Plan | None:
         """A trajectory that costs less, if there is one."""
         task, weights = self._task, self._weights
         M = self._linearised(plan.states, plan.inputs)
         hidden = 0, M.shape[1] - self._n
-        G = derivatives(task.aim, plan.states, np.full(self._n, STEP))  # (T+1, g, n)
+        G = self._slopes(plan.states)
         e = task.aim(plan.states) - self._goal
         slope = np.pad(np.einsum("tg,tgn->tn", weights * e, G), ((0, 0), hidden))
         curvature = np.pad(np.einsum("tg,tgi,tgj->tij", weights, G, G), ((0, 0), hidden, hidden))
@@ -165,7 +197,10 @@ class Shooting:
         w = np.concatenate([slope[:-1], self._input_weights * plan.inputs], axis=1)
         room = tuple(SHARE * limits - plan.inputs for limits in task.input_bounds)
         problem = Quadratic(M, W, w, curvature[-1], slope[-1])
-        k, K, _ = solved(problem, self._n, room, damping * np.diag(self._input_weights))
+        try:
+            k, K, _ = solved(problem, self._n, room, damping * self._damping)
+        except np.linalg.LinAlgError:  # singular: it needs more damping
+            return None
         inputs = plan.inputs + SHORTER[:, None, None] * k
         better = self._best(plan.states, inputs, K[..., : self._n])
         return better if better is not None and better.cost < plan.cost else None
@@ -188,6 +223,10 @@ class Shooting:
         """Half the weighted squares of errors and inputs."""
         e = self._task.aim(states) - self._goal
         return 0.5 * float(np.sum(self._weights * e**2) + np.sum(self._input_weights * inputs**2))
+
+    def _slopes(self, states: Array) -> Array:
+        """Derivatives (T+1, g, n) of the goal's quantities along states (T+1, n)."""
+        return derivatives(self._task.aim, states, np.full(self._n, STEP))
 
     def _linearised(self, states: Array, inputs: Array) -> Array:
         """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m)."""

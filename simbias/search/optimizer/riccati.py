@@ -20,8 +20,8 @@ class Quadratic(NamedTuple):
 
 
 def regulator(M: Array, Q: Array, R: Array, V: Array) -> Quadratic:
-    """The problem to stay on a trajectory along M; V (l, l) weighs where it ends."""
-    W = beside(np.repeat(Q[None], len(M), axis=0), R)
+    """The problem to stay on a trajectory along M by Q (l, l) or (T, l, l); V (l, l) weighs where it ends."""
+    W = beside(np.broadcast_to(Q, (len(M), *V.shape)), R)
     return Quadratic(M, W, np.zeros(W.shape[:2]), V, np.zeros(len(V)))
 
 

@@ -1,0 +1,99 @@
+"""The reference of a goal that moves, beside what was done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from simbias.core import Task
+from simbias.core.records import Array, Iteration, Rollout
+from simbias.pictures.elements.drawing import NoPictureError
+from simbias.pictures.elements.layout import headline, legend, panels
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, label, plain
+from simbias.pictures.trial.comparison import (
+    compared_words,
+    first_and_last,
+    on_hardware,
+    simulated,
+    worst_experiment,
+)
+from simbias.trial.study import Study
+
+HEIGHT = 2.3  # in, of a panel
+REFERENCE = "0.6"  # grey
+
+
+def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
+    """Each of the goal's quantities over time, and its reference: of the first policy and of the last.
+
+    Two quantities in one unit are shown against each other, too, in front. Shown is the worst experiment of
+    each policy and, from the same start, the simulation that it was searched in. A cross is where a rollout
+    failed.
+
+    Raises
+    ------
+    NoPictureError
+        If the goal does not move, or no policy was tried on the hardware.
+    """
+    task, times = study.task, study.task.time_step * np.arange(study.task.horizon + 1)
+    reference = np.array([task.reference(t) for t in times])  # (T+1, g)
+    if (reference == reference[:1]).all():
+        raise NoPictureError("the goal does not move")
+    both = first_and_last(on_hardware(iterations))
+    in_plane = len(task.goals) == 2 and task.goals[0].unit == task.goals[1].unit
+    figure, blocks = panels(len(task.goals) + in_plane, HEIGHT, blocks=len(both))
+    for block, iteration in zip(blocks, both, strict=True):
+        headline(block[0], compared_words(study, iteration))
+        experiment = worst_experiment(iteration)
+        shown = [(each, SIMULATION, "--") for each in simulated(study, iteration, [experiment])]
+        shown = [*shown, (experiment, HARDWARE, "-")]
+        if in_plane:
+            _draw_plane(block[0], task, reference, shown)
+        for goal, axes in enumerate(block[int(in_plane) :]):
+            _draw_over_time(axes, task, goal, np.column_stack([times, reference[:, goal]]), shown)
+    legend(figure, _entries())
+    return figure
+
+
+Shown = Sequence[tuple[Rollout, str, str]]  # with its color and line
+
+
+def _draw_plane(axes: Axes, task: Task, reference: Array, shown: Shown) -> None:
+    """Both quantities against each other, to scale."""
+    axes.plot(*reference.T, color=REFERENCE, linewidth=3.0)
+    for rollout, color, line in shown:
+        _draw(axes, task.aim(rollout.states), rollout, color, line)
+    axes.set(xlabel=label(task.goals[0]), ylabel=label(task.goals[1]))
+    axes.set_aspect("equal", adjustable="datalim")
+    plain(axes)
+
+
+def _draw_over_time(axes: Axes, task: Task, goal: int, reference: Array, shown: Shown) -> None:
+    """A quantity over time; the reference (T+1, 2) has times before it."""
+    axes.plot(*reference.T, color=REFERENCE, linewidth=3.0)
+    for rollout, color, line in shown:
+        times = task.time_step * np.arange(rollout.frames + 1)
+        _draw(axes, np.column_stack([times, task.aim(rollout.states)[:, goal]]), rollout, color, line)
+    axes.set(xlabel="time (s)", ylabel=label(task.goals[goal]))
+    plain(axes)
+
+
+def _draw(axes: Axes, points: Array, rollout: Rollout, color: str, line: str) -> None:
+    """A rollout's points (k, 2), and its failure."""
+    axes.plot(*points.T, line, color=color, linewidth=1.0)
+    if rollout.failed_at is not None:
+        axes.plot(*points[-1], "X", color=color, markersize=8, markeredgecolor="white", zorder=3)
+
+
+def _entries() -> dict[str, Artist]:
+    """The legend."""
+    return {
+        "reference": Line2D([], [], color=REFERENCE, linewidth=3.0),
+        "hardware": Line2D([], [], color=HARDWARE),
+        "simulation of its search": Line2D([], [], color=SIMULATION, linestyle="--"),
+    }
