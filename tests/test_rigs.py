@@ -90,6 +90,27 @@ def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFr
 
 
 @pytest.mark.slow
+def test_errors_are_told_as_published_ones_are(modules: None) -> None:
+    """Of a state, after a while or in a simulation of whole recordings; zero for the model that made them."""
+    from loading import declared, load
+    from published import rows
+
+    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT, test=False)
+    u = np.sin(0.05 * np.arange(200))[:, None]
+    states = [np.zeros(2)]
+    for each in u:
+        states.append(rig.study.nominal.step(states[-1], each))
+    made = Rollout(np.array(states), u, measured=np.array(states), sensed=True)
+    rig = rig._replace(development={"a": made, "b": made})
+    for when in ({}, {"seconds": 0.2}):
+        found = pd.DataFrame(rows(rig, {"state": "angle", "error": 0.1} | when))
+        error = found.groupby("way")["rmse"].max()
+        assert error["nominal"] < 1e-9
+        assert error["identified"] < 0.3 * error["lab"]
+        assert found["parameters"].str.contains("rod.mass").sum() == 2
+
+
+@pytest.mark.slow
 def test_mujocos_own_identification_finds_a_double_pendulum(modules: None) -> None:
     """Of its own file: what has friction and another mass predicts better than the described model."""
     from loading import declared, load

@@ -18,7 +18,8 @@ recording has zeros of its own: they are identified with the robot, and of other
 is left of errors without them is seen where the first fifth of each predicted recording tells its zeros, to
 the identified model and to the lab's, and the rest of it is predicted.
 
-A load is weighed by recordings with it, once those without it have told all else (`loads.csv`).
+A load is weighed by recordings with it, once those without it have told all else (`loads.csv`). Where others
+have published an error in units, ours is told as theirs is (`published.csv`).
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from typing import Any
 import loads
 import numpy as np
 import pandas as pd
-from loading import Rig, declared, load
+import published
+from loading import ONE, Rig, cases, declared, load
 from threadpoolctl import threadpool_limits
 from ways import OF_ONE, OF_SEVERAL, WAYS, fit, lab, of_lab, timed
 
@@ -43,20 +45,6 @@ from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, surpris
 
 COMPARED = (0.1, 0.5)  # s
 BEGINNING = 0.2  # share of a recording that tells its zeros
-ONE, SEVERAL = "one", "several"  # recordings that are learned from
-
-
-def cases(rig: Rig) -> Iterator[tuple[str, str, dict[str, Rollout], list[Rollout]]]:
-    """One or several, a name, the recordings that are learned from, and those that are predicted."""
-    development, test = rig.development, list(rig.test.values())
-    for name, rollout in development.items():
-        rest = {other: each for other, each in development.items() if other != name}
-        if test or rest:
-            yield ONE, name, {name: rollout}, test or list(rest.values())
-        if len(rest) > 1 and not test:
-            yield SEVERAL, f"all but {name}", rest, [rollout]
-    if test and len(development) > 1:
-        yield SEVERAL, "all", development, test
 
 
 def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -161,7 +149,7 @@ def main() -> None:
     parser.add_argument("--rigs", nargs="+", choices=declared(), default=list(declared()), help="only these")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS), help="only these")
     arguments = parser.parse_args()
-    found, weighed = list[dict[str, Any]](), list[dict[str, Any]]()
+    found, weighed, in_units = (list[dict[str, Any]]() for _ in range(3))
     for name in arguments.rigs:
         declaration = declared()[name]
         rig = load(declaration, arguments.checkouts.resolve(), arguments.test)
@@ -169,6 +157,9 @@ def main() -> None:
             unloaded = load(declared()[declaration["load"]["unloaded"]], arguments.checkouts.resolve(), False)
             weighed += loads.rows(rig, declaration["load"]["name"], unloaded)
             pd.DataFrame(weighed).to_csv("loads.csv", index=False, float_format="%.4g")
+        if "published" in declaration:
+            in_units += [{"rig": name, **row} for row in published.rows(rig, declaration["published"])]
+            pd.DataFrame(in_units).to_csv("published.csv", index=False, float_format="%.4g")
         found += [{"rig": name, **row} for row in rows(rig, arguments.ways)]
         pd.DataFrame(found).to_csv("rigs.csv", index=False, float_format="%.4g")
     text = summary(pd.DataFrame(found)) if found else ""

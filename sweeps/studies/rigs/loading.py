@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from simbias.trial.study import Study
 
 HERE = Path(__file__).parent
 ZERO = 0.05  # rad, standard deviation of an encoder's zero
+ONE, SEVERAL = "one", "several"  # recordings that are learned from
 
 
 class Rig(NamedTuple):
@@ -68,6 +69,19 @@ def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
     folder = checkouts / Path(rig["repository"]).name / rig["folder"]
     recordings = [_read(study, rig, folder, rig[part]) for part in ("development", "test")[: 1 + test]]
     return Rig(study, rig["lab"], *recordings, *[{}] * (not test))
+
+
+def cases(rig: Rig) -> Iterator[tuple[str, str, dict[str, Rollout], list[Rollout]]]:
+    """One or several, a name, the recordings that are learned from, and those that are predicted."""
+    development, test = rig.development, list(rig.test.values())
+    for name, rollout in development.items():
+        rest = {other: each for other, each in development.items() if other != name}
+        if test or rest:
+            yield ONE, name, {name: rollout}, test or list(rest.values())
+        if len(rest) > 1 and not test:
+            yield SEVERAL, f"all but {name}", rest, [rollout]
+    if test and len(development) > 1:
+        yield SEVERAL, "all", development, test
 
 
 def _read(
