@@ -297,5 +297,5 @@ def test_help_lists_what_is_in_an_own_folder(capsys: pytest.CaptureFixture[str],
             main(arguments)
     first, second = capsys.readouterr().out.split("usage:")[1:]
     assert "  nominal        bongoboard | acrobot" in first
-    assert "| point_mass\n" in first
+    assert "| point_mass" in first
     assert "| mine |" in second

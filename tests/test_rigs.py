@@ -92,8 +92,8 @@ def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFr
 @pytest.mark.slow
 def test_errors_are_told_as_published_ones_are(modules: None) -> None:
     """Of a state, after a while or in a simulation of whole recordings; zero for the model that made them."""
+    from in_units import rows
     from loading import declared, load
-    from published import rows
 
     rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT, test=False)
     u = np.sin(0.05 * np.arange(200))[:, None]

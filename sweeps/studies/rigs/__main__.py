@@ -30,10 +30,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import in_units
 import loads
 import numpy as np
 import pandas as pd
-import published
 from loading import ONE, Rig, cases, declared, load
 from threadpoolctl import threadpool_limits
 from ways import OF_ONE, OF_SEVERAL, WAYS, fit, lab, of_lab, timed
@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("--rigs", nargs="+", choices=declared(), default=list(declared()), help="only these")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS), help="only these")
     arguments = parser.parse_args()
-    found, weighed, in_units = (list[dict[str, Any]]() for _ in range(3))
+    found, weighed, told = (list[dict[str, Any]]() for _ in range(3))
     for name in arguments.rigs:
         declaration = declared()[name]
         rig = load(declaration, arguments.checkouts.resolve(), arguments.test)
@@ -158,8 +158,8 @@ def main() -> None:
             weighed += loads.rows(rig, declaration["load"]["name"], unloaded)
             pd.DataFrame(weighed).to_csv("loads.csv", index=False, float_format="%.4g")
         if "published" in declaration:
-            in_units += [{"rig": name, **row} for row in published.rows(rig, declaration["published"])]
-            pd.DataFrame(in_units).to_csv("published.csv", index=False, float_format="%.4g")
+            told += [{"rig": name, **row} for row in in_units.rows(rig, declaration["published"])]
+            pd.DataFrame(told).to_csv("published.csv", index=False, float_format="%.4g")
         found += [{"rig": name, **row} for row in rows(rig, arguments.ways)]
         pd.DataFrame(found).to_csv("rigs.csv", index=False, float_format="%.4g")
     text = summary(pd.DataFrame(found)) if found else ""
