@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import cells_compared
+import goal_errors
 import last_policies
 import optimizers
 import pandas as pd
@@ -133,3 +134,12 @@ def test_readme_shows_what_the_policies_for_separate_feet_are_worth() -> None:
     trials = results.published(sweep)
     assert list(policies["repetition"]) == list(trials["repetition"])
     assert last_policies.table(sweep, trials, policies) in README.read_text()
+
+
+@pytest.mark.slow
+def test_the_table_of_tracking_errors_is_that_of_the_trials() -> None:
+    sweep, folder = swept("following"), RESULTS / "following"
+    errors = pd.read_csv(folder / "errors.csv")
+    assert list(errors["repetition"]) == list(results.published(sweep)["repetition"])
+    rivals = ("nothing learned", "nominal model alone")
+    assert goal_errors.table(sweep, errors, rivals) == (folder / "errors.md").read_text()
