@@ -4,8 +4,8 @@ import simbias
 
 project, author, version = "simbias", "The simbias developers", simbias.__version__
 root_doc = "index"
-exclude_patterns = [".*", "site", "trials", "mlartifacts", "simbias/templates", "**/table.md"]
-exclude_patterns += ["README.md", "sweeps/results/figures/fig*.md", "**/paired.md", "**/errors.md", "**/node_modules"]
+exclude_patterns = [".*", "site", "trials", "mlartifacts", "simbias/templates", "**/table.md", "**/errors.md"]
+exclude_patterns += ["README.md", "sweeps/results/figures/fig*.md", "**/paired.md", "**/node_modules"]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_heading_anchors = 3
 napoleon_google_docstring = False
