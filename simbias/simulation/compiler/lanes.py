@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import extending, float32, int64, types
-from numba.core import cgutils
+from numba.core import cgutils, imputils
 from numba.extending import models, overload, register_model
 
 from simbias.simulation.compiler.kernels import LANES
@@ -95,6 +95,22 @@ def load(context, array, index):
         return builder.load(address, align=_UNALIGNED)
 
     return REGISTERS(ROWS if array.ndim == 2 else LINE, int64), generate
+
+
+@intrinsic
+def as_integers(context, array):
+    """The same memory as integers; compiling NumPy's `view` takes 7% of what a loop takes."""
+    integers = types.Array(int64, array.ndim, array.layout)
+
+    def generate(context, builder, signature, arguments):
+        same = ir.Constant(context.get_value_type(integers), ir.Undefined)
+        for place, kind in enumerate(same.type.elements):
+            part = builder.extract_value(arguments[0], place)
+            part = part if part.type == kind else builder.bitcast(part, kind)  # the address alone
+            same = builder.insert_value(same, part, place)
+        return imputils.impl_ret_borrowed(context, builder, integers, same)
+
+    return integers(array), generate
 
 
 @intrinsic

@@ -26,6 +26,7 @@ from simbias.core import Kernel
 from simbias.core.records import Array
 from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 from simbias.simulation.compiler.kernels import LANES
+from simbias.simulation.compiler.lanes import as_integers
 from simbias.simulation.compiler.text import assign, tuple_of
 
 INTEGERS = (
@@ -135,7 +136,7 @@ class Loop:
             for name, each in self.functions.items()
         }
         module: Any = compilation.module(
-            self.source, **names, zeros=np.zeros, int64=np.int64, nan=np.nan, inf=np.inf
+            self.source, **names, zeros=np.zeros, as_integers=as_integers, nan=np.nan, inf=np.inf
         )
         if not hasattr(module, "compiled"):
             module.compiled = njit(**OPTIONS, cache=True)(module.loop)
@@ -210,7 +211,7 @@ class Loop:
         return [
             f"lanes = zeros(({ends[-1]}, {LANES}))",
             *(f"{name} = lanes[{end - size}:{end}]" for (name, size), end in parts),
-            "integers = integers.view(int64)",
+            "integers = as_integers(integers)",
             *(f"{name} = integers[{row}]" for row, name in enumerate(integers)),
         ]
 
