@@ -17,7 +17,7 @@ from simbias.simulation import closed_loop, open_loop
 
 
 def predict_in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Predict without compiling what is recorded, and what a bias corrects: of few, compiling takes longer."""
+    """Predict recordings and corrections without compiling, which takes longer than a few of them."""
     monkeypatch.setattr(open_loop, "of_nominal", lambda *_: SimpleNamespace(kernel=None))
     monkeypatch.setattr(closed_loop, "corrections", lambda bias, x, u: bias.correction(x, u))
 

@@ -10,7 +10,6 @@ from typing import Any
 import yaml
 
 from simbias.config import Composition, compose, options
-from simbias.config.components import TARGET
 from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
@@ -40,7 +39,7 @@ SHORT: dict[str, dict[str, Any]] = {  # at most
     "policy": {"knots": 11},
     "evaluation": {"seconds": 0.02, "rollouts": 3},
     "optimizer": {"max_evaluations": 5, "explorations": 5},
-    "identification": {"starts": 4, "rounds": 1, "evaluations": 4},
+    "identification": {"starts": 2, "rounds": 1, "evaluations": 2},
     "method": {
         "max_iterations": 1,
         "retry_search": 0,
@@ -79,9 +78,23 @@ def file_of(group: str, option: str) -> Any:
 
 
 def shipped(group: str, option: str) -> Any:
-    """What names the class of an option: its file, or what that is composed with."""
+    """What an option's file says, and those that it begins with; interpolations are not resolved."""
+    config: dict[str, Any] = {}
     own = file_of(group, option)
-    return own if TARGET in own and "defaults" not in own else compose(overrides(group, option)).config[group]
+    for each in own.pop("defaults", []):
+        if each != "_self_":
+            config = merged(config, shipped(group, each))
+    return merged(config, own)
+
+
+def merged(config: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+    """A config with more values, by key."""
+    both = {
+        key: merged(config[key], more[key])
+        for key in config.keys() & more.keys()
+        if isinstance(config[key], dict) and isinstance(more[key], dict)
+    }
+    return config | more | both
 
 
 @cache

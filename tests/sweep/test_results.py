@@ -57,7 +57,9 @@ def few(sweep: Sweep) -> Iterator[Trial]:
     met: set[tuple[str, str]] = set()
     for trial in trials:
         config = trial.composition.config.items()
-        own = {(key, each["_target_"]) for key, each in config if isinstance(each, dict) and "_target_" in each}
+        own = {
+            (key, each["_target_"]) for key, each in config if isinstance(each, dict) and "_target_" in each
+        }
         if own - met:
             met |= own
             yield trial
@@ -111,6 +113,15 @@ def test_published_trials_are_those_that_the_sweep_would_run(folder: Path) -> No
     trials = results.published(sweep, folder.name)
     planned = [(trial.hash, trial.repetition, trial.seed) for trial in sweep.trials]
     assert list(zip(trials["hash"], trials["repetition"], trials["seed"], strict=True)) == planned
+
+
+@pytest.mark.slow
+def test_methods_of_a_cell_meet_the_same_starts() -> None:
+    sweep = swept("methods")
+    seeds = {(trial.cell.labels[0], trial.repetition): trial.seed for trial in sweep.trials}
+    assert all(trial.seed == seeds[trial.cell.labels[0], trial.repetition] for trial in sweep.trials)
+    assert len(set(seeds.values())) == len(seeds) == len(sweep.trials) / 23
+    assert len(sweep.cells) == len({cell.composition.group_hash for cell in sweep.cells}) == 11 * 23
 
 
 def test_cells_count_once_and_what_raised_counts_as_nothing(tmp_path: Path) -> None:

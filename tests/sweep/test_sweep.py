@@ -6,24 +6,25 @@ import io
 import json
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from conftest import OWN_CONF, POINT_MASS, ROOT
+from conftest import OWN_CONF, POINT_MASS
 from rich.console import Console
 from sweeping import (
     FOLDERS,
     NO_FIGURES,
     QUICK,
     content,
+    finish,
     run,
+    start,
     state,
     sweep_folder,
     table,
     trial_by_trial,
+    until_trials,
     write_sweep,
 )
 
@@ -211,30 +212,23 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
     assert not list(folder.iterdir())
 
 
-MEMORY = """
-import resource, sys
-from simbias.__main__ import main
-command = ["--config-dir", sys.argv[1], *sys.argv[2:]]
-assert main([*command, "sweep.trials=2"]) == 0
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-assert main([*command, "sweep.trials=8"]) == 0
-print("more MiB:", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
-"""
-
-
 def test_parents_memory_is_flat(folder: Path) -> None:
-    """12 trials more; their export to MLflow too."""
-    small = [*QUICK, "task.horizon=500", "tracking.pictures=false"]
-    done = subprocess.run(
-        [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *small],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    more = float(done.stdout.splitlines()[-1].split()[-1])
+    """Of 12 trials more and their export to MLflow, whose experiments alone are 5 MiB."""
+    small = [*QUICK, "task.horizon=2000", "cost.max_cost=1e-3", "tracking.pictures=false"]
+    process = start("+sweep=smoke", "sweep.trials=8", *small, NO_FIGURES, folder=folder)
+    until_trials(process, 3)
+    before = memory(process.pid)
+    until_trials(process, 12)
+    more = memory(process.pid) - before
+    assert finish(process)[0] == 0
     print(f"12 trials more take {more:.1f} MiB more")
-    assert more < 8
+    assert more < 4
+
+
+def memory(pid: int) -> float:
+    """MiB of a process that are no file's."""
+    (kib,) = re.findall(r"^RssAnon:\s*(\d+) kB$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+    return int(kib) / 1024
 
 
 def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,5 +23,7 @@ def test_every_shipped_component_keeps_its_contract(
     predict_in_numpy(monkeypatch)
     for option in options()[group]:
         composition = compose(["tracking=none", *overrides(group, option)])
-        study = build(shortened(composition, SECONDS.get(group, 0.0)))
+        if group != "optimizer":  # whose evaluations are nothing but its own
+            composition = shortened(composition, SECONDS.get(group, 0.0))
+        study = build(composition)
         assert {verdict.problem for verdict in verdicts(study, {group})} == {""}, option
