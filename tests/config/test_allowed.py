@@ -17,7 +17,7 @@ from simbias.config.build import build
 from simbias.sweep.grid import expand
 from simbias.sweep.worker import Plan, run_plan
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
 
 CLASS = """
 from pathlib import Path

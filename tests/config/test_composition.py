@@ -11,6 +11,7 @@ from shipped import GROUPS, overrides, shipped
 
 import simbias
 from simbias.config import ConfigError, compose, options
+from simbias.config.build import build
 from simbias.config.components import component_class, constructor_parameters
 from simbias.config.conditions import split
 from simbias.config.hydra_config import overridden
@@ -94,16 +95,19 @@ def test_config_dir_must_exist() -> None:
 @pytest.mark.slow
 def test_every_shipped_option_builds() -> None:
     """Options of other groups are built where they go through their contracts: `tests/testing`."""
+    together: dict[tuple[str, ...], list[str]] = {}
     for group, option in OF_STUDIES:
         if group not in GROUPS:
-            study = simbias.load(["tracking=none", *overrides(group, option)])
-            assert isinstance(getattr(study, group), get_type_hints(Study)[group]), (group, option)
+            together.setdefault(tuple(overrides(group, option)), []).append(group)
+    for chosen, groups in together.items():
+        study = build(compose(chosen))
+        for group in groups:
+            assert isinstance(getattr(study, group), get_type_hints(Study)[group]), (group, chosen)
 
 
 def test_every_preset_builds() -> None:
     for option in options()["preset"]:
-        study = simbias.load(["tracking=none", f"preset={option}"])
-        assert study.choices["preset"] == option
+        assert build(compose([f"preset={option}"])).choices["preset"] == option
 
 
 def test_presets_combine() -> None:

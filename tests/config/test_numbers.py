@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
+import yaml
 from shipped import shipped
 
 import simbias
-from simbias.config import ConfigError, compose, options, sweeps
+from simbias.config import ConfigError, options, sweeps
 from simbias.config.components import component_class, constructor_parameters
+from simbias.config.resources import resource_folder
 from simbias.core.errors import LONGEST_KEY
 from simbias.core.messages import LONGEST
 from simbias.sweep.grid import expand
@@ -45,7 +47,8 @@ def components() -> Iterator[tuple[str, type]]:
     for group, option in GROUPS:
         yield f"{group}={option}", component_class(shipped(group, option), group)
     for name in sweeps():
-        for figure, spec in compose([f"+sweep={name}"]).config["sweep"].get("figures", {}).items():
+        sweep = yaml.safe_load((resource_folder("sweeps") / f"{name}.yaml").read_text()).get("sweep", {})
+        for figure, spec in sweep.get("figures", {}).items():
             yield f"{name}: {figure}", component_class(spec, figure)
 
 

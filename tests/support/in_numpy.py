@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from functools import wraps
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from simbias.core import Nominal, Policy, Task
 from simbias.core.records import Array
+from simbias.simulation import closed_loop, open_loop
+
+
+def predict_in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predict recordings and corrections without compiling, which takes longer than a few of them."""
+    monkeypatch.setattr(open_loop, "of_nominal", lambda *_: SimpleNamespace(kernel=None))
+    monkeypatch.setattr(closed_loop, "corrections", lambda bias, x, u: bias.correction(x, u))
 
 
 class CartPole(Nominal):

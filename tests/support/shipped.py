@@ -1,15 +1,15 @@
-"""Which shipped options belong to which robot, so that tests can choose them together."""
+"""Shipped options and sweeps: which belong to which robot, and how they are run in little time."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from simbias.config import compose, options
-from simbias.config.components import TARGET
+from simbias.config import Composition, compose, options
 from simbias.config.resources import resource_folder
 
 OF_A_ROBOT = ("task", "nominal", "hardware", "samples", "cost")
@@ -34,6 +34,33 @@ NEEDED = {  # by options that say nothing of a robot
     "method=trajectory": ["preset=cartpole_trajectory"],
     "nominal=mujoco": ["preset=cartpole", f"nominal.file={MODEL}"],
 }
+SHORT: dict[str, dict[str, Any]] = {  # at most
+    "task": {"horizon": 20, "hold": 0.05},
+    "policy": {"knots": 11},
+    "evaluation": {"seconds": 0.02, "rollouts": 3},
+    "optimizer": {"max_evaluations": 5, "explorations": 5},
+    "identification": {"starts": 2, "rounds": 1, "evaluations": 2},
+    "method": {
+        "max_iterations": 1,
+        "retry_search": 0,
+        "passes": 2,
+        "confidence": 0.2,
+        "lqr_candidates": 1,
+        "trajectories": 1,
+    },
+    "policy_test": {"episodes": 1, "long_episodes": 0},
+}
+
+
+def shortened(composition: Composition, seconds: float = 0.0) -> Composition:
+    """With no more of anything than SHORT says, but so many seconds of an experiment."""
+    config = {key: dict(value) if key in SHORT else value for key, value in composition.config.items()}
+    frames = max(SHORT["task"]["horizon"], round(seconds / config["task"]["time_step"]))
+    for group, most in (SHORT | {"task": SHORT["task"] | {"horizon": frames}}).items():
+        for key in most.keys() & config.get(group, {}).keys():
+            if config[group][key] is not None:
+                config[group][key] = min(config[group][key], most[key])
+    return replace(composition, config=config)
 
 
 def overrides(group: str, option: str) -> list[str]:
@@ -51,9 +78,23 @@ def file_of(group: str, option: str) -> Any:
 
 
 def shipped(group: str, option: str) -> Any:
-    """What names the class of an option: its file, or what that is composed with."""
+    """What an option's file says, and those that it begins with; interpolations are not resolved."""
+    config: dict[str, Any] = {}
     own = file_of(group, option)
-    return own if TARGET in own and "defaults" not in own else compose(overrides(group, option)).config[group]
+    for each in own.pop("defaults", []):
+        if each != "_self_":
+            config = merged(config, shipped(group, each))
+    return merged(config, own)
+
+
+def merged(config: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+    """A config with more values, by key."""
+    both = {
+        key: merged(config[key], more[key])
+        for key in config.keys() & more.keys()
+        if isinstance(config[key], dict) and isinstance(more[key], dict)
+    }
+    return config | more | both
 
 
 @cache
@@ -61,7 +102,18 @@ def _presets() -> dict[tuple[str, str], str]:
     """The first preset that chooses an option of a robot, or is named as it; not of the default's."""
     default, found = compose([]).choices, dict[tuple[str, str], str]()
     for preset in options()["preset"]:
-        for group, option in compose([f"preset={preset}"]).choices.items():
+        for group, option in _chosen(preset).items():
             if (group in OF_A_ROBOT or option == preset) and option != default[group]:
                 found.setdefault((group, option), preset)
     return found
+
+
+def _chosen(preset: str) -> dict[str, str]:
+    """The options that a preset's file chooses, and those that it begins with."""
+    chosen: dict[str, str] = {}
+    for each in file_of("preset", preset).get("defaults", []):
+        if isinstance(each, dict):
+            chosen |= {key.removeprefix("override /"): option for key, option in each.items()}
+        elif each != "_self_":
+            chosen |= _chosen(each)
+    return chosen

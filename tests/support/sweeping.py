@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 NO_FIGURES = "+sweep.figures={}"  # to draw them takes a second
 FOLDERS = ["tracking=folders", "tracking.pictures=false"]
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"]
-TINY = [  # a suite of one cell in place of eleven
-    "+sweep.suite.tiny={cart-pole: {preset: cartpole}}",
-    "+sweep.suite.seeds.tiny=1",
-    "sweep.suite.split=tiny",
-]
 FOUR_CELLS = """
 task: {horizon: 400}
 optimizer: {max_evaluations: 20}

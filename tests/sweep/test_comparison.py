@@ -1,4 +1,4 @@
-"""Methods against each other: the figure, and the sweep that makes it, on one small cell."""
+"""Methods against each other: the figure, of three methods in one cell."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from sweeping import TINY
 
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.comparison import Comparison
 from simbias.sweep.grid import Sweep, expand
 
-pytestmark = pytest.mark.slow  # to compose 22 methods takes seconds
+pytestmark = pytest.mark.slow
+
+METHODS = "{LQR: {method: lqr}, LQI: {method: lqi, policy: integral_feedback}, ideal: {method: ideal}}"
+AXES = f"{{cell: {{points: {{cart-pole: {{preset: cartpole}}}}}}, method: {{points: {METHODS}}}}}"
 
 
 @pytest.fixture(scope="module")
 def sweep() -> Sweep:
-    return expand(["+sweep=methods", *TINY, "sweep.trials=3"])
+    return expand([f"+sweep={{trials: 3, common_seeds: [method], axes: {AXES}}}"])
 
 
 def made_up(sweep: Sweep, texts: dict[str, list[str]]) -> SweptTrials:
@@ -59,9 +61,3 @@ def test_without_tests_there_is_nothing_to_compare(sweep: Sweep) -> None:
         Comparison("method").draw(made_up(sweep, {"LQI": [""] * 3}), ())
     with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
         Comparison("method", ["LQX"]).draw(made_up(sweep, {"LQI": ["1"] * 3}), ())
-
-
-def test_methods_of_a_cell_meet_the_same_starts(sweep: Sweep) -> None:
-    seeds = {trial.repetition: trial.seed for trial in sweep.trials}
-    assert all(trial.seed == seeds[trial.repetition] for trial in sweep.trials)
-    assert len(sweep.cells) == len({cell.composition.group_hash for cell in sweep.cells}) == 23

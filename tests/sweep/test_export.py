@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,13 @@ from simbias.sweep.tracking import Export, Folders, Tracking
 pytestmark = pytest.mark.slow
 
 SMOKE = ["+sweep=smoke", *QUICK, "engine=sequential", "tracking.pictures=false"]
+
+
+@pytest.fixture
+def folder(folder: Path, new_store: Path) -> Path:
+    """The working folder, with a store in it."""
+    shutil.copy(new_store, folder)
+    return folder
 
 
 def histories(folder: Path) -> dict[tuple[str, str], list[Any]]:
@@ -101,9 +109,9 @@ def test_overhead_of_a_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(SweepState, "keep", timed)
     long = ["method.max_iterations=10", "optimizer.max_evaluations=3", "hardware.feet=separate"]
     quick = ["+sweep=smoke", "engine=sequential", "task.horizon=5000", *long, "tracking.pictures=false"]
-    assert main([*quick, "sweep.trials=2", f"tracking.uri=sqlite:///{folder}/mlflow.db"]) == 0
+    assert main([*quick, "sweep.trials=1", f"tracking.uri=sqlite:///{folder}/mlflow.db"]) == 0
     trials = runs(folder)[1]
-    assert len(trials) == len(seconds) == 4
+    assert len(trials) == len(seconds) == 2
     assert all(trial.data.metrics["experiments/total"] == 20 for trial in trials)
     print(f"overhead of a trial: {np.median(seconds):.3f} s")
     assert np.median(seconds) < 0.3

@@ -5,13 +5,13 @@ import random
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, rest_slow
-from hypothesis import HealthCheck, given, settings
+from conftest import ROOT
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweeping import write_sweep
 
 from simbias.config import ConfigError, Variations, compose, sweeps
-from simbias.sweep.axes import RESERVED
+from simbias.sweep.axes import RESERVED, read_axis
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.results import COLUMNS
 from simbias.sweep.tables import MEASURES
@@ -20,17 +20,25 @@ VALUES = [0.0, 0.001, 0.1, 0.2, 0.35, 1.5]
 axis_values = st.lists(st.sampled_from(VALUES), min_size=1, max_size=4, unique=True)
 
 
-def grid(folder: Path, torque: list[float], errors: list[float], trials: int = 2) -> Sweep:
-    conf = write_sweep(
-        folder,
-        "mine",
-        "sweep:\n"
-        f"  trials: {trials}\n"
-        "  axes:\n"
-        f"    hardware.noise.torque_variance: {torque}\n"
-        f"    error: {{keys: hardware.inertia_error, values: {errors}}}\n",
-    )
-    return expand(["+sweep=mine"], conf)
+MINE = """
+sweep:
+  trials: 1
+  axes:
+    torque: {keys: hardware.noise.torque_variance, values: []}
+    error: {keys: hardware.inertia_error, values: []}
+"""
+
+
+@pytest.fixture(scope="module")
+def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of configs with a sweep."""
+    return write_sweep(tmp_path_factory.mktemp("mine"), "mine", MINE)
+
+
+def grid(conf: Path, torque: list[float], errors: list[float], trials: int = 2) -> Sweep:
+    """The sweep, with other values."""
+    values = [f"sweep.axes.torque.values={torque}", f"sweep.axes.error.values={errors}"]
+    return expand(["+sweep=mine", f"sweep.trials={trials}", *values], conf)
 
 
 def identities(sweep: Sweep) -> dict[tuple[tuple[str, ...], int], tuple[int, str]]:
@@ -38,24 +46,24 @@ def identities(sweep: Sweep) -> dict[tuple[tuple[str, ...], int], tuple[int, str
 
 
 @pytest.mark.slow
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, deadline=None)
 @given(axis_values, axis_values, st.integers(1, 4), st.randoms())
 def test_what_is_added_or_reordered_changes_no_other_trial(
-    tmp_path: Path, torque: list[float], errors: list[float], trials: int, rng: random.Random
+    conf: Path, torque: list[float], errors: list[float], trials: int, rng: random.Random
 ) -> None:
-    sweep = grid(tmp_path, torque, errors, trials)
+    sweep = grid(conf, torque, errors, trials)
     before = identities(sweep)
     assert len(sweep.trials) == len(before) == len(torque) * len(errors) * trials
     assert len({seed for seed, _ in before.values()}) == len(before)
     assert len({identity for _, identity in before.values()}) == len(before)
     more = [*torque, *(value for value in VALUES if value not in torque)]
-    after = identities(grid(tmp_path, rng.sample(more, len(more)), errors[::-1], trials + 1))
+    after = identities(grid(conf, rng.sample(more, len(more)), errors[::-1], trials + 1))
     assert before.items() <= after.items()
 
 
 @pytest.mark.slow
-def test_trials_are_what_composing_their_overrides_gives(tmp_path: Path) -> None:
-    for trial in grid(tmp_path, [0.0, 1.0e-6], [0.0, 0.2]).trials:
+def test_trials_are_what_composing_their_overrides_gives(conf: Path) -> None:
+    for trial in grid(conf, [0.0, 1.0e-6], [0.0, 0.2], trials=1).trials:
         torque, error = trial.cell.labels
         values = (
             f"hardware.noise.torque_variance={torque if torque != '0' else '0.0'}",
@@ -66,22 +74,17 @@ def test_trials_are_what_composing_their_overrides_gives(tmp_path: Path) -> None
         assert trial.hash == composed.hash
 
 
-@pytest.mark.parametrize(
-    "chosen",
-    rest_slow(
-        1,
-        [
-            {"bias": "none", "cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "seed": 7},
-            {"bias": "none", "optimizer": "cma", "seed": 7},
-            {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
-            {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
-        ],
-    ),
-)
-def test_merged_settings_equal_composed_overrides(chosen: dict[str, object]) -> None:
+def test_merged_settings_equal_composed_overrides() -> None:
     """Interpolations follow too: cost.failure_weight is that of cost.max_cost."""
-    overrides = [f"{key}={value}" for key, value in chosen.items()]
-    assert Variations().composition(chosen) == compose(overrides)
+    chosen: dict[str, object]
+    for chosen in (
+        {"bias": "none", "cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "seed": 7},
+        {"bias": "none", "optimizer": "cma", "seed": 7},
+        {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
+        {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
+    ):
+        overrides = [f"{key}={value}" for key, value in chosen.items()]
+        assert Variations().composition(chosen) == compose(overrides)
 
 
 @pytest.mark.slow
@@ -136,44 +139,48 @@ def test_a_trial_is_the_same_without_its_sweep() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["+sweep=unknown"], "sweep=unknown: no such option; sweep has ablation, "),
-        (["+sweep=smoke", "sweep.trials=0"], "sweep.trials: must be greater than 0, got 0"),
-        (["+sweep=smoke", "sweep.trialss=1"], "sweep.trialss: no such key; +sweep.trialss=... if the sweep"),
-        (["+sweep=smoke", "+sweep.trialss=1"], "sweep.trialss: no such key"),
-        (["+sweep=smoke", "sweep.axes=3"], "sweep.axes: must be a valid dictionary, got 3"),
-        (["+sweep=smoke", "+sweep.axes.nosuch=[1]"], "sweep.axes.nosuch.keys: nosuch: no such key"),
-        (["+sweep=fig6", "preset=cartpole"], "sweep.axes.noise.keys: hardware.noise.torque_variance: "),
-        (["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"], "bias=nosuch: no such option"),
-        (["+sweep=smoke", "+sweep.axes.bias=[]"], "sweep.axes.bias: has no values"),
-        (["+sweep=smoke", "+sweep.axes.x={keys: [], values: [[]]}"], "sweep.axes.x: has no keys"),
-        (["+sweep=smoke", "+sweep.axes.bias=gp"], "sweep.axes.bias: must be a list of values, got 'gp'"),
-        (
-            ["+sweep=smoke", "+sweep.axes.x={keys: bias, values: [gp], labels: ['a\tb']}"],
-            "sweep.axes.x: has a name or label with letters that cannot be printed",
-        ),
-        (["+sweep=smoke", "+sweep.axes.bias=[gp, gp]"], "sweep.axes.bias: has the same value or label twice"),
-        (
-            ["+sweep=smoke", "+sweep.axes.x={keys: tracking.uri, values: [a]}"],
-            "sweep.axes.x: tracking changes no trial's result",
-        ),
-        (["+sweep=smoke", "+sweep.axes.seed=[1, 2]"], "seed is set elsewhere: each trial has its own"),
-        (["+sweep=smoke", "+sweep.axes.x={keys: hardware.inertia_error, values: [0.1]}"], "set elsewhere"),
-        (["+sweep=smoke", "+sweep.axes.x={keys: [seed, bias], values: [0.1]}"], "each of its values must"),
-        (["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"], "sweep.axes: 0 none and 0  none are the same"),
-        (["+sweep=table2", "hardware.inertia_error=0.1"], "hardware.inertia_error: is an axis of the sweep"),
-        (["+sweep=table2", "sweep.axes.error.values=[0.1]"], "sweep.axes.error: has 2 labels for 1 values"),
-        (["+sweep=table2", "sweep.report.columns=no"], "sweep.report.columns: no such axis: no"),
-        (["+sweep=learners", "sweep.common_seeds=[no]"], "sweep.common_seeds: no such axis: no; there are "),
-    ],
-)  # fmt: skip
-def test_bad_sweep(overrides: list[str], message: str) -> None:
-    with pytest.raises(ConfigError) as error:
-        expand(overrides)
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
+def test_bad_sweep() -> None:
+    for message, overrides in {
+        "sweep=unknown: no such option; sweep has ablation, ": ["+sweep=unknown"],
+        "sweep.trials: must be greater than 0, got 0": ["+sweep=smoke", "sweep.trials=0"],
+        "sweep.trialss: no such key; +sweep.trialss=... if the sweep": ["+sweep=smoke", "sweep.trialss=1"],
+        "sweep.trialss: no such key": ["+sweep=smoke", "+sweep.trialss=1"],
+        "sweep.axes: must be a valid dictionary, got 3": ["+sweep=smoke", "sweep.axes=3"],
+        "sweep.axes.nosuch.keys: nosuch: no such key": ["+sweep=smoke", "+sweep.axes.nosuch=[1]"],
+        "sweep.axes.noise.keys: hardware.noise.torque_variance: ": ["+sweep=fig6", "preset=cartpole"],
+        "bias=nosuch: no such option": ["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"],
+        "sweep.axes.bias: has no values": ["+sweep=smoke", "+sweep.axes.bias=[]"],
+        "sweep.axes.x: tracking changes no trial's result": [
+            "+sweep={trials: 1, axes: {x: {keys: tracking.uri, values: [a]}}}"
+        ],
+        "seed is set elsewhere: each trial has its own": ["+sweep={trials: 1, axes: {seed: [1, 2]}}"],
+        "set elsewhere": ["+sweep={trials: 1, axes: {bias.d: [1.0], x: {keys: bias.d, values: [2.0]}}}"],
+        "sweep.axes: 0 none and 0  none are the same": ["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"],
+        "hardware.inertia_error: is an axis of the sweep": ["+sweep=table2", "hardware.inertia_error=0.1"],
+        "sweep.axes.error: has 2 labels for 1 values": ["+sweep=table2", "sweep.axes.error.values=[0.1]"],
+        "sweep.report.columns: no such axis: no": ["+sweep=table2", "sweep.report.columns=no"],
+        "sweep.common_seeds: no such axis: no; there are ": ["+sweep=learners", "sweep.common_seeds=[no]"],
+    }.items():
+        with pytest.raises(ConfigError) as error:
+            expand(overrides)
+        assert message in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_bad_axis() -> None:
+    for message, spec in {
+        "has no values": [],
+        "has no keys": {"keys": [], "values": [[]]},
+        "must be a list of values, got 'gp'": "gp",
+        "has a name or label with letters that cannot be printed": {
+            "keys": "x", "values": ["gp"], "labels": ["a\tb"]
+        },
+        "has the same value or label twice: gp, gp": ["gp", "gp"],
+        "each of its values must list 2, one for each key, got 0.1": {"keys": ["seed", "x"], "values": [0.1]},
+    }.items():  # fmt: skip
+        with pytest.raises(ConfigError) as error:
+            read_axis("bias", spec)
+        assert str(error.value) == f"sweep.axes.bias: {message}"
 
 
 def test_an_axis_may_add_a_key() -> None:

@@ -13,9 +13,9 @@ from simbias.trial.folder import TrialFolder
 
 pytestmark = pytest.mark.slow
 
-DEADLY = ["SIGSEGV", "SIGKILL beside a child"]  # tests of engines have others
+DEADLY = ["SIGKILL beside a child"]  # each takes six workers; tests of engines have others
 SWEEP = """
-task: {{horizon: 200}}
+task: {{horizon: 100}}
 optimizer: {{max_evaluations: 20}}
 method: {{max_iterations: 1}}
 cost: {{max_cost: 1e-3}}
@@ -42,7 +42,7 @@ def test_a_sweep_continues_whatever_its_hardware_does(tmp_path: Path) -> None:
     command = ["--config-dir", "conf", "+sweep=mine", "hardware=faulty", "experiment_timeout=2", *FOLDERS]
     status, out, err = run(*command, folder=tmp_path)
     assert status == 1, out + err
-    assert "Traceback" not in err  # loky tells where a worker's memory was hurt
+    assert "Traceback" not in err
     for fault in faults:
         (line,) = re.findall(rf"^\[\d+/{len(faults)}\] {re.escape(fault)} #0: (.*)$", out, re.MULTILINE)
         if fault in fine:

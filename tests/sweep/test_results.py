@@ -1,5 +1,9 @@
+"""Every shipped sweep runs, and what is published is that of the sweep."""
+
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,14 +14,23 @@ import optimizers
 import pandas as pd
 import pytest
 from conftest import ROOT
+from in_numpy import predict_in_numpy
 from paired import paired
 from published import held
+from shipped import shortened
 from side_by_side import side_by_side
+from sweeping import sweep_folder, table
 
-from simbias.config import ConfigError
+from simbias.config import ConfigError, sweeps
 from simbias.core import markdown
+from simbias.engine.sequential import Sequential
+from simbias.search.optimizer import ilqr
 from simbias.sweep import results, tables
-from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.grid import Sweep, Trial, expand
+from simbias.sweep.running import run_sweep
+from simbias.sweep.state import finished
+from simbias.sweep.tracking import Folders
+from simbias.terminal.sweep import SweepConsole
 
 RESULTS = ROOT / "sweeps" / "results"
 README = RESULTS / "README.md"
@@ -36,6 +49,48 @@ def swept(folder: str) -> Sweep:
     """The shipped sweep of a folder of results; NAME_test is on the suite's test cells. It takes seconds."""
     name = folder.removesuffix("_test")
     return expand([f"+sweep={name}", *["sweep.suite.split=test"] * (name != folder)])
+
+
+def few(sweep: Sweep) -> Iterator[Trial]:
+    """The first and the last trial, and between them those of components that have not come up."""
+    *trials, last = sweep.trials[: len(sweep.cells)]
+    met: set[tuple[str, str]] = set()
+    for trial in trials:
+        config = trial.composition.config.items()
+        own = {
+            (key, each["_target_"]) for key, each in config if isinstance(each, dict) and "_target_" in each
+        }
+        if own - met:
+            met |= own
+            yield trial
+    yield last
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])
+def test_every_sweep_runs_shortened(
+    name: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    uncompiled: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A few trials are read back, its table has a line for every cell, and its figures are drawn."""
+    monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
+    predict_in_numpy(monkeypatch)
+    whole = swept(name)
+    cells = [replace(cell, composition=shortened(cell.composition)) for cell in whole.cells]
+    sweep = replace(whole, base=shortened(whole.base), cells=tuple(cells), repetitions=1)
+    vars(sweep)["trials"] = run = tuple(few(sweep))
+    trials, _ = run_sweep(sweep, Sequential(), store := Folders(pictures=False), "again", SweepConsole())
+    assert list(trials["hash"]) == [trial.hash for trial in run]
+    assert set(trials["raised"]) == {""}
+    pd.testing.assert_frame_equal(finished(sweep, store), trials)
+    out = capsys.readouterr().out
+    assert f"{len(sweep.cells)} cells x 1 trials = {len(run)}" in out
+    assert f"[{len(run)}/{len(run)}]" in out
+    assert len(table(folder).splitlines()) == 1 + len(sweep.cells)
+    assert {file.stem for file in sweep_folder(folder).glob("figures/*")} == set(sweep.figures)
 
 
 @pytest.mark.slow
@@ -58,6 +113,15 @@ def test_published_trials_are_those_that_the_sweep_would_run(folder: Path) -> No
     trials = results.published(sweep, folder.name)
     planned = [(trial.hash, trial.repetition, trial.seed) for trial in sweep.trials]
     assert list(zip(trials["hash"], trials["repetition"], trials["seed"], strict=True)) == planned
+
+
+@pytest.mark.slow
+def test_methods_of_a_cell_meet_the_same_starts() -> None:
+    sweep = swept("methods")
+    seeds = {(trial.cell.labels[0], trial.repetition): trial.seed for trial in sweep.trials}
+    assert all(trial.seed == seeds[trial.cell.labels[0], trial.repetition] for trial in sweep.trials)
+    assert len(set(seeds.values())) == len(seeds) == len(sweep.trials) / 23
+    assert len(sweep.cells) == len({cell.composition.group_hash for cell in sweep.cells}) == 11 * 23
 
 
 def test_cells_count_once_and_what_raised_counts_as_nothing(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def alive(pid: int) -> bool:
 def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
     """Files may not grow beyond the size of half an experiment: none can be kept, as on a full disk."""
     kept = next(uninterrupted.glob("trials/*/*_experiment.npz")).stat().st_size
-    status, out, err = run(*COMMAND, folder=folder, largest_file=kept // 2)
+    status, out, err = run(*COMMAND, ONE_PROCESS, folder=folder, largest_file=kept // 2)
     assert status == 1
     assert "OSError: [Errno 27] File too large" in out
     assert "Traceback" not in out + err
@@ -135,21 +135,15 @@ def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> N
     assert (first / "overview.png").exists()
 
 
-def kill(folder: Path, temporary: Path, trials: int) -> None:
-    """Kill a sweep and all its processes once this many trials have ended."""
-    process = start(*COMMAND, folder=folder, temporary=temporary)
-    until_trials(process, trials)
-    os.killpg(process.pid, signal.SIGKILL)
-    assert finish(process)[0] == -signal.SIGKILL
-
-
 def test_a_later_start_removes_what_a_kill_left(folder: Path, uninterrupted: Path, tmp_path: Path) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    for trials in (1, 2):
-        kill(folder, temporary, trials)
+    process = start(*COMMAND, folder=folder, temporary=temporary)
+    until_trials(process, 1)
+    os.killpg(process.pid, signal.SIGKILL)
+    assert finish(process)[0] == -signal.SIGKILL
     assert list(temporary.iterdir())
     assert list(sweep_folder(folder).glob(".shared_*"))
-    assert run(*COMMAND, folder=folder, temporary=temporary)[0] == 0
+    assert run(*COMMAND, ONE_PROCESS, folder=folder, temporary=temporary)[0] == 0
     check(folder, uninterrupted)
     assert list(temporary.iterdir()) == []

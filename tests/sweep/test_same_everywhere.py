@@ -27,8 +27,12 @@ SHORT = [
 ]
 TRIALS = [  # what learns, searches and samples differently
     ["bias=gp", "hardware.noise.torque_variance=0.1"],
-    ["bias=sparse_gp", "optimizer=hybrid", "hardware.inertia_error=0.2"],
-    ["bias=gp_learned", "optimizer=cma", "hardware.record=measured", "hardware.noise.angle_variance=1e-6"],
+    [
+        "bias=sparse_gp_learned",
+        "optimizer=cma",
+        "hardware.record=measured",
+        "hardware.noise.angle_variance=1e-6",
+    ],
     ["preset=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=4", "evaluation.seconds=1"],
 ]
 ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Path(sys.argv[1])))"

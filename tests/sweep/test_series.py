@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,13 +11,14 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from sweeping import write_sweep
 
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import COLORS, MARKERS, series_style
 from simbias.sweep.figure import SweptTrials
 from simbias.sweep.figures.costs import Costs
 from simbias.sweep.figures.experiments import Experiments
-from simbias.sweep.grid import expand
+from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.results import LATER
 
 LEARNERS = ["gp", "sparse_gp", "gp_learned", "none"]
@@ -33,9 +33,15 @@ sweep:
 """
 
 
-def picture_of(name: str, config_dir: Path | None = None) -> Figure:
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    """A sweep of eight series."""
+    return expand(["+sweep=eight"], write_sweep(tmp_path_factory.mktemp("eight"), "eight", EIGHT_SERIES))
+
+
+def picture_of(sweep: Sweep) -> Figure:
     """The figure of a sweep whose trials are random numbers."""
-    sweep, rng = expand([f"+sweep={name}"], config_dir), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     rows = [
         {
             **dict(zip((axis.name for axis in sweep.axes), cell.labels, strict=True)),
@@ -68,10 +74,8 @@ def test_styles_differ() -> None:
 
 
 @pytest.mark.slow
-def test_eight_series(tmp_path: Path) -> None:
-    (tmp_path / "sweeps").mkdir()
-    (tmp_path / "sweeps" / "eight.yaml").write_text(EIGHT_SERIES)
-    figure = picture_of("eight", tmp_path)
+def test_eight_series(eight: Sweep) -> None:
+    figure = picture_of(eight)
     assert_nothing_is_cut(figure)
     (axes,) = figure.axes
     points = [container.lines[0] for container in axes.containers]
@@ -85,7 +89,7 @@ def test_eight_series(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_legends_of_shipped_sweeps() -> None:
     for name in ("table2", "learning"):
-        figure = picture_of(name)
+        figure = picture_of(expand([f"+sweep={name}"]))
         if figure.legends:
             assert_nothing_is_cut(figure)
 
@@ -98,12 +102,10 @@ def test_labels_longer_than_the_figure_are_wrapped() -> None:
 
 
 @pytest.mark.slow
-def test_costs_of_many_cells(tmp_path: Path) -> None:
+def test_costs_of_many_cells(eight: Sweep) -> None:
     """A panel for each, in rows; their legend is whole."""
-    (tmp_path / "sweeps").mkdir()
-    (tmp_path / "sweeps" / "eight.yaml").write_text(EIGHT_SERIES)
-    sweep, rng = expand(["+sweep=eight"], tmp_path), np.random.default_rng(0)
-    labels = [dict(zip((axis.name for axis in sweep.axes), cell.labels, strict=True)) for cell in sweep.cells]
+    rng = np.random.default_rng(0)
+    labels = [dict(zip((axis.name for axis in eight.axes), cell.labels, strict=True)) for cell in eight.cells]
 
     def trial(hash_: str) -> SimpleNamespace:
         ended = int(hash_) % 2 == 0
@@ -127,7 +129,7 @@ def test_costs_of_many_cells(tmp_path: Path) -> None:
             for cell in range(cells)
             for i in range(2)
         ]
-        figure = Costs().draw(SweptTrials(sweep, pd.DataFrame(rows), trial), ()).figure  # type: ignore[arg-type]
+        figure = Costs().draw(SweptTrials(eight, pd.DataFrame(rows), trial), ()).figure  # type: ignore[arg-type]
         assert_nothing_is_cut(figure)
         assert sum(bool(axes.lines) for axes in figure.axes) == cells
         assert figure.get_figwidth() < 15.0

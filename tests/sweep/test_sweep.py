@@ -6,105 +6,40 @@ import io
 import json
 import re
 import shutil
-import subprocess
-import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
-from conftest import OWN_CONF, POINT_MASS, ROOT
+from conftest import OWN_CONF, POINT_MASS
 from rich.console import Console
 from sweeping import (
     FOLDERS,
     NO_FIGURES,
     QUICK,
-    TINY,
     content,
+    finish,
     run,
+    start,
     state,
     sweep_folder,
     table,
     trial_by_trial,
+    until_trials,
     write_sweep,
 )
 
 import simbias
 from simbias.__main__ import main
-from simbias.config import Composition, ConfigError, sweeps
-from simbias.engine.sequential import Sequential
-from simbias.search.optimizer import ilqr
-from simbias.sweep.grid import Sweep, Trial, expand
-from simbias.sweep.running import SweepObserver, run_sweep
-from simbias.sweep.state import finished
-from simbias.sweep.tracking import Folders
+from simbias.config import ConfigError
+from simbias.sweep.grid import Trial, expand
+from simbias.sweep.running import SweepObserver
 from simbias.sweep.worker import Plan, Result, run_plan
 from simbias.terminal.notices import COMPILING
 from simbias.terminal.sweep import SweepConsole
 
 pytestmark = pytest.mark.slow
 
-SHORT: dict[str, dict[str, Any]] = {  # at most
-    "task": {"horizon": 30, "hold": 0.05},
-    "policy": {"knots": 21},
-    "evaluation": {"seconds": 0.03, "rollouts": 3},
-    "optimizer": {"max_evaluations": 5, "explorations": 5},
-    "identification": {"starts": 4, "rounds": 1, "evaluations": 4},
-    "method": {
-        "max_iterations": 1,
-        "retry_search": 0,
-        "passes": 2,
-        "confidence": 0.2,
-        "lqr_candidates": 1,
-        "trajectories": 1,
-    },
-    "policy_test": {"episodes": 1, "long_episodes": 0},
-}
 SMOKE = ["+sweep=smoke", *QUICK, *FOLDERS, "engine=sequential"]
-
-
-def shortened(composition: Composition) -> Composition:
-    """With no more of anything than SHORT says, also of what an axis sets."""
-    config = {key: dict(value) if key in SHORT else value for key, value in composition.config.items()}
-    for group, most in SHORT.items():
-        for key in most.keys() & config[group].keys():
-            if config[group][key] is not None:
-                config[group][key] = min(config[group][key], most[key])
-    return replace(composition, config=config)
-
-
-def corners(sweep: Sweep) -> tuple[Trial, ...]:
-    """Few trials in which every point of every axis comes up."""
-    labels = [axis.labels for axis in sweep.axes]
-    some = {tuple(each[i % len(each)] for each in labels) for i in range(max(map(len, labels)))}
-    return tuple(trial for trial in sweep.trials if trial.cell.labels in some)
-
-
-@pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])
-def test_every_sweep_runs_shortened(
-    name: str,
-    folder: Path,
-    capsys: pytest.CaptureFixture[str],
-    uncompiled: None,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Its corners; they are read back, its table has a line for every cell, and its figures are drawn."""
-    monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
-    whole = expand([f"+sweep={name}", "sweep.trials=1", *(TINY if name == "methods" else [])])
-    cells = [replace(cell, composition=shortened(cell.composition)) for cell in whole.cells]
-    sweep = replace(whole, base=shortened(whole.base), cells=tuple(cells))
-    vars(sweep)["trials"] = corners(sweep)
-    trials, _ = run_sweep(sweep, Sequential(), store := Folders(pictures=False), "again", SweepConsole())
-    count = max(len(axis.points) for axis in sweep.axes)
-    assert len(trials) == count
-    assert set(trials["raised"]) == {""}
-    pd.testing.assert_frame_equal(finished(sweep, store), trials)
-    out = capsys.readouterr().out
-    assert f"{len(sweep.cells)} cells x 1 trials = {count}" in out
-    assert f"[{count}/{count}]" in out
-    assert len(table(folder).splitlines()) == 1 + len(sweep.cells)
-    assert {file.stem for file in sweep_folder(folder).glob("figures/*")} == set(sweep.figures)
 
 
 def test_the_folder_tells_everything(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -277,30 +212,23 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
     assert not list(folder.iterdir())
 
 
-MEMORY = """
-import resource, sys
-from simbias.__main__ import main
-command = ["--config-dir", sys.argv[1], *sys.argv[2:]]
-assert main([*command, "sweep.trials=2"]) == 0
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-assert main([*command, "sweep.trials=8"]) == 0
-print("more MiB:", (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
-"""
-
-
 def test_parents_memory_is_flat(folder: Path) -> None:
-    """12 trials more; their export to MLflow too."""
-    small = [*QUICK, "task.horizon=500", "tracking.pictures=false"]
-    done = subprocess.run(
-        [sys.executable, "-c", MEMORY, str(ROOT / "conf"), "+sweep=smoke", *small],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    more = float(done.stdout.splitlines()[-1].split()[-1])
+    """Of 12 trials more and their export to MLflow, whose experiments alone are 5 MiB."""
+    small = [*QUICK, "task.horizon=2000", "cost.max_cost=1e-3", "tracking.pictures=false"]
+    process = start("+sweep=smoke", "sweep.trials=8", *small, NO_FIGURES, folder=folder)
+    until_trials(process, 3)
+    before = memory(process.pid)
+    until_trials(process, 12)
+    more = memory(process.pid) - before
+    assert finish(process)[0] == 0
     print(f"12 trials more take {more:.1f} MiB more")
-    assert more < 8
+    assert more < 4
+
+
+def memory(pid: int) -> float:
+    """MiB of a process that are no file's."""
+    (kib,) = re.findall(r"^RssAnon:\s*(\d+) kB$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+    return int(kib) / 1024
 
 
 def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
