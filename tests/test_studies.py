@@ -71,12 +71,20 @@ def test_a_policy_is_searched_on_the_hardware(study: Study, tmp_path: Path) -> N
     assert found["hardware_balances"] == found["simulated_balances"] == 20  # nobody falls within 60 ms
 
 
+def few_gaps(values: list[str], labels: list[str]) -> list[str]:
+    """Overrides that leave these cells of `+sweep=gaps`."""
+    listed = ", ".join(f"[{{{value}}}]" for value in values)
+    quoted = ", ".join(f"'{label}'" for label in labels)
+    return [f"sweep.axes.gap.values=[{listed}]", f"sweep.axes.gap.labels=[{quoted}]"]
+
+
 @pytest.mark.usefixtures("uncompiled")
 def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
     nearby = ["--sweep", "gaps", "--cells", "motor 60", "lag 20", "--screening", "2", "--deviation", "0.002"]
     quick = ["method.max_iterations=1", "evaluation=nominal_start", "identification=none", "bias=none"]
-    study("searched_on_hardware", "found.csv", *short, *nearby, *quick)
+    gaps = few_gaps(["slope: 0.02", "motor_gain: 0.6", "lag: 0.02"], ["slope", "motor 60%", "lag 20 ms"])
+    study("searched_on_hardware", "found.csv", *short, *nearby, *quick, *gaps)
     assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%", "lag 20 ms"]
 
 
@@ -109,7 +117,8 @@ def test_what_is_learned_of_gaps_predicts_other_experiments(
     """A motor of 40% is a parameter of the model: what is identified predicts best."""
     monkeypatch.setattr(open_loop, "of_bias", lambda *_: SimpleNamespace(kernel=None))  # each is used once
     quick = ["identification.starts=4", "identification.rounds=1", "identification.evaluations=4"]
-    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=600", *quick]
+    gaps = few_gaps(["motor_gain: 0.4"], ["motor 40%"])
+    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=600", *quick, *gaps]
     printed = study("gaps_predicted", "predicted.csv", *arguments)
     assert printed.splitlines()[-1].startswith("| motor 40% | ")
     errors = pd.read_csv(tmp_path / "predicted.csv").set_index("way")["error"]

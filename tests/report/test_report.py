@@ -15,6 +15,7 @@ from simbias.__main__ import main
 from simbias.core.errors import ConfigError
 from simbias.report.folder import write_report
 from simbias.report.sweep import sweep_page
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.run import run_trial
 
@@ -42,10 +43,13 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     short = ["task.horizon=50", "policy_test.episodes=3", "policy_test.long_episodes=0"]
     study = simbias.load(["preset=cartpole", "method=lqr", *short])
     folder = tmp_path_factory.mktemp("trials") / study.hash
-    run_trial(study, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a module
+        run_trial(study, folder)
     return folder
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path) -> None:
     (file,) = write_report(trial)
     html, summary = file.read_text(), json.loads((trial / "outcome.json").read_text())
