@@ -66,6 +66,7 @@ def shortened(command: str) -> list[str]:
         return [
             *arguments,
             f"hardware.columns={{{COLUMNS}}}",
+            *("identification.starts=4", "identification.rounds=1"),
             *(["--seconds", "1"] if "excite" in arguments else []),
         ]
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
@@ -78,11 +79,13 @@ import ast, sys
 import simbias
 from simbias.__main__ import main
 from simbias.sweep.grid import expand
+from simbias.terminal import excite, identify
 
 print("home", simbias.__file__)
 for name in ("fig4", "fig5", "fig6", "fig7"):  # whose classes lie beside the sweeps
     figure = expand([f"+sweep={name}"]).figures[name]
     assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
+excite.TRAJECTORIES = identify.TRAJECTORIES = 4
 for arguments in ast.literal_eval(sys.argv[1]):
     try:
         status = main(arguments)

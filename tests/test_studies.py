@@ -6,12 +6,16 @@ import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import joblib
 import pandas as pd
 import pytest
 from conftest import ROOT
-from sweeping import FOLDERS, NO_FIGURES, run
+from sweeping import FOLDERS, NO_FIGURES
+
+from simbias.__main__ import main
+from simbias.simulation import open_loop
 
 pytestmark = pytest.mark.slow
 
@@ -28,6 +32,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     monkeypatch.chdir(tmp_path)
 
     def run_study(name: str, *arguments: str) -> str:
+        capsys.readouterr()
         monkeypatch.setattr(sys, "argv", [program(name), *arguments])
         with joblib.parallel_config("sequential"):
             runpy.run_path(program(name), run_name="__main__")
@@ -47,13 +52,9 @@ def test_two_sweeps_of_the_same_cells_are_compared(study: Study) -> None:
     assert "equivalent over cells within experiments of: 2" in box2d
 
 
-def test_last_policies_of_a_sweep_are_tried(tmp_path: Path) -> None:
-    status, _, err = run("+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential", folder=tmp_path)
-    assert status == 0, err
-    last_policies = [program("last_policies")]
-    status, printed, err = run("smoke", "policies.csv", folder=tmp_path, program=last_policies)
-    assert status == 0, err
-    head, _, *body = printed.splitlines()
+def test_last_policies_of_a_sweep_are_tried(study: Study, tmp_path: Path) -> None:
+    assert main(["+sweep=smoke", NO_FIGURES, *FOLDERS, "engine=sequential"]) == 0
+    head, _, *body = study("last_policies", "smoke", "policies.csv").splitlines()
     assert head.endswith("| succeeded | starts that the last policy balances |")
     assert [line.split(" | ")[0] for line in body] == ["| 0", "| 0.2"]
     found = pd.read_csv(tmp_path / "policies.csv")
@@ -70,13 +71,24 @@ def test_a_policy_is_searched_on_the_hardware(study: Study, tmp_path: Path) -> N
     assert found["hardware_balances"] == found["simulated_balances"] == 20  # nobody falls within 60 ms
 
 
+def few_gaps(values: list[str], labels: list[str]) -> list[str]:
+    """Overrides that leave these cells of `+sweep=gaps`."""
+    listed = ", ".join(f"[{{{value}}}]" for value in values)
+    quoted = ", ".join(f"'{label}'" for label in labels)
+    return [f"sweep.axes.gap.values=[{listed}]", f"sweep.axes.gap.labels=[{quoted}]"]
+
+
+@pytest.mark.usefixtures("uncompiled")
 def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
     nearby = ["--sweep", "gaps", "--cells", "motor 60", "lag 20", "--screening", "2", "--deviation", "0.002"]
-    study("searched_on_hardware", "found.csv", *short, *nearby, "method.max_iterations=1")
+    quick = ["method.max_iterations=1", "evaluation=nominal_start", "identification=none", "bias=none"]
+    gaps = few_gaps(["slope: 0.02", "motor_gain: 0.6", "lag: 0.02"], ["slope", "motor 60%", "lag 20 ms"])
+    study("searched_on_hardware", "found.csv", *short, *nearby, *quick, *gaps)
     assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%", "lag 20 ms"]
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_robots_are_tried_by_each_way(study: Study, tmp_path: Path) -> None:
     ways = ["--ways", "preset", "paper", "robust", "lqr", "least_squares", "bayesian"]
     short = ["--seeds", "1", "--experiments", "3", "--set", "optimizer.max_evaluations=20", "task.horizon=20"]
@@ -99,10 +111,14 @@ def test_what_is_learned_on_one_engine_is_tried_on_all(study: Study, tmp_path: P
     assert [line.split(" | ")[0] for line in printed.splitlines()[2:]] == [f"| {name}" for name in engines]
 
 
-def test_what_is_learned_of_gaps_predicts_other_experiments(study: Study, tmp_path: Path) -> None:
+def test_what_is_learned_of_gaps_predicts_other_experiments(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A motor of 40% is a parameter of the model: what is identified predicts best."""
-    quick = ["identification.starts=8", "identification.rounds=2", "identification.evaluations=6"]
-    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=600", *quick]
+    monkeypatch.setattr(open_loop, "of_bias", lambda *_: SimpleNamespace(kernel=None))  # each is used once
+    quick = ["identification.starts=4", "identification.rounds=1", "identification.evaluations=4"]
+    gaps = few_gaps(["motor_gain: 0.4"], ["motor 40%"])
+    arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=600", *quick, *gaps]
     printed = study("gaps_predicted", "predicted.csv", *arguments)
     assert printed.splitlines()[-1].startswith("| motor 40% | ")
     errors = pd.read_csv(tmp_path / "predicted.csv").set_index("way")["error"]

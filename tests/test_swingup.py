@@ -15,9 +15,10 @@ QUICK = ["evaluation=nominal_start", "optimizer.max_evaluations=3000"]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["acrobot_swingup", "pendubot_swingup"])
-def test_a_search_swings_the_model_up(preset: str) -> None:
+def test_a_search_swings_the_model_up(preset: str, request: pytest.FixtureRequest) -> None:
     study = simbias.load([f"preset={preset}", *QUICK])
     found = search(study, study.first_model(), np.random.default_rng(0), Observer())
+    request.getfixturevalue("uncompiled")  # for one rollout, and by another loop than the search's
     rollout = study.simulate(found.optimum.parameters)
     assert found.predicted_cost < 0.3  # 1 is the cost of hanging
     assert study.passes(rollout)
@@ -39,7 +40,7 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     assert held.max() < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     theta = np.zeros(study.policy.n_parameters)

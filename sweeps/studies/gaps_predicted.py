@@ -83,7 +83,7 @@ def summary(table: pd.DataFrame) -> str:
 
 def main(arguments: argparse.Namespace) -> None:
     """Learn and predict, print the table and write the rows."""
-    labels = [" ".join(cell.labels) for cell in expand(["+sweep=gaps"]).cells]
+    labels = [" ".join(cell.labels) for cell in expand(["+sweep=gaps", *arguments.overrides]).cells]
     chosen = [label for label in labels if label.startswith(tuple(arguments.cells))]
     made = Parallel(n_jobs=2)(
         delayed(predicted)(label, seed, arguments.overrides)

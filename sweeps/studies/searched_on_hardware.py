@@ -101,7 +101,8 @@ def main(arguments: argparse.Namespace) -> None:
     """Search for every cell and seed, print the table and write it."""
     cells = [""]
     if arguments.sweep:
-        labels = [" ".join(cell.labels) for cell in expand([f"+sweep={arguments.sweep}"]).cells]
+        sweep = expand([f"+sweep={arguments.sweep}", *arguments.overrides])
+        labels = [" ".join(cell.labels) for cell in sweep.cells]
         cells = [label for label in labels if label.startswith(tuple(arguments.cells))]
     rows = Parallel(n_jobs=2)(
         delayed(searched)(seed, cell, arguments) for cell in cells for seed in range(arguments.seeds)

@@ -9,6 +9,7 @@ from conftest import OWN_CONF, POINT_MASS
 
 import simbias
 from simbias.core.records import Iteration, Learning, Optimum, Search
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
@@ -51,8 +52,10 @@ def trial(short: Study) -> list[Iteration]:
 
 @pytest.fixture(scope="session")
 def of_point_mass() -> tuple[Study, list[Iteration]]:
-    study = simbias.load([*POINT_MASS, "optimizer.max_evaluations=150"], OWN_CONF)
-    return study, list(study.run())
+    study = simbias.load([*POINT_MASS, "optimizer.max_evaluations=50"], OWN_CONF)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a session
+        return study, list(study.run())
 
 
 class Tries(Method):

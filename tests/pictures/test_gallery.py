@@ -52,6 +52,7 @@ def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_a_task_without_a_drawing_has_no_animation(of_point_mass: tuple[Study, list[Iteration]]) -> None:
     loose = Withdrawal("0004_experiment.npz", "a loose cable", (), 0.0, 0.0)
     files = pictures(*of_point_mass)

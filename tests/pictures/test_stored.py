@@ -16,11 +16,18 @@ from simbias.core.records import Iteration
 from simbias.pictures.trial.gallery import FIGURES
 from simbias.trial.study import Study
 
-pytestmark = pytest.mark.slow
-
 TINY = ["--config-dir", str(OWN_CONF), *POINT_MASS, "optimizer.max_evaluations=40", "method.max_iterations=2"]
 
 AT_REST = FIGURES.keys() - {"following"}  # of a task whose goal does not move
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One figure is drawn, the others are empty; `test_gallery.py` draws all."""
+    for name in AT_REST - {"overview"}:
+        monkeypatch.setitem(FIGURES, name, lambda *_: Figure())
 
 
 def trial_of(folder: Path, *overrides: str) -> Path:

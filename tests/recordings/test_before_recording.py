@@ -143,6 +143,7 @@ def test_the_commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("simbias.terminal.excite.TRAJECTORIES", 40)
     arguments = ["preset=double_pendulum", *QUICK[1:], "hardware.safety.states={vel1: 12, vel2: 15}"]
     assert main(["excite", *arguments, "--seconds", "1", "--into", "torques.csv"]) == 0
     out = capsys.readouterr().out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -228,7 +227,14 @@ def write_csv(rollout: Rollout, file: Path) -> None:
     pd.DataFrame(rows, columns=names).to_csv(file, index=False)
 
 
+@pytest.fixture
+def few_designs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is to be recorded next is looked for among few trajectories."""
+    monkeypatch.setattr("simbias.terminal.identify.TRAJECTORIES", 4)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_designs")
 def test_the_command_tells_and_writes(
     study: Study,
     robot: tuple[dict[str, float], dict[str, Rollout]],
@@ -237,7 +243,7 @@ def test_the_command_tells_and_writes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    write_csv(replace(robot[1]["one"]), tmp_path / "one.csv")
+    write_csv(robot[1]["one"], tmp_path / "one.csv")
     arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICK[1:]]
     assert main(arguments) == 0
     out = capsys.readouterr().out
@@ -249,6 +255,7 @@ def test_the_command_tells_and_writes(
         *("report.html", "parameters.csv", "errors.csv", "draws.csv", "excitation.csv", "identified.yaml")
     }
     write_csv(experiment(study.nominal, np.random.default_rng(0)), tmp_path / "two.csv")
+    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn above
     assert main([*arguments, "--held-out", "two.csv", "--attach"]) == 1
     assert "Do not use it." in capsys.readouterr().out
     assert main(["identify", "three.csv", *arguments[2:]]) == 2
@@ -262,15 +269,18 @@ def test_the_command_tells_and_writes(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_designs", "uncompiled")
 def test_a_trial_is_started_from_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of a real robot; the trial's first search is made on the identified model."""
     here = Path("tests/recordings").resolve()
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")
     columns = ["hardware.columns={" + COLUMNS + "}", f"hardware.folder={here}"]
     short = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1", "bias=none"]
-    arguments = ["identify", str(here), "preset=double_pendulum", *columns, *short, "tracking=folders"]
+    kept = ["tracking=folders", "tracking.pictures=false"]
+    arguments = ["identify", str(here), "preset=double_pendulum", *QUICK[1:], *columns, *short, *kept]
     assert main([*arguments, "--attach"]) in (0, 1)
     assert "the identified model errs 0." in capsys.readouterr().out
     (folder,) = (tmp_path / "trials").iterdir()

@@ -15,6 +15,7 @@ from simbias.__main__ import main
 from simbias.core.errors import ConfigError
 from simbias.report.folder import write_report
 from simbias.report.sweep import sweep_page
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.run import run_trial
 
@@ -39,14 +40,16 @@ def self_contained(html: str) -> bool:
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    study = simbias.load(
-        ["preset=cartpole", "method=lqr", "policy_test.episodes=3", "policy_test.long_episodes=0"]
-    )
+    short = ["task.horizon=50", "policy_test.episodes=3", "policy_test.long_episodes=0"]
+    study = simbias.load(["preset=cartpole", "method=lqr", *short])
     folder = tmp_path_factory.mktemp("trials") / study.hash
-    run_trial(study, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a module
+        run_trial(study, folder)
     return folder
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path) -> None:
     (file,) = write_report(trial)
     html, summary = file.read_text(), json.loads((trial / "outcome.json").read_text())
@@ -69,8 +72,11 @@ def test_an_unfinished_trial_has_a_page(trial: Path, tmp_path: Path) -> None:
     assert "Interrupted after 0 hardware experiments" in file.read_text()
 
 
-def test_what_files_say_is_text_and_never_markup(trial: Path, tmp_path: Path) -> None:
+def test_what_files_say_is_text_and_never_markup(
+    trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a trial that somebody else made."""
+    monkeypatch.setattr("simbias.report.trial.FIGURES", {})
     copy = tmp_path / trial.name
     copy.mkdir()
     for file in trial.iterdir():
@@ -85,10 +91,12 @@ def test_what_files_say_is_text_and_never_markup(trial: Path, tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its tables, figures and counts; labels are the user's."""
     conf = write_sweep(tmp_path, "mine", SWEEP)
-    overrides = ["preset=cartpole", "optimizer.max_evaluations=5", "policy_test.episodes=2", *FOLDERS]
+    quick = ["task.horizon=50", "optimizer.max_evaluations=5", "policy_test.episodes=2"]
+    overrides = ["preset=cartpole", "policy_test.long_episodes=0", *quick, *FOLDERS]
     with chdir(tmp_path):
         command = ["--config-dir", str(conf), "+sweep=mine", "engine=sequential", *overrides]
         assert main(command) == 0
