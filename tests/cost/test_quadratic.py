@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from in_numpy import OfAllLanes
 from interpreted import interpreted
 
 import simbias
-from simbias.core import Cost, FittedBias, Kernel, Task
+from simbias.core import Cost, FittedBias, Task
 from simbias.core.records import Array, Indices, Rollout
 from simbias.cost.quadratic import Quadratic
 from simbias.learning.bias.none import ZeroBias
@@ -76,20 +77,11 @@ class OfAll(Tracking):
         return float(np.sum((x - np.sin(3 * t)) ** 2) + np.max(t * (u > 0), initial=0.0) + lost)
 
 
-class OfAllLanes(ZeroBias):
-    """A constant correction, by a kernel for all lanes at once."""
-
-    kernel = Kernel(lambda x, u, data, correction: correction.__setitem__(..., 1e-4), ())
-
-    def correction(self, x: Array, u: Array) -> Array:
-        return np.full_like(x, 1e-4)
-
-
 @pytest.mark.parametrize("bias", [ZeroBias, OfAllLanes])
 def test_a_cost_knows_the_time_summed_up_and_of_a_record(study: Study, bias: type[FittedBias]) -> None:
     """Where a bias corrects all lanes at once, too."""
     rng, lower = np.random.default_rng(0), study.policy.bounds[0]
-    thetas = rng.uniform(lower, -lower, (40, len(lower)))
+    thetas = rng.uniform(lower, -lower, (20, len(lower)))
     starts = np.array([study.task.draw_start(rng) for _ in thetas])
     model = replace(study.model(bias(6)), task=study.task.with_horizon(200))
     with interpreted():
