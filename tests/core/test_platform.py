@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT
-from sweeping import NO_FIGURES, QUICK
+from sweeping import FOLDERS, NO_FIGURES, QUICK
 
 from simbias.__main__ import main
 from simbias.core import platform as machine
@@ -21,7 +21,7 @@ SWEEP = ["+sweep=smoke", NO_FIGURES, "sweep.trials=1", "engine=sequential", *QUI
 
 def kept(folder: Path) -> list[str]:
     """Overrides that keep trials in a folder."""
-    return ["tracking=folders", f"tracking.trials={folder}"]
+    return [*FOLDERS, f"tracking.trials={folder}"]
 
 
 def platforms(folder: Path) -> list[tuple[str, ...]]:

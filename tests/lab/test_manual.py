@@ -49,7 +49,7 @@ def test_a_trial_waits_for_a_person_and_resumes(
 ) -> None:
     """Request by request, with a wrong file between; it ends as the trial on the simulated hardware."""
     monkeypatch.chdir(tmp_path)
-    store = [f"tracking.uri=sqlite:///{tmp_path}/mlflow.db", "tracking.pictures=false"]
+    store = ["tracking=folders", "tracking.pictures=false", f"tracking.trials={tmp_path / 'trials'}"]
     command = ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *OWN, "hardware=manual", *store]
     status, answered = main(command), 0
     while status == WAITING:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import ROOT
+from interpreted import interpreted
 from omegaconf import OmegaConf
 
 import simbias
@@ -33,7 +34,7 @@ def cartpole() -> Study:
 def turning() -> Task:
     """The cart-pole, whose angle wraps and which does not fail."""
     states = CARTPOLE["states"] | {"angle": {"unit": "rad", "mean": 0.3, "deviation": 0.1, "wraps": True}}
-    return construct({**CARTPOLE, "states": states, "failure": None}, Task, "task")
+    return construct({**CARTPOLE, "states": states, "failure": None, "horizon": 30}, Task, "task")
 
 
 def drawn(policy: Policy, count: int, scale: float = 0.3) -> np.ndarray:
@@ -61,12 +62,23 @@ def test_a_perceptron_and_radial_basis_functions_are_their_formulas(cartpole: St
     assert np.abs(everywhere).max() <= 300
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("observer", OBSERVERS)
-def test_compiled_they_are_what_they_are_in_numpy(
+def test_written_they_are_what_they_are_in_numpy(
     cartpole: Study, turning: Task, observer: ObserverKind
 ) -> None:
     """With noise, and around a turn; every other observer is a switched policy's."""
+    with interpreted():
+        expect_the_same(cartpole, turning, observer)
+
+
+@pytest.mark.slow
+def test_compiled_too(cartpole: Study, turning: Task) -> None:
+    """A switch, radial basis functions and a filter, with noise: most of what there is, in one loop."""
+    expect_the_same(cartpole, turning, "filter")
+
+
+def expect_the_same(cartpole: Study, turning: Task, observer: ObserverKind) -> None:
+    """The lanes' loop against NumPy's,."""
     policy: Policy = Network(turning, cartpole.nominal, errors=True, observer=observer)
     if observer in ("filter", "model"):
         policy = Switched(turning, cartpole.nominal, "rbf", units=5, observer=observer)
@@ -77,8 +89,8 @@ def test_compiled_they_are_what_they_are_in_numpy(
     assert compiled is not None
     thetas = drawn(policy, 2)
     for one, other in zip(compiled.rollouts(thetas, starts), plain.rollouts(thetas, starts), strict=True):
-        np.testing.assert_allclose(one.inputs[:30], other.inputs[:30], rtol=1e-5, atol=1e-4)
-        np.testing.assert_allclose(one.states[:30], other.states[:30], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(one.states, other.states, rtol=1e-5, atol=1e-6)
 
 
 def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: Study, turning: Task) -> None:

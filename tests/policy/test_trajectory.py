@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from interpreted import interpreted
 
 import simbias
 from simbias.core import Model
@@ -68,8 +69,7 @@ def test_the_input_is_feedforward_and_gains_at_that_time(cartpole: Study) -> Non
     assert abs(beyond) == cartpole.task.input_limit
 
 
-@pytest.mark.slow
-def test_compiled_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
+def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """With noise; in lanes that are at different times, as rollouts end and others begin."""
     policy, thetas = around(cartpole, 40)
     thetas[::3, 8::9] *= -1.0  # these fall
@@ -78,9 +78,10 @@ def test_compiled_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     model = Model(cartpole.task, policy, cartpole.nominal, cartpole.bias.fit(cartpole.no_data))
     compiled, plain = join([simulator(model, noise)]), PlainSimulator([model], [noise])
     scenarios = np.zeros(len(thetas), np.int64)
-    pairs = zip(compiled.rollouts(thetas, starts, scenarios), plain.rollouts(thetas, starts), strict=True)
+    with interpreted():
+        written = compiled.rollouts(thetas, starts, scenarios)
     ends = set()
-    for one, other in pairs:
+    for one, other in zip(written, plain.rollouts(thetas, starts), strict=True):
         assert one.frames == other.frames
         ends.add(one.frames)
         np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-6, atol=1e-6)

@@ -112,7 +112,7 @@ def test_mirrored_robot_moves_mirrored(model, x, u):
 
 @pytest.mark.slow
 @given(x=states, u=torques, factor=st.floats(0.1, 10))
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 def test_heavier_robot_with_stronger_torque_moves_alike(x, u, factor):
     heavier = LagrangianBongoboard(build_task(**dict.fromkeys(MASSES, factor)), foot_mass=factor)
     expected = LagrangianBongoboard(TASK, foot_mass=1.0).accelerations(x, u)
@@ -228,7 +228,7 @@ def newton_euler(task, foot_mass, x, torque, moment=0.0, slope=0.0, payload=(0.0
 
 @pytest.mark.slow
 @given(task=tasks, foot_mass=foot_masses, x=states, u=torques)
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 def test_accelerations_agree_with_newton_and_euler(task, foot_mass, x, u):
     expected, opening = newton_euler(task, foot_mass, x, u[0])
     np.testing.assert_allclose(opening, 0, atol=1e-12)

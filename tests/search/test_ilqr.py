@@ -13,6 +13,7 @@ from simbias.core.errors import ConfigError
 from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -48,7 +49,9 @@ def test_gains_are_of_what_is_seen_and_steps_end_at_limits() -> None:
 
 
 @pytest.mark.slow
-def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(cartpole: Study) -> None:
+def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
+    cartpole: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From other starts, too; the policy of the plan ends at rest, with gains that hold there."""
     model = cartpole.first_model()
     shooting = Shooting(model)
@@ -58,7 +61,8 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(cartpole: Study) -
     assert np.abs(plan.inputs).max() <= cartpole.task.input_limit
     assert isinstance(cartpole.policy, Trajectory)
     (theta,) = shooting.following(plan, cartpole.policy, [10.0])
-    for seed in range(4):
+    monkeypatch.setattr(CompiledSimulator, "of", lambda *_: None)  # for a few rollouts
+    for seed in range(3):
         start = cartpole.task.draw_start(np.random.default_rng(seed))
         assert cartpole.passes(cartpole.simulate(theta, start=start)), seed
     last = theta.reshape(-1, 9)[-1]

@@ -123,7 +123,6 @@ def test_other_models_are_drawn_and_the_same_each_time() -> None:
     assert list(lqr_candidates(model, 0)) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overrides", "values"),
     [
@@ -133,22 +132,22 @@ def test_other_models_are_drawn_and_the_same_each_time() -> None:
     ],
 )
 def test_one_of_them_balances_where_searches_find_none(
-    overrides: list[str], values: dict[str, float]
+    overrides: list[str], values: dict[str, float], uncompiled: None
 ) -> None:
-    """From eight starts, for five seconds, with the gap known."""
-    study, model = bongoboard(*overrides, **values)
-    assert max(held(study, model.nominal, theta) for theta in lqr_policies(model)) == 8
+    """From eight starts, four times as long as it takes to fall; with the gap known."""
+    study, model = bongoboard(*overrides, "task.horizon=500", **values)
+    assert any(held(study, model.nominal, theta) == 8 for theta in lqr_policies(model))
 
 
 def held(study: Study, nominal: Nominal, theta: Array) -> int:
     """How many of eight starts a policy holds in simulation."""
     rng = np.random.default_rng(1)
-    starts = [study.task.draw_start(rng) for _ in range(8)]
-    return sum(study.simulate(theta, None, start, nominal).failure is None for start in starts)
+    starts = np.array([study.task.draw_start(rng) for _ in range(8)])
+    rollouts = study.simulator(None, nominal).rollouts(np.tile(theta, (8, 1)), starts)
+    return sum(rollout.failure is None for rollout in rollouts)
 
 
-@pytest.mark.slow
-def test_dry_friction_is_no_damping_to_count_on() -> None:
+def test_dry_friction_is_no_damping_to_count_on(uncompiled: None) -> None:
     """Regulators of the acrobot that were designed for it as it sticks fall, simulated with that friction."""
     study = simbias.load(["preset=acrobot", "bias=none", "tracking=none"])
     rubbing = {"friction_1": 0.02, "friction_2": 0.02}  # N m

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
@@ -107,23 +108,23 @@ def test_direct_finds_known_minimum(problem: str) -> None:
 @pytest.mark.parametrize(
     ("name", "problem", "at_least"),
     [
-        ("cma", "sphere", 5),
-        ("cma", "branin", 5),
-        ("cma", "rosenbrock", 5),
-        ("cma", "hartmann6", 2),  # its second-best minimum, -3.2032, has a wide basin
-        ("hybrid", "sphere", 5),
-        ("hybrid", "branin", 5),
-        ("hybrid", "rosenbrock", 5),
-        ("hybrid", "hartmann6", 2),
-        ("nlopt_crs", "sphere", 5),
-        ("nlopt_crs", "branin", 4),  # a chance improvement below the tolerance ends CRS2 early
+        ("cma", "sphere", 3),
+        ("cma", "branin", 3),
+        ("cma", "rosenbrock", 3),
+        ("cma", "hartmann6", 1),  # its second-best minimum, -3.2032, has a wide basin
+        ("hybrid", "sphere", 3),
+        ("hybrid", "branin", 3),
+        ("hybrid", "rosenbrock", 3),
+        ("hybrid", "hartmann6", 1),
+        ("nlopt_crs", "sphere", 3),
+        ("nlopt_crs", "branin", 2),  # a chance improvement below the tolerance ends CRS2 early
     ],
 )
 def test_random_search_finds_known_minimum(name: str, problem: str, at_least: int) -> None:
-    """In at least this many of 5 seeds."""
+    """In at least this many of 3 seeds."""
     objective, lower, upper, minimum = PROBLEMS[problem]
-    optimizer = make(name, max_evaluations=6000, relative_tolerance=1e-9)
-    costs = [minimize(optimizer, objective, lower, upper, seed).cost for seed in range(5)]
+    optimizer = make(name, max_evaluations=6000, relative_tolerance=1e-8)
+    costs = [minimize(optimizer, objective, lower, upper, seed).cost for seed in range(3)]
     assert sum(cost == pytest.approx(minimum, rel=1e-4, abs=1e-4) for cost in costs) >= at_least
 
 
@@ -287,11 +288,11 @@ def two_valleys(x: Array) -> float:
 
 @pytest.mark.slow
 def test_restarts_leave_a_valley_of_failures() -> None:
-    """In all of 5 seeds, where CMA-ES alone finds the way out in none."""
+    """In all of 3 seeds, where CMA-ES alone finds the way out in none."""
     costs = {
         name: [
             minimize(make(name, max_evaluations=6000), two_valleys, [-10.0] * 3, [10.0] * 3, seed, 200.0).cost
-            for seed in range(5)
+            for seed in range(3)
         ]
         for name in ("cma", "hybrid")
     }
@@ -337,19 +338,20 @@ class Together(Objective):
         return np.sum(thetas**2, axis=1)
 
 
-@pytest.mark.slow
-def test_searches_leave_nothing_behind() -> None:
+def test_searches_leave_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """NLopt holds what it calls where the garbage collector does not see it: it must not hold a search."""
-    before = alive()
+    begin, made = Evaluations.__init__, []
+
+    def noted(self: Evaluations, *arguments: Any, **named: Any) -> None:
+        made.append(weakref.ref(self))
+        begin(self, *arguments, **named)
+
+    monkeypatch.setattr(Evaluations, "__init__", noted)
     for _ in range(3):
         minimize(make("nlopt_direct", max_evaluations=300), Together(), [-1.0] * 3, [2.0] * 3)
-    assert alive() == before
-
-
-def alive() -> int:
-    """How many searches are held by something."""
-    gc.collect()
-    return sum(type(kept) is Evaluations for kept in gc.get_objects())  # isinstance asks dead proxies too
+    gc.collect(1)
+    assert len(made) >= 3
+    assert not any(each() for each in made)
 
 
 class ShiftedSphere(Objective):

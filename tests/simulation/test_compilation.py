@@ -5,10 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import redirect_stdout
+from io import StringIO
+from multiprocessing import get_context
 from pathlib import Path
 from textwrap import dedent
 
 import llvmlite.binding
+import numba
 import numpy as np
 import pytest
 from in_lanes import from_python
@@ -44,16 +49,26 @@ print(entry(4.0), entry(40.0), sum(entry.stats.cache_misses.values()))
 
 
 def run(folder: Path) -> str:
-    """What a fresh process computes, and how often it had to compile."""
-    environment = (
-        os.environ
-        | {"PYTHONHASHSEED": "random"}
-        | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path]), "NUMBA_CACHE_DIR": str(folder)}
-    )
-    made = subprocess.run(
-        [sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, check=True
-    )
-    return made.stdout.strip()
+    """What a process that knows none of it computes, and how often it had to compile."""
+    with ProcessPoolExecutor(1, get_context("fork")) as process:  # which has imported Numba
+        return process.submit(_run, str(folder)).result()
+
+
+def _run(folder: str) -> str:
+    """The script's output; its modules are there."""
+    sys.path.insert(0, folder)
+    numba.config.CACHE_DIR = folder
+    with redirect_stdout(StringIO()) as out:
+        exec(RUN, {})
+    return out.getvalue().strip()
+
+
+def run_with_other_hashes(folder: Path) -> str:
+    """The same, in a process of its own."""
+    environment = os.environ | {"PYTHONHASHSEED": "random", "NUMBA_CACHE_DIR": str(folder)}
+    environment |= {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+    script = [sys.executable, "-c", RUN]
+    return subprocess.run(script, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: Path) -> None:
@@ -68,7 +83,7 @@ def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: P
 
     write()
     assert run(tmp_path) == "2.0 7.0 1"
-    assert run(tmp_path) == "2.0 7.0 0"
+    assert run_with_other_hashes(tmp_path) == "2.0 7.0 0"
     write(helper=HELPER.replace("0.5", "0.25"))
     assert run(tmp_path) == "1.0 7.0 1"
     write(helper=HELPER.replace("0.5", "0.25"), own=OWN.replace("7.0", "8.0"))

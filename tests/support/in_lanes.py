@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from simbias.simulation.compiler import LANES
 from simbias.simulation.compiler.compilation import Compilation
 
 
+@cache
 def from_python(function: Callable, inline: bool = True) -> Any:
     """A function, compiled as a part of compiled code, that Python can call all the same."""
     part = Compilation().compiled(function, inline)

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simbias.core import Nominal, Policy, Task
+from simbias.core import Kernel, Nominal, Policy, Task
 from simbias.core.records import Array
+from simbias.learning.bias.none import ZeroBias
 from simbias.simulation import closed_loop, open_loop
 
 
@@ -102,6 +103,21 @@ class Feedback(Policy):
 
     def outputs(self, x: Array) -> Array:
         return self._task.output(x)
+
+
+def _correct(x: Array, u: Array, data: tuple[()], correction: Array) -> None:
+    correction[:] = 1e-4 * x
+
+
+class OfAllLanes(ZeroBias):
+    """A correction by a kernel for all lanes at once, as those of Gaussian processes."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__(n)
+        self.kernel = Kernel(_correct, ())
+
+    def correction(self, x: Array, u: Array) -> Array:
+        return 1e-4 * x
 
 
 def by_value(method: Callable) -> Callable:

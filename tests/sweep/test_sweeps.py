@@ -22,7 +22,12 @@ from simbias.__main__ import main
 
 pytestmark = pytest.mark.slow
 
-FAILING = ["task.horizon=1000", "optimizer.max_evaluations=20", "method.max_iterations=2", "cost.max_cost=1e-3"]
+FAILING = [
+    "task.horizon=1000",
+    "optimizer.max_evaluations=20",
+    "method.max_iterations=2",
+    "cost.max_cost=1e-3",
+]
 MIXED = ["task.horizon=1500", "optimizer.max_evaluations=50", "method.max_iterations=2"]
 SMALL = {
     "fig4": [*FAILING, "sweep.figures.fig4.columns=3"],

@@ -38,7 +38,7 @@ from simbias.trial.summary import Outcome
 SHORT = [
     *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=3"),
     "cost.max_cost=1e-3",  # never reached
-    *("policy_test.episodes=2", "policy_test.long_episodes=1", "policy_test.long_seconds=2"),
+    *("policy_test.episodes=2", "policy_test.long_episodes=1", "policy_test.long_seconds=0.4"),
 ]
 ROBUST = [
     *SHORT,

@@ -70,8 +70,7 @@ figure: {file: robot.xml}
 ROD = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.5\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
-@pytest.mark.slow
-def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path) -> None:
+def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, uncompiled: None) -> None:
     """A model with its includes and meshes, a figure, recordings; a file that nobody reads is not."""
     conf = tmp_path / "conf"
     files = {
@@ -86,15 +85,8 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path) 
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    overrides = [
-        "task=mine",
-        "nominal=mine",
-        "hardware=recorded",
-        "cost=acrobot",
-        "samples=thresholds",
-        "bias=none",
-    ]
-    study = simbias.load([*overrides, "tracking=none", "optimizer.max_evaluations=5"], conf)
+    overrides = ["task=mine", "nominal=mine", "hardware=recorded", "cost=acrobot", "samples=thresholds"]
+    study = simbias.load([*overrides, "bias=none", "tracking=none", "optimizer.max_evaluations=5"], conf)
     run_trial(study, tmp_path / "trial")
     assert changed_since(study, tmp_path / "trial") == ""
     for name, text in files.items():

@@ -1,0 +1,42 @@
+"""Loops as they are written for Numba, run by Python: compiling one takes longer than a few short rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from simbias.simulation import compiled, open_loop
+from simbias.simulation.compiler import compile_closed_loop, compile_open_loop
+from simbias.simulation.compiler.loop import Loop
+
+
+@contextmanager
+def interpreted() -> Iterator[None]:
+    """Within it, what would be compiled is the same text of the same kernels, without Numba."""
+    closed, opened = (cache(loop.__wrapped__) for loop in (compile_closed_loop, compile_open_loop))
+    with (
+        patch.object(Loop, "compiled", _in_python),
+        patch.object(compiled, "compile_closed_loop", closed),
+        patch.object(open_loop, "compile_open_loop", opened),
+        np.errstate(all="ignore"),
+    ):
+        yield
+
+
+def _in_python(loop: Loop) -> Any:
+    """The loop, as Python runs it."""
+    names: dict[str, Any] = {name: each.function for name, each in loop.functions.items()}
+    names |= {
+        "zeros": np.zeros,
+        "as_integers": lambda rows: rows.view(np.int64),
+        "nan": np.nan,
+        "inf": np.inf,
+    }
+    exec(loop.source, names)
+    names["loop"].signatures = ["any"]  # there is nothing to compile
+    return names["loop"]
