@@ -1,4 +1,4 @@
-"""Loops as they are written for Numba, run by Python: compiling one takes longer than a few short rollouts."""
+"""Loops as they are written for Numba, run by Python: compiling takes longer than a few short rollouts."""
 
 from __future__ import annotations
 
