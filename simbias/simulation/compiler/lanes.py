@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import extending, float32, int64, types
-from numba.core import cgutils, imputils
+from numba.core import cgutils
 from numba.extending import models, overload, register_model
 
 from simbias.simulation.compiler.kernels import LANES
@@ -108,7 +108,8 @@ def as_integers(context, array):
             part = builder.extract_value(arguments[0], place)
             part = part if part.type == kind else builder.bitcast(part, kind)  # the address alone
             same = builder.insert_value(same, part, place)
-        return imputils.impl_ret_borrowed(context, builder, integers, same)
+        context.nrt.incref(builder, integers, same)
+        return same
 
     return integers(array), generate
 

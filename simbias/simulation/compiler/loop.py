@@ -136,7 +136,13 @@ class Loop:
             for name, each in self.functions.items()
         }
         module: Any = compilation.module(
-            self.source, **names, zeros=np.zeros, as_integers=as_integers, nan=np.nan, inf=np.inf
+            self.source,
+            **names,
+            zeros=np.zeros,
+            int64=np.int64,
+            as_integers=as_integers,
+            nan=np.nan,
+            inf=np.inf,
         )
         if not hasattr(module, "compiled"):
             module.compiled = njit(**OPTIONS, cache=True)(module.loop)
