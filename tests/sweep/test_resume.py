@@ -144,6 +144,6 @@ def test_a_later_start_removes_what_a_kill_left(folder: Path, uninterrupted: Pat
     assert finish(process)[0] == -signal.SIGKILL
     assert list(temporary.iterdir())
     assert list(sweep_folder(folder).glob(".shared_*"))
-    assert run(*COMMAND, ONE_PROCESS, folder=folder, temporary=temporary)[0] == 0
+    assert run(*COMMAND, folder=folder, temporary=temporary)[0] == 0
     check(folder, uninterrupted)
     assert list(temporary.iterdir()) == []
