@@ -75,7 +75,7 @@ def test_every_sweep_runs_shortened(
     uncompiled: None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Trials of a few cells; they are read back, the table has a line for each cell, the figures are drawn."""
+    """A few trials; they are read back, the table has a line for each cell, and the figures are drawn."""
     monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
     predict_in_numpy(monkeypatch)
     whole = swept(name)
