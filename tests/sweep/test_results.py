@@ -26,7 +26,7 @@ from simbias.core import markdown
 from simbias.engine.sequential import Sequential
 from simbias.search.optimizer import ilqr
 from simbias.sweep import results, tables
-from simbias.sweep.grid import Sweep, Trial, expand
+from simbias.sweep.grid import Cell, Sweep, expand
 from simbias.sweep.running import run_sweep
 from simbias.sweep.state import finished
 from simbias.sweep.tracking import Folders
@@ -51,18 +51,18 @@ def swept(folder: str) -> Sweep:
     return expand([f"+sweep={name}", *["sweep.suite.split=test"] * (name != folder)])
 
 
-def few(sweep: Sweep) -> Iterator[Trial]:
-    """The first and the last trial, and between them those of components that have not come up."""
-    *trials, last = sweep.trials[: len(sweep.cells)]
+def few(sweep: Sweep) -> Iterator[Cell]:
+    """The first and the last cell, and between them those of components that have not come up."""
+    *cells, last = sweep.cells
     met: set[tuple[str, str]] = set()
-    for trial in trials:
-        config = trial.composition.config.items()
+    for cell in cells:
+        config = cell.composition.config.items()
         own = {
             (key, each["_target_"]) for key, each in config if isinstance(each, dict) and "_target_" in each
         }
         if own - met:
             met |= own
-            yield trial
+            yield cell
     yield last
 
 
@@ -75,21 +75,22 @@ def test_every_sweep_runs_shortened(
     uncompiled: None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A few trials are read back, its table has a line for every cell, and its figures are drawn."""
+    """A few trials; they are read back, the table has a line for each cell, and the figures are drawn."""
     monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
     predict_in_numpy(monkeypatch)
     whole = swept(name)
-    cells = [replace(cell, composition=shortened(cell.composition)) for cell in whole.cells]
-    sweep = replace(whole, base=shortened(whole.base), cells=tuple(cells), repetitions=1)
-    vars(sweep)["trials"] = run = tuple(few(sweep))
+    run = {cell.labels: replace(cell, composition=shortened(cell.composition)) for cell in few(whole)}
+    cells = tuple(run.get(cell.labels, cell) for cell in whole.cells)
+    sweep = replace(whole, base=shortened(whole.base), cells=cells, repetitions=1)
+    vars(sweep)["trials"] = tuple(trial for trial in sweep.trials if trial.cell.labels in run)
     trials, _ = run_sweep(sweep, Sequential(), store := Folders(pictures=False), "again", SweepConsole())
-    assert list(trials["hash"]) == [trial.hash for trial in run]
+    assert list(trials["hash"]) == [trial.hash for trial in sweep.trials]
     assert set(trials["raised"]) == {""}
     pd.testing.assert_frame_equal(finished(sweep, store), trials)
     out = capsys.readouterr().out
-    assert f"{len(sweep.cells)} cells x 1 trials = {len(run)}" in out
+    assert f"{len(cells)} cells x 1 trials = {len(run)}" in out
     assert f"[{len(run)}/{len(run)}]" in out
-    assert len(table(folder).splitlines()) == 1 + len(sweep.cells)
+    assert len(table(folder).splitlines()) == 1 + len(cells)
     assert {file.stem for file in sweep_folder(folder).glob("figures/*")} == set(sweep.figures)
 
 
