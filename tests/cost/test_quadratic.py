@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from in_numpy import OfAllLanes
 from interpreted import interpreted
 
-import simbias
 from simbias.core import Cost, FittedBias, Task
 from simbias.core.records import Array, Indices, Rollout
 from simbias.cost.quadratic import Quadratic

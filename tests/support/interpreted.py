@@ -1,4 +1,4 @@
-"""Loops as they are written for Numba, run by Python: to compile one takes longer than a few short rollouts."""
+"""Loops as they are written for Numba, run by Python: to compile one takes longer than a few rollouts."""
 
 from __future__ import annotations
 
