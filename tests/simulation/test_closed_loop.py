@@ -206,7 +206,8 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
     rng = np.random.default_rng(0)
     bias, T = learned(study), study.task.horizon
     drawn = [bias.draw(rng) for _ in range(3)]
-    models = [replace(study.model(ZeroBias(6)), nominal=study.nominal.draw(rng)) for _ in range(3)]
+    without = study.model(ZeroBias(6))
+    models = [replace(without, nominal=study.nominal.draw(rng)) for _ in range(3)]
     noises = [Disturbance(0.3 * rng.normal(size=(T, 1)), 0.01 * rng.normal(size=(T + 1, 6))) for _ in models]
     simulators = [simulator(model, noise, study.cost) for model, noise in zip(models, noises, strict=True)]
     own = [
