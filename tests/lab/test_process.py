@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -168,7 +169,10 @@ print(json.dumps(dict(states=[[0.5, 0.0]] * 101, inputs=[[0.0]] * 101)))
 def simbias(command: str, timeout: float | None = None) -> Iterator[tuple[int, IO[str]]]:
     """A process, forked from this one, that makes an experiment by a program; and what it says at last."""
     end, own = os.pipe()
-    if (pid := os.fork()) == 0:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which rest
+        pid = os.fork()
+    if pid == 0:
         os.dup2(own, 2)
         try:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from in_lanes import corrections
@@ -22,6 +24,7 @@ def data(n: int = 60) -> Transitions:
     return Transitions(inputs, (function + noise) * [1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3])
 
 
+@cache
 def fitted(option: str) -> FittedBias:
     return simbias.load(["tracking=none", f"bias={option}"]).bias.fit(data())
 

@@ -84,12 +84,12 @@ def test_its_mean_is_weighted_by_equation_7_if_asked_for(
 def test_where_the_model_is_right_little_is_learned(study: Study) -> None:
     """Mostly nothing at all, as a gain has to exceed its standard error; never what harms elsewhere."""
     zero, ratios = study.bias.fit(study.no_data), []
-    for seed in range(6):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         seen, other = (experiment(study.nominal, rng, 1000, NOISE) for _ in range(2))
         fitted = study.bias.learn(study.no_data, [seen], study.nominal)
         ratios.append(error(study, fitted, [other]) / error(study, zero, [other]))
-    assert ratios.count(1.0) >= 3
+    assert ratios.count(1.0) >= 2
     assert max(ratios) < 1.02
 
 

@@ -186,15 +186,18 @@ def test_a_first_stage_is_the_papers_prediction_and_changes_no_scenario(study: S
 
 @pytest.mark.slow
 def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> None:
-    """One on the nominal model alone lets the cart-pole fall on more of those that might be right."""
-    options = ["preset=cartpole", "optimizer=cma", "tracking=none", "optimizer.max_evaluations=1200"]
+    """Those on the nominal model alone let the cart-pole fall on more of those that might be right."""
+    options = ["preset=cartpole", "optimizer=cma", "tracking=none", "optimizer.max_evaluations=600"]
     options += ["nominal.uncertainty={cart_mass: 0.5, pole_mass: 0.5, length: 0.5}"]
-    tester = simbias.load([*options, "evaluation=fresh_randomization", "evaluation.rollouts=200"])
+    tester = simbias.load([*options, "evaluation=fresh_randomization", "evaluation.rollouts=100"])
     unmet = tester.evaluation.objective(tester.first_model(), tester.cost, np.random.default_rng(5))
     held = {}
     for name in ("nominal_start", "fresh_randomization"):
         study = simbias.load([*options, f"evaluation={name}"])
-        theta = search(study, study.first_model(), np.random.default_rng(0), Observer()).optimum.parameters
-        rollouts = [scenario.simulator.rollout(theta, scenario.start) for scenario in unmet.scenarios]
-        held[name] = np.mean([rollout.failed_at is None for rollout in rollouts])
+        fell = []
+        for seed in range(2):
+            made = search(study, study.first_model(), np.random.default_rng(seed), Observer())
+            runs = [each.simulator.rollout(made.optimum.parameters, each.start) for each in unmet.scenarios]
+            fell += [run.failed_at is not None for run in runs]
+        held[name] = 1 - np.mean(fell)
     assert held["fresh_randomization"] > max(0.9, held["nominal_start"])

@@ -206,7 +206,8 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
     rng = np.random.default_rng(0)
     bias, T = learned(study), study.task.horizon
     drawn = [bias.draw(rng) for _ in range(3)]
-    models = [replace(study.model(bias), nominal=study.nominal.draw(rng)) for _ in range(3)]
+    without = study.model(ZeroBias(6))
+    models = [replace(without, nominal=study.nominal.draw(rng)) for _ in range(3)]
     noises = [Disturbance(0.3 * rng.normal(size=(T, 1)), 0.01 * rng.normal(size=(T + 1, 6))) for _ in models]
     simulators = [simulator(model, noise, study.cost) for model, noise in zip(models, noises, strict=True)]
     own = [
@@ -292,8 +293,9 @@ def test_plain_rollouts_do_not_depend_on_those_beside_them(study: Study) -> None
     """To the last bit, in one scenario and in several, with a bias that needs linear algebra."""
     rng = np.random.default_rng(0)
     bias = learned(study)
-    models = [replace(study.model(bias), nominal=study.nominal.draw(rng)) for _ in range(2)]
-    noise = Disturbance(0.3 * rng.normal(size=(5000, 1)), 0.01 * rng.normal(size=(5001, 6)))
+    model = replace(study.model(bias), task=study.task.with_horizon(50))
+    models = [replace(model, nominal=study.nominal.draw(rng)) for _ in range(2)]
+    noise = Disturbance(0.3 * rng.normal(size=(50, 1)), 0.01 * rng.normal(size=(51, 6)))
     loops = [PlainSimulator([model], [noise]) for model in models]
     scenarios = rng.integers(0, 2, 9)
     thetas, starts = rng.uniform(-10, 10, (9, 5)), np.array([study.task.draw_start(rng) for _ in range(9)])

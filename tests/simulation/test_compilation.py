@@ -71,6 +71,7 @@ def run_with_other_hashes(folder: Path) -> str:
     return subprocess.run(script, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of a fork beside threads, which rest
 def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: Path) -> None:
     """In the function, in one that it calls from another file, and in a constant."""
 

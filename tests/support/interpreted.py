@@ -1,4 +1,8 @@
+<<<<<<< HEAD
 """Loops as they are written for Numba, run by Python: compiling takes longer than a few short rollouts."""
+=======
+"""Loops as they are written for Numba, run by Python: to compile one takes longer than a few rollouts."""
+>>>>>>> tests-c
 
 from __future__ import annotations
 
@@ -33,6 +37,7 @@ def _in_python(loop: Loop) -> Any:
     names: dict[str, Any] = {name: each.function for name, each in loop.functions.items()}
     names |= {
         "zeros": np.zeros,
+        "int64": np.int64,
         "as_integers": lambda rows: rows.view(np.int64),
         "nan": np.nan,
         "inf": np.inf,

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import faulthandler
 import multiprocessing
 import os
+import warnings
 from collections.abc import Sequence
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+import simbias
+from simbias.trial.run import run_trial
+
 
 def start(folder: Path, overrides: Sequence[str], conf: Path) -> BaseProcess:
     """Start it."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["simbias.config.build", "simbias.robots.bongoboard.pymunk"])
-    process = context.Process(target=_run, args=(folder, list(overrides), conf))
-    process.start()
+    arguments = folder, list(overrides), conf
+    process = multiprocessing.get_context("fork").Process(target=_run, args=arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which rest
+        process.start()
     return process
 
 
 def _run(folder: Path, overrides: Sequence[str], conf: Path) -> None:
     """Run or resume the trial."""
-    import simbias
-    from simbias.trial.run import run_trial
-
+    faulthandler.disable()  # pytest's, which tells of a fault that is meant
     os.chdir(folder.parent)
     run_trial(simbias.load(overrides, conf), folder)

@@ -25,7 +25,7 @@ from simbias.trial.summary import Outcome
 pytestmark = pytest.mark.slow
 
 SHORT = [
-    *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2"),
+    *("tracking=none", "task.horizon=80", "optimizer.max_evaluations=20", "method.max_iterations=2"),
     "cost.max_cost=1e-3",  # never reached
 ]
 

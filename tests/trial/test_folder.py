@@ -44,7 +44,7 @@ ROBUST = [
     *SHORT,
     *("bias=sparse_gp", "evaluation=domain_randomization", "optimizer=hybrid", "method=model_based"),
     *("optimizer.explorations=10", "evaluation.rollouts=3", "evaluation.sample_bias=true"),
-    *("method.retry_search=1", "method.stop_at_failure=false"),
+    *("method.retry_search=1", "method.stop_at_failure=false", "method.max_iterations=2"),
 ]
 EXPERIMENTS = 8  # with the test's
 
