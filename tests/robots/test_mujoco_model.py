@@ -97,11 +97,7 @@ def test_a_compiled_frame_is_the_engines_to_the_last_bit(preset: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("learns", [False, True])
 def test_compiled_rollouts_are_the_plain_ones(learns: bool) -> None:
-<<<<<<< HEAD
-    """In several scenarios, with a bias as it is written and without: they fail alike, at the same costs."""
-=======
     """In several scenarios, without a bias and (as it is written) with one: alike, at the same costs."""
->>>>>>> tests-c
     study = search("double_cartpole", "identification=none", "bias=none")
     models = models_of(study, OfAllLanes(6) if learns else None)
     compiled = join([simulator(model, cost=study.cost) for model in models])

@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""Loops as they are written for Numba, run by Python: compiling takes longer than a few short rollouts."""
-=======
 """Loops as they are written for Numba, run by Python: to compile one takes longer than a few rollouts."""
->>>>>>> tests-c
 
 from __future__ import annotations
 
