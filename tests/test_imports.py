@@ -49,8 +49,14 @@ def folder(name: str) -> str:
     return "" if file.stem == "__main__" else file.parent.relative_to(PACKAGE).as_posix().removeprefix(".")
 
 
-def imports(name: str) -> Iterator[str]:
+@cache
+def imports(name: str) -> list[str]:
     """The modules of simbias that a module imports: anywhere in it, also for type checkers alone."""
+    return list(_imports(name))
+
+
+def _imports(name: str) -> Iterator[str]:
+    """The same, one by one."""
     for node in ast.walk(ast.parse(MODULES[name].read_text())):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:

@@ -82,7 +82,7 @@ def few_gaps(values: list[str], labels: list[str]) -> list[str]:
 def test_policies_are_searched_on_the_hardware_of_a_sweeps_cell(study: Study, tmp_path: Path) -> None:
     short = ["--seeds", "1", "--evaluations", "3", "task.horizon=60", "optimizer.max_evaluations=20"]
     nearby = ["--sweep", "gaps", "--cells", "motor 60", "lag 20", "--screening", "2", "--deviation", "0.002"]
-    quick = ["method.max_iterations=1", "evaluation=nominal_start", "identification=none", "bias=none"]
+    quick = ["method.max_iterations=1", "evaluation.seconds=0.06", "identification=none", "bias=none"]
     gaps = few_gaps(["slope: 0.02", "motor_gain: 0.6", "lag: 0.02"], ["slope", "motor 60%", "lag 20 ms"])
     study("searched_on_hardware", "found.csv", *short, *nearby, *quick, *gaps)
     assert list(pd.read_csv(tmp_path / "found.csv")["cell"]) == ["motor 60%", "lag 20 ms"]

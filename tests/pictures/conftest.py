@@ -50,8 +50,16 @@ def trial(short: Study) -> list[Iteration]:
     return iterations
 
 
+@pytest.fixture
+def of_point_mass(
+    uncompiled: None, trial_of_point_mass: tuple[Study, list[Iteration]]
+) -> tuple[Study, list[Iteration]]:
+    """A trial of one's own components, simulated in NumPy."""
+    return trial_of_point_mass
+
+
 @pytest.fixture(scope="session")
-def of_point_mass() -> tuple[Study, list[Iteration]]:
+def trial_of_point_mass() -> tuple[Study, list[Iteration]]:
     study = simbias.load([*POINT_MASS, "optimizer.max_evaluations=50"], OWN_CONF)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a session

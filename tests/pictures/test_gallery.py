@@ -23,10 +23,18 @@ AT_REST = [name for name in FIGURES if name != "following"]  # of a task whose g
 
 
 @pytest.mark.slow
-def test_animation_is_in_real_time_and_shows_all(short: Study, trial: list[Iteration]) -> None:
-    file = BytesIO()
-    save_animation(short, trial, file)
-    picture = Image.open(file)
+def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
+    files = pictures(short, trial)
+    assert list(files) == [*(f"{name}.png" for name in AT_REST), "animation.gif"]
+    for name, content in files.items():
+        assert Image.open(BytesIO(content)).format == name.rpartition(".")[2].upper()
+    assert sum(map(len, files.values())) < 1_000_000
+    check_animation(short, trial, Image.open(BytesIO(files["animation.gif"])))
+    assert pictures(short, []) == {}
+
+
+def check_animation(short: Study, trial: list[Iteration], picture: Image.Image) -> None:
+    """It is in real time and shows all."""
     durations, sizes = [], set()
     for frame in range(picture.n_frames):
         picture.seek(frame)
@@ -42,23 +50,12 @@ def test_animation_is_in_real_time_and_shows_all(short: Study, trial: list[Itera
 
 
 @pytest.mark.slow
-def test_all_pictures_of_a_trial(short: Study, trial: list[Iteration]) -> None:
-    files = pictures(short, trial)
-    assert list(files) == [*(f"{name}.png" for name in AT_REST), "animation.gif"]
-    for name, content in files.items():
-        assert Image.open(BytesIO(content)).format == name.rpartition(".")[2].upper()
-    assert sum(map(len, files.values())) < 1_000_000
-    assert pictures(short, []) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
 def test_a_task_without_a_drawing_has_no_animation(of_point_mass: tuple[Study, list[Iteration]]) -> None:
-    loose = Withdrawal("0004_experiment.npz", "a loose cable", (), 0.0, 0.0)
-    files = pictures(*of_point_mass)
-    marked = pictures(*of_point_mass, ["costs", "overview"], [loose])
-    assert all(marked[name] != files[name] for name in ("costs.png", "overview.png"))
-    assert files.keys() == {f"{name}.png" for name in AT_REST}
+    loose, names = Withdrawal("0004_experiment.npz", "a loose cable", (), 0.0, 0.0), ["costs", "overview"]
+    files = pictures(*of_point_mass, [*names, ANIMATION])
+    assert list(files) == [f"{name}.png" for name in names]
+    marked = pictures(*of_point_mass, names, [loose])
+    assert all(marked[name] != files[name] for name in files)
     with pytest.raises(NoPictureError, match="PointMass"):
         save_animation(*of_point_mass, BytesIO())
 

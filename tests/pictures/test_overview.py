@@ -117,7 +117,6 @@ def test_a_method_without_search(short: Study, on_hardware: list[Iteration]) -> 
         overview(short, [replace(on_hardware[0], experiments=())])
 
 
-@pytest.mark.usefixtures("uncompiled")
 def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> None:
     def draw_mass(axes, task, state, *, color="0.4", muted=False):
         return {"mass": axes.add_patch(Circle((state[0], 0.0), 0.05, color=color))}

@@ -43,7 +43,7 @@ def used() -> float:
 
 
 def test_success_exits_0_and_says_how_many_experiments(tmp_path: Path) -> None:
-    done = from_nothing(*QUICK, folder=tmp_path)
+    done = from_nothing(*QUICK, "tracking.pictures=false", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Succeeded after 2 hardware experiments (1 iteration, " in done.stdout
     assert " -m simbias ui " in done.stdout
