@@ -11,6 +11,7 @@ from simbias.core.records import Array
 MARGIN = 0.01  # slack that is left
 STEP = 1e-4  # of finite differences
 ROUNDS = 20  # of Newton's method; one suffices where conditions are linear in the coordinates
+TURNS = 10  # rounds after which conditions that break each other in turns are met together
 
 
 def nearest_possible(nominal: Nominal, z: Array, spread: Array) -> Array:
@@ -23,11 +24,13 @@ def nearest_possible(nominal: Nominal, z: Array, spread: Array) -> Array:
     def slack(at: Array) -> Array:
         return nominal.with_parameters(values_at(nominal.parameters, at[:p])).slack - MARGIN
 
-    for _ in range(ROUNDS):
+    in_turns = np.zeros(len(slack(z)), bool)
+    for count in range(ROUNDS):
         short = slack(z)
-        broken = np.flatnonzero(short < -MARGIN / 2)
-        if not len(broken):
+        if not (short < -MARGIN / 2).any():
             break
+        in_turns |= (short < -MARGIN / 2) & (count >= TURNS)
+        broken = np.flatnonzero((short < -MARGIN / 2) | in_turns)
         shifted = np.array([slack(z + STEP * e)[broken] for e in np.eye(len(z))[:p]])  # (p, k)
         slopes = np.zeros((len(broken), len(z)))
         slopes[:, :p] = (shifted - short[broken]).T / STEP
