@@ -56,9 +56,9 @@ def build(composition: Composition) -> Study:
     own = composition.own
     task = construct(config["task"], Task, "task", own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
-    nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.robot)
+    nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.without_targets)
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
-    of_robot = {**given, "task": task.robot}
+    of_robot = {**given, "task": task.without_targets}
     components = {}
     for group, contract in contracts.items():
         if group not in given:
@@ -85,5 +85,5 @@ def service(composition: Composition, group: str, contract: type) -> Any:
 
 def _hardware(config: Any, own: Own, task: Task) -> Hardware:
     """The hardware for a task; errors as of `construct`."""
-    hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task.robot)
+    hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task.without_targets)
     return hardware

@@ -96,7 +96,7 @@ class Task(ABC):
 
     The goal is where `aim` is to be at each time, `reference`: by default all states, at zero. Targets are
     drawn with the start and stay as they are: task, policy and cost know them exactly. Models, hardware and
-    what learns are those of the task's `robot`, which has none.
+    what learns are of the robot alone (`without_targets`).
     """
 
     states: tuple[Quantity, ...]  # n, those of the robot, then the targets
@@ -117,8 +117,8 @@ class Task(ABC):
         return -self.input_limit, self.input_limit
 
     @property
-    def robot(self) -> Task:
-        """The task as the robot knows it, without targets."""
+    def without_targets(self) -> Task:
+        """The task as its robot knows it."""
         return WithoutTargets(self) if self.targets else self
 
     def targets_in(self, x: Array) -> Array:

@@ -112,9 +112,9 @@ class CheckedHardware(Hardware):
         record: ExperimentRecord | None = None,
     ) -> None:
         self._hardware = hardware
-        self._task = task.robot
+        self._task = task.without_targets
         self._timeout = conditions.timeout
-        self._bounds = conditions.safety.bounds(task.robot) if conditions.safety.limits else None
+        self._bounds = conditions.safety.bounds(task.without_targets) if conditions.safety.limits else None
         self._ask = conditions.ask if conditions.confirm else None
         self._record = record
         self.sets_start = hardware.sets_start
@@ -122,7 +122,7 @@ class CheckedHardware(Hardware):
     def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
         """A copy for a task of another horizon, its conditions and record the same; the timeout grows too."""
         other = copy(self)
-        other._hardware, other._task, other.sets_start = hardware, task.robot, hardware.sets_start
+        other._hardware, other._task, other.sets_start = hardware, task.without_targets, hardware.sets_start
         if self._timeout is not None:
             other._timeout = self._timeout * task.horizon / self._task.horizon
         return other

@@ -58,7 +58,9 @@ def _accelerations(x, u, parameters):
     torque = u[0] - hip_damping * d_hip
     coriolis = 2.0 * FOOT_MASS * d_spring * turn
     free = _moved(
-        *(mass, inertia, moment),
+        mass,
+        inertia,
+        moment,
         mass * gravity * cosine + moment * turn * turn,
         -mass * gravity * sine - coriolis,
         torque - gravity * moment * sine - coriolis * foot,
@@ -109,10 +111,8 @@ def _frame(count: int) -> Callable:
         for _ in range(count):
             a = _accelerations(x, u, parameters)
             v = (x[5] + h * a[0], x[6] + h * a[1], x[7] + h * a[2], x[8] + h * a[3], x[9] + h * a[4])
-            x = (
-                *(x[0] + h * v[0], x[1] + h * v[1], x[2] + h * v[2], x[3] + h * v[3], x[4] + h * v[4]),
-                *v,
-            )
+            q = (x[0] + h * v[0], x[1] + h * v[1], x[2] + h * v[2], x[3] + h * v[3], x[4] + h * v[4])
+            x = q + v
         return x
 
     return frame

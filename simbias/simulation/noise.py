@@ -42,7 +42,7 @@ class Noise:
     """
 
     def __init__(self, task: Task, variances: Variances) -> None:
-        states = task.robot.states
+        states = task.without_targets.states
         known = {name for quantity in (*task.inputs, *states) for name in quantity.names}
         for key in variances:
             if not (key.endswith(SUFFIX) and key.removesuffix(SUFFIX) in known):

@@ -53,7 +53,7 @@ def _bias_draws(study: Study) -> None:
 def _samples_count(study: Study) -> None:
     rollouts = [rollout(study), rollout(study, 1)]
     selection = study.select(rollouts, study.nominal)
-    n, m, count = len(study.task.robot.states), len(study.task.inputs), len(selection.transitions)
+    n, m, count = len(study.task.without_targets.states), len(study.task.inputs), len(selection.transitions)
     equal(selection.transitions.inputs.shape, (count, n + m), "samples.select", f"inputs (N, {n + m})")
     equal(selection.transitions.residuals.shape, (count, n), "samples.select", f"residuals (N, {n})")
     frames = sum(each.frames for each in rollouts)

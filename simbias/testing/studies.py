@@ -20,7 +20,7 @@ def _without_rollouts(study: Study) -> None:
 
 @check("identification", "finite predictions of a robot that moves and of one at rest, and draws of them")
 def _fits_motion_and_rest(study: Study) -> None:
-    n = len(study.task.robot.states)
+    n = len(study.task.without_targets.states)
     whole, x, u = rollout(study).of_states(n), robot_states(study), inputs(study)
     frames = min(study.task.frames(SECONDS), whole.frames)
     moving = Rollout(whole.states[: frames + 1], whole.inputs[:frames])

@@ -215,7 +215,7 @@ class Study:
         def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
             return replace(self, hardware=hardware, conditions=unasked).over(record).run()
 
-        return AskTell(self.task.robot, run)
+        return AskTell(self.task.without_targets, run)
 
     def with_horizon(self, horizon: int) -> Study:
         """The study with another horizon in frames; its hardware is constructed again for it.
@@ -253,13 +253,13 @@ class Study:
 
     def of_robot(self, rollouts: Iterable[Rollout]) -> list[Rollout]:
         """Rollouts with the states of the robot alone: nothing is learned of targets."""
-        n = len(self.task.robot.states)
+        n = len(self.task.without_targets.states)
         return [rollout.of_states(n) for rollout in rollouts]
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
         theta, rng = np.clip(0.0, *self.policy.bounds), np.random.default_rng(0)
-        n, m = len(self.task.robot.states), len(self.task.inputs)
+        n, m = len(self.task.without_targets.states), len(self.task.inputs)
         some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
         self._warm_up(self.no_data, theta, rng)
         with warnings.catch_warnings():
@@ -286,4 +286,4 @@ class Study:
     @property
     def no_data(self) -> Transitions:
         """D = {}."""
-        return Transitions.empty(len(self.task.robot.states), len(self.task.inputs))
+        return Transitions.empty(len(self.task.without_targets.states), len(self.task.inputs))

@@ -119,7 +119,7 @@ def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | 
         for rollout in experiments
         for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(experiments)))
     ]
-    n, m, s = len(study.task.robot.states), len(study.task.inputs), (nominal or study.nominal).state_size
+    n, m, s = len(study.task.without_targets.states), len(study.task.inputs), (nominal or study.nominal).state_size
     model_states = {
         id(r): (nominal or study.nominal).model_states(r.states[:-1], r.inputs) for r in experiments
     }
@@ -157,7 +157,7 @@ def prediction_error(
 
 def _groups(task: Task) -> dict[str, list[int]]:
     """Indices of the states of each unit."""
-    units = [quantity.unit for quantity in task.robot.states]
+    units = [quantity.unit for quantity in task.without_targets.states]
     return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 

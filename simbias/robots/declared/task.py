@@ -91,6 +91,8 @@ class Declared(Task):
                 raise ValueError(f"{name} is empty: there has to be one at least")
         self.time_step = time_step
         self.horizon = horizon
+        for name in set(robot) & set(dict(targets or {})):
+            raise ValueError(f"targets.{name}: a state has this name")
         states = {**robot, **dict(targets or {})}
         self.states = tuple(
             Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
@@ -102,7 +104,7 @@ class Declared(Task):
         self._starts = Starts(states, starts)
         self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
         self.criteria, self.outputs = (), ()  # what a robot's file is held against has none yet
-        self._sensors = None if sensors is None else Sensors(self.robot, sensors)
+        self._sensors = None if sensors is None else Sensors(self.without_targets, sensors)
         self._known: dict[str, Any] = {
             "variables": (*states, *(self._sensors.names if self._sensors else ())),
             "constants": dict(constants or {}),
@@ -119,7 +121,7 @@ class Declared(Task):
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
         self.pushes = tuple(_push(name, each, tuple(inputs)) for name, each in dict(pushes or {}).items())
-        self._figure = None if figure is None else Figure(self.robot, figure)
+        self._figure = None if figure is None else Figure(self.without_targets, figure)
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
         ]

@@ -47,7 +47,7 @@ TraceInputs = tuple[
 
 def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
     """The parts of a closed loop: measures, policy, nominal model, bias."""
-    task, points, of_robot = model.task, Points.of(model.task), Points.of(model.task.robot)
+    task, points, of_robot = model.task, Points.of(model.task), Points.of(model.task.without_targets)
     return (
         of_measure(task, points),
         of_policy(model.policy, task, points),

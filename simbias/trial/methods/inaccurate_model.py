@@ -82,7 +82,7 @@ def gradient(study: Study, theta: Array, experiment: Rollout) -> Array:
 def along(study: Study, thetas: Array, experiment: Rollout) -> list[Rollout]:
     """Rollouts of thetas (k, p) from an experiment's start, on the model made exact along it."""
     task, nominal, policy, k = study.task, study.nominal, study.policy, len(thetas)
-    n = len(task.robot.states)  # behind them, targets stay as they are
+    n = len(task.without_targets.states)  # behind them, targets stay as they are
     recorded = experiment.of_states(n)
     missed = recorded.states[1:] - nominal.along(recorded.states[:-1], recorded.inputs)
     states = np.empty((k, task.horizon + 1, len(task.states)))
