@@ -85,8 +85,7 @@ def _accelerations(x, u, parameters):
     determinant = m_xx * m_zz - m_xz * m_xz
     bears = at_most(at_least(depth / EDGE, 0.0), 1.0)
     f_z = bears * at_least((m_xx * want_z - m_xz * want_x) / determinant, 0.0)
-    grip, limit = (want_x - m_xz * f_z) / m_xx, friction * f_z
-    f_x = grip * limit / np.sqrt(grip * grip + limit * limit + 1e-12)
+    f_x = at_most(at_least((want_x - m_xz * f_z) / m_xx, -friction * f_z), friction * f_z)
     f_along, f_across = -sine * f_x - cosine * f_z, -cosine * f_x + sine * f_z
     along = free[0] + by_along[0] * f_along
     across = free[1] + by_across[1] * f_across
