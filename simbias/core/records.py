@@ -48,7 +48,6 @@ class Rollout:
             failure=self.failure if failed else None,
         )
 
-
     def of_states(self, n: int) -> Rollout:
         """The rollout with the first n of its states alone."""
         if n == self.states.shape[1]:

@@ -91,8 +91,8 @@ class CheckedHardware(Hardware):
     hardware
         May raise, hang, or return anything.
     task
-        Defines the shapes, the horizon and the limits of its rollouts. Its targets are the policy's affair: the
-        hardware is given a start of the robot, and a policy that knows them.
+        Defines the shapes, the horizon and the limits of its rollouts. The hardware is given a start without
+        its targets, and a policy that knows them.
     conditions
         Timeout, safety limits and confirmation.
     record

@@ -48,7 +48,10 @@ class Network(Policy):
         self._task, self._errors = task, errors
         q = len(task.outputs) + errors * len(task.goals)
         self._network = NETWORKS[kind](q, len(task.inputs), units, bound)
-        self._observer, self._n = OBSERVERS[observer](task.without_targets, nominal), len(task.without_targets.states)
+        self._observer, self._n = (
+            OBSERVERS[observer](task.without_targets, nominal),
+            len(task.without_targets.states),
+        )
         parts = (self._network.bounds, self._observer.bounds)
         lower, upper = (np.concatenate(each) for each in zip(*parts, strict=True))
         self.bounds, self.n_parameters = (lower, upper), len(lower)

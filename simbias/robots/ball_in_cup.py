@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Kernel, Nominal, Task
-from simbias.core.parameters import Parameter
+from simbias.core.parameters import uncertain
 from simbias.core.ranges import Acceleration, Length, Mass, NonNegative, Positive, TimeStep
 from simbias.core.records import Array
 from simbias.simulation.compiler import at_least, at_most, elementwise
@@ -131,15 +131,11 @@ class BallInCup(Nominal):
         sub_step: TimeStep = 0.002,
     ) -> None:
         if [state.unit for state in task.states] != ["m"] * 4 + ["m/s"] * 4 or len(task.inputs) != 2:
-            raise ValueError("expected a task with the places of a cup and a ball, their velocities, two forces")
-        values = dict(zip(_UNITS, (cup_mass, ball_mass, string, damping, friction), strict=True))
-        for name in uncertainty or {}:
-            if name not in values:
-                raise ValueError(f"uncertainty: nothing is called {name}; there is {', '.join(values)}")
-        self.parameters = tuple(
-            Parameter(
-                name, _UNITS[name], values[name], spread, "log_normal" if values[name] else "half_normal"
+            raise ValueError(
+                "expected a task with the places of a cup and a ball, their velocities, two forces"
             )
+        values = dict(zip(_UNITS, (cup_mass, ball_mass, string, damping, friction), strict=True))
+        self.parameters = uncertain(values, _UNITS, uncertainty or {})
             for name, spread in (uncertainty or {}).items()
         )
         steps = math.ceil(task.time_step / sub_step - 1e-9)

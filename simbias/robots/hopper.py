@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Kernel, Nominal, Task
-from simbias.core.parameters import Parameter
+from simbias.core.parameters import uncertain
 from simbias.core.ranges import Acceleration, Inertia, Mass, NonNegative, Positive, TimeStep
 from simbias.core.records import Array
 from simbias.simulation.compiler import at_least, at_most, elementwise, sincos
@@ -119,9 +119,9 @@ def _frame(count: int) -> Callable:
 
 @final
 class Hopper(Nominal):
-    """States are x, z and pitch of the torso, hip, spring, and their rates; inputs torque and force on these two.
+    """States are x, z and pitch of the torso, hip, spring, and their rates; inputs act on these two.
 
-    The leg's angle is pitch + hip, clockwise from straight down; the spring's positive side lengthens the leg.
+    The leg's angle is pitch + hip, clockwise from straight down; the spring's positive side lengthens it.
     The ground takes what force stops the sole, as far as friction and its one side let it.
 
     Parameters
@@ -166,13 +166,7 @@ class Hopper(Nominal):
             raise ValueError("expected a task with a torque and a force")
         numbers = (torso_mass, torso_inertia, stiffness, damping, hip_damping, friction)
         values = dict(zip(_UNITS, numbers, strict=True))
-        for name in uncertainty or {}:
-            if name not in values:
-                raise ValueError(f"uncertainty: nothing is called {name}; there is {', '.join(values)}")
-        self.parameters = tuple(
-            Parameter(
-                name, _UNITS[name], values[name], spread, "log_normal" if values[name] else "half_normal"
-            )
+        self.parameters = uncertain(values, _UNITS, uncertainty or {})
             for name, spread in (uncertainty or {}).items()
         )
         steps = math.ceil(task.time_step / sub_step - 1e-9)

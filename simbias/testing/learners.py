@@ -24,7 +24,12 @@ from simbias.trial.study import Study
 @check("bias", "without data nothing is corrected")
 def _bias_without_data(study: Study) -> None:
     fitted = study.bias.fit(study.no_data)
-    equal(fitted.correction(robot_states(study), inputs(study)), 0.0 * robot_states(study), "correction", "zeros")
+    equal(
+        fitted.correction(robot_states(study), inputs(study)),
+        0.0 * robot_states(study),
+        "correction",
+        "zeros",
+    )
 
 
 @check("bias", "predictions of data, with any leading axes")

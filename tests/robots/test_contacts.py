@@ -1,4 +1,4 @@
-"""A ball in a cup and a hopper: conservation laws, and their equations beside MuJoCo's at equal parameters."""
+"""A ball in a cup and a hopper: conservation laws, and their equations beside MuJoCo's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from simbias.trial.study import Study
 
 EQUAL = {  # to the hardware's file
     "ball_in_cup": {"cup_mass": 0.5, "ball_mass": 0.06, "string": 0.3, "damping": 1.0},
-    "hopper": {"torso_mass": 4.0, "torso_inertia": 0.2, "stiffness": 1000.0, "damping": 5.0, "hip_damping": 0.1},
+    "hopper": {
+        "torso_mass": 4.0,
+        "torso_inertia": 0.2,
+        "stiffness": 1000.0,
+        "damping": 5.0,
+        "hip_damping": 0.1,
+    },
 }
 
 
@@ -45,7 +51,7 @@ def rolled(model: Nominal, start: Sequence[float], inputs: Array) -> Array:
 def test_equations_are_the_engines_at_equal_parameters(
     preset: str, start: list[float], amplitude: float, error: float
 ) -> None:
-    """Within a few millimetres and milliradians, by other integrators and other contacts, for half a second."""
+    """Within millimetres and milliradians, by another integrator and other contacts, for half a second."""
     study = loaded(preset, **EQUAL[preset])
     engine = Mujoco(study.task, study.config["hardware"]["file"])
     t = study.task.time_step * np.arange(round(0.5 / study.task.time_step))
@@ -59,7 +65,11 @@ def test_equations_are_the_engines_at_equal_parameters(
 def test_what_the_ball_gets_the_cup_loses() -> None:
     """Momentum along x, without damping of the rails: string and walls act on both."""
     study = loaded("ball_in_cup", cup_mass=0.5, ball_mass=0.2)
-    for start in ([0, 0, 0.3, -0.3, 0, 0, 1, 2], [0, 0, 0.0, 0.1, 0.1, 0, 0.5, -2], [0, 0, 0.2, 0.05, 0, 0, -3, 0]):
+    for start in (
+        [0, 0, 0.3, -0.3, 0, 0, 1, 2],
+        [0, 0, 0.0, 0.1, 0.1, 0, 0.5, -2],
+        [0, 0, 0.2, 0.05, 0, 0, -3, 0],
+    ):
         states = rolled(study.nominal, start, np.zeros((40, 2)))
         momentum = 0.5 * states[:, 4] + 0.2 * states[:, 6]
         np.testing.assert_allclose(momentum, momentum[0], atol=1e-12)
@@ -77,22 +87,33 @@ def test_a_caught_ball_stays_and_one_beside_hangs() -> None:
 
 
 def test_a_hopper_in_the_air_flies_as_its_centre_of_mass() -> None:
-    """A parabola, and the angular momentum about it stays, whatever its joints do; to the integrator's first order."""
+    """A parabola, and angular momentum about it is kept, whatever the joints do, to the step's order."""
     study = loaded("hopper", torso_mass=4.0, torso_inertia=0.2)
     t = study.task.time_step * np.arange(40)
     inputs = np.stack([5 * np.sin(20 * t), 40 * np.cos(15 * t)], axis=1)
     x = rolled(study.nominal, [0, 2, 0.1, 0.2, 0, 0.5, 1, 1, -2, 0], inputs)
     leg, turn = x[:, 2] + x[:, 3], x[:, 7] + x[:, 8]
-    along, across = (np.stack(each, axis=1) for each in ((-np.sin(leg), -np.cos(leg)), (-np.cos(leg), np.sin(leg))))
-    bodies = [(4.0, 0 * leg, 0 * leg), (UPPER_MASS, UPPER_CENTRE + 0 * leg, 0 * leg), (FOOT_MASS, FOOT_CENTRE + x[:, 4], x[:, 9])]
-    places = [(m, x[:, :2] + r[:, None] * along, x[:, 5:7] + (r * turn)[:, None] * across + d[:, None] * along) for m, r, d in bodies]
+    along, across = (
+        np.stack(each, axis=1) for each in ((-np.sin(leg), -np.cos(leg)), (-np.cos(leg), np.sin(leg)))
+    )
+    bodies = [
+        (4.0, 0 * leg, 0 * leg),
+        (UPPER_MASS, UPPER_CENTRE + 0 * leg, 0 * leg),
+        (FOOT_MASS, FOOT_CENTRE + x[:, 4], x[:, 9]),
+    ]
+    places = [
+        (m, x[:, :2] + r[:, None] * along, x[:, 5:7] + (r * turn)[:, None] * across + d[:, None] * along)
+        for m, r, d in bodies
+    ]
     mass = sum(m for m, _, _ in places)
     centre, velocity = (sum(m * each for m, each in zip((p[0] for p in places), some, strict=True)) / mass
                         for some in ([p[1] for p in places], [p[2] for p in places]))  # fmt: skip
     times = study.task.time_step * np.arange(len(x))
     np.testing.assert_allclose(velocity[:, 0], velocity[0, 0], atol=0.02)
     np.testing.assert_allclose(velocity[:, 1], velocity[0, 1] - 9.81 * times, atol=0.03)
-    np.testing.assert_allclose(centre[:, 1], centre[0, 1] + velocity[0, 1] * times - 4.905 * times**2, atol=0.01)
+    np.testing.assert_allclose(
+        centre[:, 1], centre[0, 1] + velocity[0, 1] * times - 4.905 * times**2, atol=0.01
+    )
     spin = 0.2 * x[:, 7] + LEG_INERTIA * turn  # clockwise, as z cross x
     for m, place, v in places:
         r, w = place - centre, v - velocity

@@ -1,4 +1,4 @@
-"""Targets: drawn with each start, constant, known to task, policy and cost; no robot's, not learned, not noisy."""
+"""Targets: drawn with each start, known to policy and cost; not a robot's, not learned, not noisy."""
 
 from __future__ import annotations
 
@@ -25,9 +25,16 @@ from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.study import Study
 
 CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
-TARGETS = {"place": {"unit": "m", "kind": "position", "uniform": [0.1, 0.5]}, "pace": {"unit": "1/s", "mean": 2.0}}
+TARGETS = {
+    "place": {"unit": "m", "kind": "position", "uniform": [0.1, 0.5]},
+    "pace": {"unit": "1/s", "mean": 2.0},
+}
 OUTPUTS = {"off": {"value": "position - place"}, "angle": {"value": "angle"}, "d_angle": {"value": "d_angle"}}
-TO_PLACE = {"targets": TARGETS, "outputs": OUTPUTS, "goal": {"position": "place * cos(pace * t)", "angle": "0"}}
+TO_PLACE = {
+    "targets": TARGETS,
+    "outputs": OUTPUTS,
+    "goal": {"position": "place * cos(pace * t)", "angle": "0"},
+}
 START = np.array([0.01, -0.02, 0.03, 0.04, 0.3, 1.5])
 
 
@@ -60,7 +67,10 @@ def test_a_task_draws_them_and_a_robot_does_not_know_them() -> None:
     assert task.without_targets.states == task.states[:4]
     assert task.with_horizon(7).without_targets.horizon == 7
     np.testing.assert_array_equal(task.without_targets.measure(x[:, :4]), task.measure(x))
-    np.testing.assert_array_equal(task.without_targets.draw_start(np.random.default_rng(3)), task.draw_start(np.random.default_rng(3))[:4])
+    np.testing.assert_array_equal(
+        task.without_targets.draw_start(np.random.default_rng(3)),
+        task.draw_start(np.random.default_rng(3))[:4],
+    )
     plain = construct(CARTPOLE, Task, "task")
     assert plain.without_targets is plain
 
@@ -162,11 +172,15 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
     assert request is not None
     assert request.start.shape == (4,)
     assert 0.1 < request.policy.law(request.theta).numbers["targets"][0] < 0.5
-    rollout = Still(still.task.without_targets).run(request.policy, request.theta, request.start, np.random.default_rng(0))
+    rollout = Still(still.task.without_targets).run(
+        request.policy, request.theta, request.start, np.random.default_rng(0)
+    )
     asking.tell(rollout)
     asking.ask()
     (told, *_) = asking.ask_tell._steps.experiments
-    np.testing.assert_array_equal(told.states[:, 4:], np.tile(told.states[0, 4:], (still.task.horizon + 1, 1)))
+    np.testing.assert_array_equal(
+        told.states[:, 4:], np.tile(told.states[0, 4:], (still.task.horizon + 1, 1))
+    )
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,11 @@ def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | 
         for rollout in experiments
         for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(experiments)))
     ]
-    n, m, s = len(study.task.without_targets.states), len(study.task.inputs), (nominal or study.nominal).state_size
+    n, m, s = (
+        len(study.task.without_targets.states),
+        len(study.task.inputs),
+        (nominal or study.nominal).state_size,
+    )
     model_states = {
         id(r): (nominal or study.nominal).model_states(r.states[:-1], r.inputs) for r in experiments
     }

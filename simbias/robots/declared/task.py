@@ -36,7 +36,7 @@ class Declared(Task):
     failure
         Criteria by name; where several are violated, the first one counts. Without any, nothing fails.
     goal
-        Where states and outputs are to be, by name: expressions of the time t in s, and of targets. By default
+        Where states and outputs are to be, by name: expressions of the time t in s and of targets. By default
         all states are to be zero.
     reference
         In place of a goal: a CSV file of columns t and names, linear between its rows.
@@ -57,8 +57,8 @@ class Declared(Task):
     figure
         In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
     targets
-        By name, as states: they are drawn with each start, stay as they are, and are known. Expressions may use
-        them; failures may not, which are the robot's.
+        By name, as states: drawn with each start, constant, and known. Expressions may use them; failures may
+        not, as a robot has none.
     sensors
         The file of a MuJoCo model, whose sensors and sites' positions expressions may use too: a number by
         its name, a vector as `tip[0]`. They are the engine's, so that rollouts are simulated in NumPy.

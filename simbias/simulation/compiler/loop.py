@@ -162,7 +162,10 @@ class Loop:
             settle += [f"    {line}" for line in self._settled(x_new)]
         else:
             constants.append(correct.read("bias"))
-            advance += [f"d = correct({self._x}, u_, bias_data)", *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]")]
+            advance += [
+                f"d = correct({self._x}, u_, bias_data)",
+                *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]"),
+            ]
         take = [self.take, f"for i in range({step.parameters}):"]
         take += ["    nominal[i, lane] = nominal_parameters[model, i]"]
         take += [f"for i in range({self.n_model_state}):", "    model_state[i, lane] = 0.0"]
