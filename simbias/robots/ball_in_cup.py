@@ -136,8 +136,6 @@ class BallInCup(Nominal):
             )
         values = dict(zip(_UNITS, (cup_mass, ball_mass, string, damping, friction), strict=True))
         self.parameters = uncertain(values, _UNITS, uncertainty or {})
-            for name, spread in (uncertainty or {}).items()
-        )
         steps = math.ceil(task.time_step / sub_step - 1e-9)
         numbers = np.array([task.time_step / steps, gravity, contact_rate, *values.values()])
         self.kernel = Kernel(_frame(steps), numbers)

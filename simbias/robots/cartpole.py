@@ -98,8 +98,6 @@ class CartPole(Nominal):
             raise ValueError("expected a task with position, angle and their velocities, and one force")
         values = dict(zip(_UNITS, (cart_mass, pole_mass, length, cart_damping, hinge_damping), strict=True))
         self.parameters = uncertain(values, _UNITS, uncertainty or {})
-            for name, spread in (uncertainty or {}).items()
-        )
         self._constants = np.array([task.time_step, *values.values(), gravity])
 
     def step(self, x: Array, u: Array) -> Array:

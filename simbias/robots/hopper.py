@@ -167,8 +167,6 @@ class Hopper(Nominal):
         numbers = (torso_mass, torso_inertia, stiffness, damping, hip_damping, friction)
         values = dict(zip(_UNITS, numbers, strict=True))
         self.parameters = uncertain(values, _UNITS, uncertainty or {})
-            for name, spread in (uncertainty or {}).items()
-        )
         steps = math.ceil(task.time_step / sub_step - 1e-9)
         self.kernel = Kernel(_frame(steps), np.array([task.time_step / steps, gravity, *numbers]))
 
