@@ -99,6 +99,11 @@ class Study:
         return self.composition.choices
 
     @property
+    def without_targets(self) -> Study:
+        """The study of what is recorded and identified of the robot: with its task without targets."""
+        return replace(self, task=self.task.without_targets) if self.task.targets else self
+
+    @property
     def title(self) -> str:
         """The choices that tell trials apart, in a few words."""
         choices = self.choices
