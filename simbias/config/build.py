@@ -28,6 +28,7 @@ VALUES = {
     "policy_test": NotRequired[PolicyTest],
     "budget": NotRequired[Budget],
 }
+OF_ROBOTS = ("hardware", "identification", "samples", "bias")  # groups that know nothing of a task's targets
 BESIDE_STUDIES = ("tracking", *OF_SWEEPS)  # groups of which a study has no component
 
 
@@ -55,15 +56,15 @@ def build(composition: Composition) -> Study:
     own = composition.own
     task = construct(config["task"], Task, "task", own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
-    nominal = construct(config["nominal"], Nominal, "nominal", own, task=task)
+    nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.without_targets)
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
-    components = {
-        group: construct(
-            config[group], contract, group, own, **{k: given[k] for k in BESIDE.get(group, PROVIDED)}
-        )
-        for group, contract in contracts.items()
-        if group not in given
-    }
+    of_robot = {**given, "task": task.without_targets}
+    components = {}
+    for group, contract in contracts.items():
+        if group not in given:
+            beside = of_robot if group in OF_ROBOTS else given
+            arguments = {key: beside[key] for key in BESIDE.get(group, PROVIDED)}
+            components[group] = construct(config[group], contract, group, own, **arguments)
     return Study(
         task=task,
         nominal=nominal,
@@ -84,5 +85,5 @@ def service(composition: Composition, group: str, contract: type) -> Any:
 
 def _hardware(config: Any, own: Own, task: Task) -> Hardware:
     """The hardware for a task; errors as of `construct`."""
-    hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task)
+    hardware: Hardware = construct(config, Hardware, HARDWARE, own, task=task.without_targets)
     return hardware

@@ -6,7 +6,7 @@ drawing coordinates, and a posterior that is normal in the coordinates respects 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -46,6 +46,25 @@ class Parameter(NamedTuple):
         if self.prior == "half_normal":
             return self.value - self.spread * ndtri(ndtr(-np.minimum(z, FARTHEST)) / 2)
         return self.value + self.spread * ndtr(z)
+
+
+def uncertain(
+    values: Mapping[str, float], units: Mapping[str, str], uncertainty: Mapping[str, float]
+) -> tuple[Parameter, ...]:
+    """Those of some values that are uncertain: log-normal or, where a value is zero, half-normal.
+
+    Raises
+    ------
+    ValueError
+        If none of the values has a name.
+    """
+    for name in uncertainty:
+        if name not in values:
+            raise ValueError(f"uncertainty: nothing is called {name}; there is {', '.join(values)}")
+    return tuple(
+        Parameter(name, units[name], values[name], spread, "log_normal" if values[name] else "half_normal")
+        for name, spread in uncertainty.items()
+    )
 
 
 def values_at(parameters: Sequence[Parameter], coordinates: Array) -> Array:

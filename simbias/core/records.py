@@ -48,6 +48,13 @@ class Rollout:
             failure=self.failure if failed else None,
         )
 
+    def of_states(self, n: int) -> Rollout:
+        """The rollout with the first n of its states alone."""
+        if n == self.states.shape[1]:
+            return self
+        measured = None if self.measured is None else self.measured[:, :n]
+        return replace(self, states=self.states[:, :n], measured=measured)
+
 
 @dataclass(frozen=True, eq=False)
 class Disturbance:

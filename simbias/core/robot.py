@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -94,10 +94,13 @@ def failure_name(criteria: Sequence[Criterion], index: int) -> str:
 class Task(ABC):
     """A task: quantities, time, limits, starts, goal, success and failure; no dynamics.
 
-    The goal is where `aim` is to be at each time, `reference`: by default all states, at zero.
+    The goal is where `aim` is to be at each time, `reference`: by default all states, at zero. Targets are
+    drawn with the start and stay as they are: task, policy and cost know them exactly. Models, hardware and
+    what learns are of the robot alone (`without_targets`).
     """
 
-    states: tuple[Quantity, ...]
+    states: tuple[Quantity, ...]  # n, those of the robot, then the targets
+    targets: tuple[Quantity, ...] = ()  # the last of the states
     inputs: tuple[Quantity, ...]
     outputs: tuple[Quantity, ...]
     criteria: tuple[Criterion, ...]
@@ -114,6 +117,15 @@ class Task(ABC):
         return -self.input_limit, self.input_limit
 
     @property
+    def without_targets(self) -> Task:
+        """The task as its robot knows it."""
+        return WithoutTargets(self) if self.targets else self
+
+    def targets_in(self, x: Array) -> Array:
+        """The targets (..., k) among states x (..., n)."""
+        return x[..., len(self.states) - len(self.targets) :]
+
+    @property
     def goals(self) -> tuple[Quantity, ...]:
         """The quantities that the goal is about."""
         return self.states
@@ -122,13 +134,17 @@ class Task(ABC):
         """The goal's quantities (..., g) at states x (..., n)."""
         return x
 
-    def reference(self, t: Any) -> Array:
-        """Reference values (..., g) or (g,) of the goal's quantities at times t (...) in s."""
+    def reference(self, t: Any, targets: Array | None = None) -> Array:
+        """Reference values (..., g) or (g,) of the goal's quantities at times t (...) in s.
+
+        It may depend on the task's targets (..., k); None: their means.
+        """
         return np.zeros(len(self.goals))
 
     def error(self, x: Array, t: Any) -> Array:
         """The deviation (..., g) of states x (..., n) from the goal at times t (...) in s."""
-        return wrapped(self.aim(x) - self.reference(t), self.goals)
+        reference = self.reference(t, self.targets_in(x)) if self.targets else self.reference(t)
+        return wrapped(self.aim(x) - reference, self.goals)
 
     def succeeds(self, states: Array) -> bool | None:
         """Whether an episode that has not failed succeeds, its states (T+1, n); None: its cost decides."""
@@ -174,6 +190,37 @@ class Task(ABC):
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,): start_mean + N(0, start_deviation^2) (Section VI-A)."""
         return self.start_mean + self.start_deviation * rng.standard_normal(len(self.states))
+
+
+@final
+class WithoutTargets(Task):
+    """A task as its robot knows it: with the states, starts and failures of the robot."""
+
+    def __init__(self, task: Task) -> None:
+        self._task, n = task, len(task.states) - len(task.targets)
+        self.states = self.outputs = task.states[:n]
+        self.inputs, self.criteria, self.pushes = task.inputs, task.criteria, task.pushes
+        self.time_step, self.horizon, self.input_limit = task.time_step, task.horizon, task.input_limit
+        self.start_mean, self.start_deviation = task.start_mean[:n], task.start_deviation[:n]
+        self._means = task.start_mean[n:]  # of the targets, on which no failure depends
+
+    @property
+    def input_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper limits (m,) of the inputs."""
+        return self._task.input_bounds
+
+    def measure(self, x: Array) -> Array:
+        """Measures (..., c) of the failure criteria at the robot's states x (..., n)."""
+        means = np.broadcast_to(self._means, (*x.shape[:-1], len(self._means)))
+        return self._task.measure(np.concatenate([x, means], axis=-1))
+
+    def output(self, x: Array) -> Array:
+        """The robot's states (..., n): a policy's outputs may depend on targets."""
+        return x
+
+    def draw_start(self, rng: np.random.Generator) -> Array:
+        """A random start (n,) of the robot."""
+        return self._task.draw_start(rng)[: len(self.states)]
 
 
 class Hardware(ABC):

@@ -20,6 +20,7 @@ from simbias.core.messages import with_type
 from simbias.core.records import Array, Rollout
 from simbias.lab.checks import check_rollout
 from simbias.lab.safety import NO_LIMITS, Safety, SafetyLimitedPolicy
+from simbias.lab.targets import WithTargets, beside
 
 STOP_SECONDS = 5.0  # that `Hardware.stop` may take, and then again the experiment that it stops
 INTERRUPT_SECONDS = 1.5  # that both may take after Ctrl-C
@@ -90,7 +91,8 @@ class CheckedHardware(Hardware):
     hardware
         May raise, hang, or return anything.
     task
-        Defines the shapes, the horizon and the limits of its rollouts.
+        Defines the shapes, the horizon and the limits of its rollouts. The hardware is given a start without
+        its targets, and a policy that knows them.
     conditions
         Timeout, safety limits and confirmation.
     record
@@ -110,9 +112,9 @@ class CheckedHardware(Hardware):
         record: ExperimentRecord | None = None,
     ) -> None:
         self._hardware = hardware
-        self._task = task
+        self._task = task.without_targets
         self._timeout = conditions.timeout
-        self._bounds = conditions.safety.bounds(task) if conditions.safety.limits else None
+        self._bounds = conditions.safety.bounds(task.without_targets) if conditions.safety.limits else None
         self._ask = conditions.ask if conditions.confirm else None
         self._record = record
         self.sets_start = hardware.sets_start
@@ -120,7 +122,7 @@ class CheckedHardware(Hardware):
     def with_hardware(self, hardware: Hardware, task: Task) -> CheckedHardware:
         """A copy for a task of another horizon, its conditions and record the same; the timeout grows too."""
         other = copy(self)
-        other._hardware, other._task, other.sets_start = hardware, task, hardware.sets_start
+        other._hardware, other._task, other.sets_start = hardware, task.without_targets, hardware.sets_start
         if self._timeout is not None:
             other._timeout = self._timeout * task.horizon / self._task.horizon
         return other
@@ -145,8 +147,10 @@ class CheckedHardware(Hardware):
             if not self._ask(theta, start):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
             self._ask = None
+        start, targets = np.split(start, [len(self._task.states)])
+        policy = WithTargets(policy, targets) if len(targets) else policy
         returned = self._run(policy, theta.copy(), start.copy(), rng)  # it may write into its copies
-        return replace(self._checked(returned, theta, start), parameters=theta)
+        return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 
     def _checked(self, returned: Any, theta: Array, start: Array) -> Rollout:
         """The rollout that the hardware returned."""

@@ -48,7 +48,10 @@ class Network(Policy):
         self._task, self._errors = task, errors
         q = len(task.outputs) + errors * len(task.goals)
         self._network = NETWORKS[kind](q, len(task.inputs), units, bound)
-        self._observer = OBSERVERS[observer](task, nominal)
+        self._observer, self._n = (
+            OBSERVERS[observer](task.without_targets, nominal),
+            len(task.without_targets.states),
+        )
         parts = (self._network.bounds, self._observer.bounds)
         lower, upper = (np.concatenate(each) for each in zip(*parts, strict=True))
         self.bounds, self.n_parameters = (lower, upper), len(lower)
@@ -65,7 +68,8 @@ class Network(Policy):
 
     def estimate(self, theta: Array, x: Array, t: float, kept: Array) -> Array:
         """The state (..., n) as the observer sees it, its own state being (..., s)."""
-        return self._observer.estimate(theta[..., self._weights :], x, t, kept)
+        own = self._observer.estimate(theta[..., self._weights :], x[..., : self._n], t, kept)
+        return np.concatenate([own, x[..., self._n :]], axis=-1)  # targets are known
 
     def ask(self, theta: Array, estimate: Array, t: float) -> Array:
         """Inputs u (..., m) at an estimate (..., n) of the state."""
@@ -75,7 +79,7 @@ class Network(Policy):
 
     def keep(self, x: Array, estimate: Array, u: Array) -> Array:
         """The observer's state (..., s) for the next frame."""
-        return self._observer.keep(x, estimate, u)
+        return self._observer.keep(x[..., : self._n], estimate[..., : self._n], u)
 
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""

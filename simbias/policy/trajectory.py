@@ -35,6 +35,11 @@ class Trajectory(Policy):
         As of `Network`.
     observer_gain
         All of its gains: 1 trusts what is measured.
+
+    Raises
+    ------
+    ValueError
+        If the task has targets: each would take a plan of its own.
     """
 
     def __init__(
@@ -46,6 +51,8 @@ class Trajectory(Policy):
         observer: ObserverKind = "none",
         observer_gain: ObserverGain = 0.5,
     ) -> None:
+        if task.targets:
+            raise ValueError("follows one plan; this task's targets ask for another one at each start")
         self._task, self._knots = task, knots
         self._n, self._m = len(task.states), len(task.inputs)
         self._spacing = task.horizon * task.time_step / (knots - 1)

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Nominal, Task
-from simbias.core.parameters import Parameter
+from simbias.core.parameters import uncertain
 from simbias.core.ranges import Acceleration, Length, Mass, NonNegative
 from simbias.core.records import Array
 from simbias.simulation.compiler import elementwise, sincos
@@ -97,15 +97,7 @@ class CartPole(Nominal):
         if [state.unit for state in task.states] != ["m", "rad", "m/s", "rad/s"] or len(task.inputs) != 1:
             raise ValueError("expected a task with position, angle and their velocities, and one force")
         values = dict(zip(_UNITS, (cart_mass, pole_mass, length, cart_damping, hinge_damping), strict=True))
-        for name in uncertainty or {}:
-            if name not in values:
-                raise ValueError(f"uncertainty: nothing is called {name}; there is {', '.join(values)}")
-        self.parameters = tuple(
-            Parameter(
-                name, _UNITS[name], values[name], spread, "log_normal" if values[name] else "half_normal"
-            )
-            for name, spread in (uncertainty or {}).items()
-        )
+        self.parameters = uncertain(values, _UNITS, uncertainty or {})
         self._constants = np.array([task.time_step, *values.values(), gravity])
 
     def step(self, x: Array, u: Array) -> Array:

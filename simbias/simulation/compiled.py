@@ -156,6 +156,7 @@ class CompiledSimulator:
             n_model_state=self.n_model_state,
             reductions=cost.reductions if cost and terms else (),
             noisy=self.noise.shape[1] > 0,
+            targets=len(task.targets),
         )
 
 

@@ -28,7 +28,7 @@ QUIET: dict[str, float] = {}
 class Noise:
     """Zero-mean Gaussian noise on a task's inputs and on what its policy sees of the states (Table II).
 
-    The task's pushes are added to the noise on the inputs.
+    The task's pushes are added to the noise on the inputs. Targets have no noise: they are known.
 
     Parameters
     ----------
@@ -42,7 +42,8 @@ class Noise:
     """
 
     def __init__(self, task: Task, variances: Variances) -> None:
-        known = {name for quantity in (*task.inputs, *task.states) for name in quantity.names}
+        states = task.without_targets.states
+        known = {name for quantity in (*task.inputs, *states) for name in quantity.names}
         for key in variances:
             if not (key.endswith(SUFFIX) and key.removesuffix(SUFFIX) in known):
                 raise ValueError(
@@ -51,7 +52,8 @@ class Noise:
         self._horizon, self._pushes = task.horizon, task.pushes
         self._times = task.time_step * np.arange(task.horizon)[:, None]  # (T, 1)
         self.input_variance = _variances(task.inputs, variances)  # (m,)
-        self.sensor_variance = _variances(task.states, variances)  # (n,)
+        self.sensor_variance = np.zeros(len(task.states))  # (n,)
+        self.sensor_variance[: len(states)] = _variances(states, variances)
 
     @property
     def is_silent(self) -> bool:

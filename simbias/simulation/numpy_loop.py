@@ -85,6 +85,8 @@ class PlainSimulator:
 
     def _step(self, x: Array, u: Array, model_state: Array, scenarios: Indices) -> tuple[Array, Array]:
         """The next states (k, n) and model states (k, s) by each scenario's model and bias (Eq. 7)."""
+        robot = x.shape[1] - len(self.models[0].task.targets)
+        x, targets = x[:, :robot], x[:, robot:]
         x_next, kept, g = np.empty_like(x), np.empty_like(model_state), np.empty_like(x)
         for nominal, rows in _rows_of([model.nominal for model in self.models], scenarios):
             if nominal.state_size:
@@ -93,7 +95,7 @@ class PlainSimulator:
                 x_next[rows] = nominal.step(x[rows], u[rows])
         for bias, rows in _rows_of([model.bias for model in self.models], scenarios):
             g[rows] = self.correct(bias, x[rows], u[rows])
-        return x_next + g, kept
+        return np.concatenate([x_next + g, targets], axis=1), kept
 
 
 def _rows_of(parts: Sequence, scenarios: Indices) -> Iterator[tuple[Any, Any]]:

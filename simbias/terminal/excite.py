@@ -110,7 +110,7 @@ def recovery(request: Request) -> bool:
 def _prepared(request: Request) -> tuple[Study, Recordings]:
     """The study, which identifies a posterior, and the recordings."""
     with preparing():
-        study = build(request.composition)
+        study = build(request.composition).without_targets
     if (
         not isinstance(study.identification, Posterior)
         or not study.identification.prior(study.nominal).parameters

@@ -66,7 +66,7 @@ def identify(request: Request) -> bool:
     console = Console(highlight=False)
     with slowness_in_one_line():
         with preparing():
-            study = build(request.composition)
+            study = build(request.composition).without_targets
         recordings = read(study, request.recordings, request.columns)
         if not recordings.rollouts:
             raise ConfigError("identify", "needs recordings: files or folders")

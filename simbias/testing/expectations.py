@@ -63,6 +63,11 @@ def states(study: Study) -> Array:
     return np.array([study.task.draw_start(rng) for _ in range(POINTS)])
 
 
+def robot_states(study: Study) -> Array:
+    """States (POINTS, n) of the robot near the start, without targets."""
+    return states(study)[:, : len(study.task.without_targets.states)]
+
+
 def inputs(study: Study) -> Array:
     """Inputs (POINTS, m) within their limits."""
     lower, upper = np.nan_to_num(study.task.input_bounds, posinf=1.0, neginf=-1.0)
@@ -99,7 +104,7 @@ def expect_arguments_left(method: Callable[..., Any], name: str, *arrays: Array)
 def transitions(study: Study) -> Transitions:
     """Transitions whose residuals are smooth functions of the states."""
     rng = np.random.default_rng(8)
-    x = np.array([study.task.draw_start(rng) for _ in range(DATA)])
+    x = np.array([study.task.without_targets.draw_start(rng) for _ in range(DATA)])
     u = rng.normal(size=(DATA, len(study.task.inputs)))
     return Transitions(np.concatenate([x, u], axis=1), 1e-3 * np.sin(3.0 * x))
 

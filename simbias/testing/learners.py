@@ -14,8 +14,8 @@ from simbias.testing.expectations import (
     expect_arguments_left,
     inputs,
     policies,
+    robot_states,
     rollout,
-    states,
     transitions,
 )
 from simbias.trial.study import Study
@@ -24,13 +24,18 @@ from simbias.trial.study import Study
 @check("bias", "without data nothing is corrected")
 def _bias_without_data(study: Study) -> None:
     fitted = study.bias.fit(study.no_data)
-    equal(fitted.correction(states(study), inputs(study)), 0.0 * states(study), "correction", "zeros")
+    equal(
+        fitted.correction(robot_states(study), inputs(study)),
+        0.0 * robot_states(study),
+        "correction",
+        "zeros",
+    )
 
 
 @check("bias", "predictions of data, with any leading axes")
 def _bias_predicts(study: Study) -> None:
     fitted = study.bias.fit(transitions(study))
-    x, u = states(study), inputs(study)
+    x, u = robot_states(study), inputs(study)
     points = np.concatenate([x, u], axis=1)
     mean, variance = fitted.predict(points)
     equal((np.shape(mean), np.shape(variance)), (x.shape, x.shape), "predict", f"mean, variance {x.shape}")
@@ -44,7 +49,7 @@ def _bias_predicts(study: Study) -> None:
 
 @check("bias", "a bias is drawn from the generator alone")
 def _bias_draws(study: Study) -> None:
-    fitted, x, u = study.bias.fit(transitions(study)), states(study), inputs(study)
+    fitted, x, u = study.bias.fit(transitions(study)), robot_states(study), inputs(study)
     one, same = (fitted.draw(np.random.default_rng(3)).correction(x, u) for _ in range(2))
     equal(one, same, "draw", "the same bias from the same generator", 0.0)
 
@@ -52,16 +57,16 @@ def _bias_draws(study: Study) -> None:
 @check("samples", "what is selected, and what is not, is counted")
 def _samples_count(study: Study) -> None:
     rollouts = [rollout(study), rollout(study, 1)]
-    selection = study.samples.select(rollouts, study.nominal)
-    n, m, count = len(study.task.states), len(study.task.inputs), len(selection.transitions)
+    selection = study.select(rollouts, study.nominal)
+    n, m, count = len(study.task.without_targets.states), len(study.task.inputs), len(selection.transitions)
     equal(selection.transitions.inputs.shape, (count, n + m), "samples.select", f"inputs (N, {n + m})")
     equal(selection.transitions.residuals.shape, (count, n), "samples.select", f"residuals (N, {n})")
     frames = sum(each.frames for each in rollouts)
     expect(selection.frames == frames, "samples.select", f"{frames} frames", selection.frames)
     expect(count <= selection.sampled, "samples.select", "no more samples than were looked at", count)
-    again = study.samples.select(rollouts, study.nominal).transitions.residuals
+    again = study.select(rollouts, study.nominal).transitions.residuals
     equal(again, selection.transitions.residuals, "samples.select", "the same of the same rollouts", 0.0)
-    equal(len(study.samples.select([], study.nominal).transitions), 0, "samples.select", "nothing of nothing")
+    equal(len(study.select([], study.nominal).transitions), 0, "samples.select", "nothing of nothing")
 
 
 @check("cost", "finite, and nothing of a rollout is changed")

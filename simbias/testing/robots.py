@@ -16,6 +16,7 @@ from simbias.testing.expectations import (
     expect_kernel_agrees,
     inputs,
     policies,
+    robot_states,
     states,
 )
 from simbias.trial.study import Study
@@ -57,7 +58,7 @@ def _task_failure(study: Study) -> None:
 
 @check("nominal", "any leading axes")
 def _nominal_axes(study: Study) -> None:
-    x, u = states(study), inputs(study)
+    x, u = robot_states(study), inputs(study)
     equal(np.shape(study.nominal.step(x[0], u[0])), np.shape(x[0]), "nominal.step", "a state")
     x_next = study.nominal.step(x, u)
     broken = [row.tolist() for row in np.asarray(x_next) if not np.isfinite(row).all()]
@@ -68,7 +69,7 @@ def _nominal_axes(study: Study) -> None:
 
 @check("nominal", "a model is drawn from the generator alone")
 def _nominal_draws(study: Study) -> None:
-    x, u = states(study), inputs(study)
+    x, u = robot_states(study), inputs(study)
     before = study.nominal.step(x, u)
     one, same = (study.nominal.draw(np.random.default_rng(3)).step(x, u) for _ in range(2))
     equal(one, same, "nominal.draw", "the same model from the same generator", 0.0)
@@ -77,7 +78,7 @@ def _nominal_draws(study: Study) -> None:
 
 @check("nominal", "its own state, with any leading axes")
 def _nominal_state(study: Study) -> None:
-    nominal, x, u = study.nominal, states(study), inputs(study)
+    nominal, x, u = study.nominal, robot_states(study), inputs(study)
     model_state = np.zeros((POINTS, nominal.state_size))
     for t in range(3):  # the rows, as frames; from zero on
         x_next, after = nominal.advance(np.roll(x, t, axis=0), np.roll(u, t, axis=0), model_state)
@@ -107,7 +108,7 @@ def _nominal_state(study: Study) -> None:
 
 @check("nominal", "compiled functions give the same numbers")
 def _nominal_kernel(study: Study) -> None:
-    nominal, x, u = study.nominal, states(study), inputs(study)
+    nominal, x, u = study.nominal, robot_states(study), inputs(study)
     if not nominal.state_size:
         expect_kernel_agrees(nominal.kernel, nominal.step, "nominal.step", x, u)
     elif nominal.kernel is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.core.records import Rollout
-from simbias.testing.expectations import check, equal, expect, inputs, rollout, states
+from simbias.testing.expectations import check, equal, expect, inputs, robot_states, rollout
 from simbias.trial.study import Study
 
 SECONDS = 0.2  # of a rollout that is learned from
@@ -20,7 +20,8 @@ def _without_rollouts(study: Study) -> None:
 
 @check("identification", "finite predictions of a robot that moves and of one at rest, and draws of them")
 def _fits_motion_and_rest(study: Study) -> None:
-    whole, x, u = rollout(study), states(study), inputs(study)
+    n = len(study.task.without_targets.states)
+    whole, x, u = rollout(study).of_states(n), robot_states(study), inputs(study)
     frames = min(study.task.frames(SECONDS), whole.frames)
     moving = Rollout(whole.states[: frames + 1], whole.inputs[:frames])
     rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs))

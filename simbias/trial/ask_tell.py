@@ -12,6 +12,7 @@ from simbias.core.records import Array, Iteration, Optimum, Rollout
 from simbias.lab.checked_hardware import MakeExperiment
 from simbias.lab.checks import check_rollout
 from simbias.lab.requests.request import ExperimentRequest
+from simbias.lab.targets import beside
 from simbias.trial.replay import EndOfRecord, Record
 
 
@@ -24,7 +25,7 @@ class AskTell:
     Parameters
     ----------
     task
-        The trial's.
+        The trial's robot's.
     run
         The trial, over the steps of a record and with another hardware.
     """
@@ -57,7 +58,8 @@ class AskTell:
             raise ValueError("no experiment was asked for: ask() comes first")
         request = self._request
         checked = check_rollout(rollout, "study.tell", self._task, request.bounds)
-        self._steps.experiments.append(replace(checked, parameters=request.theta))
+        targets = getattr(request.policy, "targets", np.empty(0))
+        self._steps.experiments.append(beside(replace(checked, parameters=request.theta), targets))
         self._request = None
 
 

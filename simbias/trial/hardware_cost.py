@@ -7,6 +7,7 @@ import numpy as np
 from simbias.core import Hardware
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
+from simbias.lab.checked_hardware import CheckedHardware
 from simbias.trial.study import Study
 
 SCREENING = 2  # rollouts after which a policy that failed in all of them is not tried any further
@@ -36,7 +37,7 @@ class CostOnHardware:
         if type(hardware).__module__.startswith("simbias.lab"):
             problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
             raise ConfigError("method", problem)
-        self._study, self._hardware = study, hardware
+        self._study, self._hardware = study, CheckedHardware(hardware, study.task)
         self._scenarios = [
             (study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)
         ]

@@ -37,7 +37,7 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout], margin: float 
     frames = max(1, round(WINDOW / study.task.time_step))
     chunk = max(1, round(frames / CHUNKS))
     folds = _folds(experiments, frames)
-    windows = [Windows.of(fold, frames, chunk) for fold in folds]
+    windows = [Windows.of(study.of_robot(fold), frames, chunk) for fold in folds]
     values: dict[str, float] = {}
     best, reached = np.zeros(0), 0.0  # its log-likelihoods (w,), and what has been taken off their mean
     for name, variant in VARIANTS.items() if len(folds) > 1 else ():
@@ -48,7 +48,7 @@ def log_likelihoods(study: Study, experiments: Sequence[Rollout], margin: float 
         each = []
         for fold, own in enumerate(errors):
             others = [other for other in range(len(folds)) if other != fold]
-            seen = Windows.of([r for other in others for r in folds[other]], frames, chunk)
+            seen = Windows.of(study.of_robot(r for other in others for r in folds[other]), frames, chunk)
             distribution = ErrorDistribution.of(np.concatenate([errors[other] for other in others]), seen)
             each.append(distribution.log_likelihoods(own))
         total = sum(float(own.sum()) for own in each)

@@ -138,11 +138,11 @@ def learn(
     variant: ModelVariant = ModelVariant(),  # noqa: B008 (it is immutable)
 ) -> Learned:
     """Identify parameters from all experiments, and learn a bias from those of some iterations."""
-    nominal = study.identification.fit(study.nominal, experiments) if variant.identifies else study.nominal
+    nominal = study.identified(experiments) if variant.identifies else study.nominal
     data = study.data_from(learned_from, nominal)
     if not variant.corrects:
         return Learned(study.model(None, nominal), data)
-    rollouts = [rollout for iteration in learned_from for rollout in iteration]
+    rollouts = study.of_robot(rollout for iteration in learned_from for rollout in iteration)
     return Learned(study.model(study.bias.learn(data, rollouts, nominal), nominal), data)
 
 

@@ -27,7 +27,7 @@ from simbias.core import (
     SlowWarning,
     Task,
 )
-from simbias.core.records import Array, Iteration, Rollout, Transitions
+from simbias.core.records import Array, Iteration, Rollout, Selection, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.simulation.closed_loop import simulator
@@ -97,6 +97,11 @@ class Study:
     def choices(self) -> Mapping[str, str]:
         """The chosen option of every group."""
         return self.composition.choices
+
+    @property
+    def without_targets(self) -> Study:
+        """The study of what is recorded and identified of the robot: with its task without targets."""
+        return replace(self, task=self.task.without_targets) if self.task.targets else self
 
     @property
     def title(self) -> str:
@@ -215,7 +220,7 @@ class Study:
         def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
             return replace(self, hardware=hardware, conditions=unasked).over(record).run()
 
-        return AskTell(self.task, run)
+        return AskTell(self.task.without_targets, run)
 
     def with_horizon(self, horizon: int) -> Study:
         """The study with another horizon in frames; its hardware is constructed again for it.
@@ -241,12 +246,25 @@ class Study:
 
     def first_model(self) -> Model:
         """The model before any experiment: as declared, or as recordings have identified it."""
-        return self.model(nominal=self.identification.fit(self.nominal, ()))
+        return self.model(nominal=self.identified(()))
+
+    def identified(self, rollouts: Sequence[Rollout]) -> Nominal:
+        """The nominal model, identified from experiments."""
+        return self.identification.fit(self.nominal, self.of_robot(rollouts))
+
+    def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
+        """What is learned from experiments, with residuals against an (identified) nominal model."""
+        return self.samples.select(self.of_robot(rollouts), nominal)
+
+    def of_robot(self, rollouts: Iterable[Rollout]) -> list[Rollout]:
+        """Rollouts with the states of the robot alone: nothing is learned of targets."""
+        n = len(self.task.without_targets.states)
+        return [rollout.of_states(n) for rollout in rollouts]
 
     def warm_up(self) -> None:
         """Compile what a simulated rollout and a search need, so that none begins with it."""
         theta, rng = np.clip(0.0, *self.policy.bounds), np.random.default_rng(0)
-        n, m = len(self.task.states), len(self.task.inputs)
+        n, m = len(self.task.without_targets.states), len(self.task.inputs)
         some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
         self._warm_up(self.no_data, theta, rng)
         with warnings.catch_warnings():
@@ -259,18 +277,18 @@ class Study:
         rollout = self.simulate(theta, fitted_bias)
         if len(data):
             frames = min(self.task.frames(WARM_UP), rollout.frames)
-            moved = [rollout.part(0, frames)]
-            self.bias.learn(data, moved, self.identification.fit(self.nominal, moved))
+            moved = self.of_robot([rollout.part(0, frames)])
+            self.bias.learn(data, moved, self.identified(moved))
         self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:
         """D, the union of all D_i (line 13): residuals against an (identified) nominal model."""
         data = self.no_data
         for rollouts in iterations:
-            data |= self.samples.select(rollouts, nominal).transitions
+            data |= self.select(rollouts, nominal).transitions
         return data
 
     @property
     def no_data(self) -> Transitions:
         """D = {}."""
-        return Transitions.empty(len(self.task.states), len(self.task.inputs))
+        return Transitions.empty(len(self.task.without_targets.states), len(self.task.inputs))

@@ -17,7 +17,10 @@ from simbias.testing.conformance import verdicts
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
-ROBOTS = ("cartpole", "double_cartpole", "acrobot", "biped", "pendulum_swingup", "cartpole_swingup")
+ROBOTS = (
+    *("cartpole", "double_cartpole", "acrobot", "biped", "pendulum_swingup", "cartpole_swingup"),
+    *("reacher", "ball_in_cup", "hopper"),
+)
 
 
 @pytest.mark.slow

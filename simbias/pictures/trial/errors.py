@@ -113,14 +113,19 @@ def _models(
 
 def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | None = None) -> Windows:
     """Pieces of `frames` frames, spread evenly over the experiments that last as long."""
+    experiments = study.of_robot(iteration.experiments)
     starts = [
         (rollout, t)
-        for rollout in iteration.experiments
-        for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(iteration.experiments)))
+        for rollout in experiments
+        for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(experiments)))
     ]
-    n, m, s = len(study.task.states), len(study.task.inputs), (nominal or study.nominal).state_size
+    n, m, s = (
+        len(study.task.without_targets.states),
+        len(study.task.inputs),
+        (nominal or study.nominal).state_size,
+    )
     model_states = {
-        id(r): (nominal or study.nominal).model_states(r.states[:-1], r.inputs) for r in iteration.experiments
+        id(r): (nominal or study.nominal).model_states(r.states[:-1], r.inputs) for r in experiments
     }
     w = len(starts)
     return Windows(
@@ -156,7 +161,7 @@ def prediction_error(
 
 def _groups(task: Task) -> dict[str, list[int]]:
     """Indices of the states of each unit."""
-    units = [quantity.unit for quantity in task.states]
+    units = [quantity.unit for quantity in task.without_targets.states]
     return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 

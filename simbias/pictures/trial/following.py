@@ -41,8 +41,7 @@ def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
         If the goal does not move, or no policy was tried on the hardware.
     """
     task, times = study.task, study.task.time_step * np.arange(study.task.horizon + 1)
-    reference = np.array([task.reference(t) for t in times])  # (T+1, g)
-    if (reference == reference[:1]).all():
+    if not np.diff([task.reference(t) for t in times], axis=0).any():
         raise NoPictureError("the goal does not move")
     both = first_and_last(on_hardware(iterations))
     in_plane = len(task.goals) == 2 and task.goals[0].unit == task.goals[1].unit
@@ -50,6 +49,8 @@ def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
     for block, iteration in zip(blocks, both, strict=True):
         headline(block[0], compared_words(study, iteration))
         experiment = worst_experiment(iteration)
+        targets = [task.targets_in(experiment.states[0])] if task.targets else []
+        reference = np.array([task.reference(t, *targets) for t in times])  # (T+1, g)
         shown = [(each, SIMULATION, "--") for each in simulated(study, iteration, [experiment])]
         shown = [*shown, (experiment, HARDWARE, "-")]
         if in_plane:

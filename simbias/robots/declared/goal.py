@@ -22,6 +22,8 @@ JUMP, BRIEF = 0.5, 0.02  # share of its range, in this share of its time: no rob
 class Reference:
     """Where a goal's quantities are to be: expressions of the time t, or rows of a file, linear between them.
 
+    Expressions may use targets, of which the means are given, by name.
+
     Raises
     ------
     ValueError
@@ -29,12 +31,18 @@ class Reference:
     """
 
     def __init__(
-        self, expressions: Mapping[str, str], file: str | None, constants: Mapping[str, float], seconds: float
+        self,
+        expressions: Mapping[str, str],
+        file: str | None,
+        constants: Mapping[str, float],
+        seconds: float,
+        targets: Mapping[str, float] | None = None,
     ) -> None:
+        self._means = np.array(list((targets or {}).values()))  # (k,)
         if file is None:
             self.names = tuple(expressions)
             named = {f"goal.{name}": text for name, text in expressions.items()}
-            self._expressions: Expressions | None = Expressions(named, (TIME,), constants)
+            self._expressions: Expressions | None = Expressions(named, (TIME, *(targets or {})), constants)
         else:
             self._expressions = None
             self.names, self._times, values = _rows(file, seconds)
@@ -42,10 +50,14 @@ class Reference:
             self._first, self._changes = values[0], np.diff(slopes, axis=0, prepend=0.0, append=0.0)
         self._check(np.linspace(0.0, seconds, 1000))
 
-    def __call__(self, t: Any) -> Array:
-        """Reference values (..., g) at times t (...) in s."""
+    def __call__(self, t: Any, targets: Array | None = None) -> Array:
+        """Reference values (..., g) at times t (...) in s, of targets (..., k); None: their means."""
         times = np.stack([t], axis=-1)  # (..., 1); a number may be a symbol
         if self._expressions is not None:
+            if len(self._means):
+                given = self._means if targets is None else targets
+                each = [given[..., index] for index in range(len(self._means))]
+                times = np.stack([t + 0.0 * each[0], *(value + 0.0 * t for value in each)], axis=-1)
             values = self._expressions(times[None])
             return values[0] if values.ndim > times.ndim else values  # of constants alone, there is one row
         return self._first + np.maximum(times - self._times, 0.0) @ self._changes

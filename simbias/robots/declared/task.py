@@ -30,14 +30,14 @@ class Declared(Task):
     Parameters
     ----------
     states, inputs
-        By name, in the order of x and u.
+        By name, in the order of x and u; targets come after the states.
     outputs
         What a policy feeds back, in the order of z; by default all states.
     failure
         Criteria by name; where several are violated, the first one counts. Without any, nothing fails.
     goal
-        Where states and outputs are to be, by name: expressions of the time t in s. By default all states are
-        to be zero.
+        Where states and outputs are to be, by name: expressions of the time t in s and of targets. By default
+        all states are to be zero.
     reference
         In place of a goal: a CSV file of columns t and names, linear between its rows.
     success
@@ -56,6 +56,9 @@ class Declared(Task):
         Parts by name, from back to front, all lengths in one unit, y upwards.
     figure
         In place of a drawing: the file of a MuJoCo model, whose geoms are drawn, or rendered.
+    targets
+        By name, as states: drawn with each start, constant, and known. Expressions may use them; failures may
+        not, as a robot has none.
     sensors
         The file of a MuJoCo model, whose sensors and sites' positions expressions may use too: a number by
         its name, a vector as `tip[0]`. They are the engine's, so that rollouts are simulated in NumPy.
@@ -80,22 +83,28 @@ class Declared(Task):
         starts: Annotated[list[list[Coordinate]], Field(min_length=1)] | None = None,
         pushes: Named[Pulses] | None = None,
         sensors: SensorFile | None = None,
+        targets: Named[State] | None = None,
     ) -> None:
-        states, inputs, failure = dict(states), dict(inputs), dict(failure or {})
-        for name, some in (("states", states), ("inputs", inputs)):
+        robot, inputs, failure = dict(states), dict(inputs), dict(failure or {})
+        for name, some in (("states", robot), ("inputs", inputs)):
             if not some:
                 raise ValueError(f"{name} is empty: there has to be one at least")
         self.time_step = time_step
         self.horizon = horizon
+        for name in set(robot) & set(dict(targets or {})):
+            raise ValueError(f"targets.{name}: a state has this name")
+        states = {**robot, **dict(targets or {})}
         self.states = tuple(
             Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
         )
+        self.targets = self.states[len(robot) :]
         self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
         self._input_bounds = lower, upper = _bounds(inputs)
         self.input_limit = np.maximum(-lower, upper)
         self._starts = Starts(states, starts)
         self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
-        self._sensors = None if sensors is None else Sensors(self, sensors)
+        self.criteria, self.outputs = (), ()  # what a robot's file is held against has none yet
+        self._sensors = None if sensors is None else Sensors(self.without_targets, sensors)
         self._known: dict[str, Any] = {
             "variables": (*states, *(self._sensors.names if self._sensors else ())),
             "constants": dict(constants or {}),
@@ -103,15 +112,16 @@ class Declared(Task):
         }
         given = dict(outputs or {}) or {name: Output(name, state.unit) for name, state in states.items()}
         self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
-        self.criteria = tuple(_criterion(name, each, tuple(states)) for name, each in failure.items())
+        self.criteria = tuple(_criterion(name, each, tuple(robot)) for name, each in failure.items())
         self._measure = self.expressions(
             {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
         )
+        self._check_failures()
         self._output = self.expressions({name: output.value for name, output in given.items()})
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
         self.pushes = tuple(_push(name, each, tuple(inputs)) for name, each in dict(pushes or {}).items())
-        self._figure = None if figure is None else Figure(self, figure)
+        self._figure = None if figure is None else Figure(self.without_targets, figure)
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
         ]
@@ -125,14 +135,26 @@ class Declared(Task):
             }
         )
 
+    def _check_failures(self) -> None:
+        """Refuse failures that depend on targets, of which a robot knows nothing."""
+        x = self.start_mean.copy()
+        x[len(x) - len(self.targets) :] = np.nan
+        for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
+            if np.isnan(measure):
+                raise ValueError(f"failure.{criterion.name}: a robot's failure cannot depend on targets")
+
     def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
         """Set the goal's quantities and their reference."""
         if goal and file:
             raise ValueError("one of goal and reference is to be given")
         self._reference, self._goals = None, self.states
         if not goal and file is None:
+            if self.targets:
+                raise ValueError("targets: a goal, or outputs of a goal, have to depend on them")
             return
-        self._reference = Reference(goal, file, self._known["constants"], self.horizon * self.time_step)
+        means = dict(zip((each.name for each in self.targets), self.targets_in(self.start_mean), strict=True))
+        seconds = self.horizon * self.time_step
+        self._reference = Reference(goal, file, self._known["constants"], seconds, means)
         known = {quantity.name: (i, quantity) for i, quantity in enumerate((*self.states, *self.outputs))}
         known |= {state.name: (i, state) for i, state in enumerate(self.states)}
         for name in self._reference.names:
@@ -173,8 +195,14 @@ class Declared(Task):
         return self._output(self._seen(x))
 
     def _seen(self, x: Array) -> Array:
-        """States (..., n), followed by what sensors say of them."""
-        return np.concatenate([x, self._sensors(x)], axis=-1) if self._sensors else x
+        """States (..., n), followed by what sensors say of the robot's."""
+        if self._sensors is None:
+            return x
+        return np.concatenate([x, self._sensors(self._of_robot(x))], axis=-1)
+
+    def _of_robot(self, x: Array) -> Array:
+        """The robot's states among x (..., n)."""
+        return x[..., : len(self.states) - len(self.targets)]
 
     def draw_start(self, rng: np.random.Generator) -> Array:
         """A random start (n,)."""
@@ -191,9 +219,12 @@ class Declared(Task):
             return x
         return np.concatenate([x, self.output(x)], axis=-1)[..., self._aimed]
 
-    def reference(self, t: Any) -> Array:
-        """Reference values (..., g) or (g,) of the goal's quantities at times t (...) in s."""
-        return super().reference(t) if self._reference is None else self._reference(t)
+    def reference(self, t: Any, targets: Array | None = None) -> Array:
+        """Reference values (..., g) or (g,) of the goal's quantities at times t (...) in s.
+
+        They may depend on targets (..., k); None: their means.
+        """
+        return super().reference(t) if self._reference is None else self._reference(t, targets)
 
     def succeeds(self, states: Array) -> bool | None:
         """Whether an episode of states (T+1, n) that has not failed succeeds; None without conditions."""
@@ -205,14 +236,14 @@ class Declared(Task):
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
         if self._figure:
-            return self._figure.points(x)
+            return self._figure.points(self._of_robot(x))
         points = self._points(self._seen(x)).reshape(-1, 2)
         ends = np.cumsum([len(part.points) for part in self.drawing.values()])
         return dict(zip(self.drawing, np.split(points, ends), strict=False))
 
     def image(self, x: Array) -> Image | None:
         """Image of the state x (n,) as MuJoCo renders it; None if the drawing is of parts."""
-        return self._figure.image(x) if self._figure else None
+        return self._figure.image(self._of_robot(x)) if self._figure else None
 
     def expressions(self, expressions: Mapping[str, str]) -> Expressions:
         """Expressions of the states and of what else has a name here.

@@ -93,6 +93,7 @@ class Composition:
     n_model_state: int
     reductions: tuple[str, ...]  # of the cost's terms
     noisy: bool
+    targets: int = 0  # the last of the states
 
 
 @lru_cache(maxsize=64)
@@ -130,6 +131,7 @@ def compile_closed_loop(c: Composition) -> Any:
         judge=JUDGE,
         record=RECORD.format(**sizes),
         release=RELEASE.format(**sizes),
+        targets=c.targets,
     ).compiled()
 
 

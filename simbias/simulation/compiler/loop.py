@@ -125,6 +125,7 @@ class Loop:
     record: str  # after a frame
     release: str  # a pass b has ended
     weight: str = ""  # of the correction: a factor
+    targets: int = 0  # the last of the states, which stay as they are
 
     def compiled(self) -> Any:
         """The loop, ready to be called."""
@@ -160,13 +161,18 @@ class Loop:
         advance = [*self.advance, *self._stepped(step)]
         constants, settle = [*self.constants], []
         if self._corrects_all_lanes:
-            advance += [*assign("x_next", "y", self.n), *assign("force", "u_", self.m)]
-            settle = ["correct(x, force, bias_parameters, correction)", f"for lane in range({LANES}):"]
+            robot = self.n - self.targets
+            advance += [*assign("x_next", "y", robot), *assign("force", "u_", self.m)]
+            x = f"x[:{robot}]" if self.targets else "x"
+            settle = [f"correct({x}, force, bias_parameters, correction)", f"for lane in range({LANES}):"]
             x_new = f"x_next[{{0}}, lane] + {self.weight}correction[{{0}}, lane]"
             settle += [f"    {line}" for line in self._settled(x_new)]
         else:
             constants.append(correct.read("bias"))
-            advance += ["d = correct(x_, u_, bias_data)", *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]")]
+            advance += [
+                f"d = correct({self._x}, u_, bias_data)",
+                *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]"),
+            ]
         take = [self.take, f"for i in range({step.parameters}):"]
         take += ["    nominal[i, lane] = nominal_parameters[model, i]"]
         take += [f"for i in range({self.n_model_state}):", "    model_state[i, lane] = 0.0"]
@@ -184,19 +190,27 @@ class Loop:
             release=[self.release],
         )
 
+    @property
+    def _x(self) -> str:
+        """The robot's states."""
+        return f"x_[:{self.n - self.targets}]" if self.targets else "x_"
+
     def _stepped(self, step: Function) -> list[str]:
         """The nominal model's step: y."""
         if not self.n_model_state:
-            return [f"y = step(x_, u_, {step.own('nominal')})"]
+            return [f"y = step({self._x}, u_, {step.own('nominal')})"]
         state = tuple_of("model_state[{}, lane]", self.n_model_state)
         return [
-            f"y, model_state_next = step(x_, u_, {step.own('nominal')}, {state})",
+            f"y, model_state_next = step({self._x}, u_, {step.own('nominal')}, {state})",
             *assign("model_state", "model_state_next", self.n_model_state),
         ]
 
     def _settled(self, x_new: str) -> list[str]:
         """Lines that set the next state."""
-        return [f"x_new = {tuple_of(x_new, self.n)}", *assign("x", "x_new", self.n), *self.settle]
+        robot = self.n - self.targets
+        targets = [f"x[{i}, lane]" for i in range(robot, self.n)]
+        stays = f" + ({', '.join(targets)},)" if targets else ""
+        return [f"x_new = {tuple_of(x_new, robot)}{stays}", *assign("x", "x_new", robot), *self.settle]
 
     def _layout(self) -> list[str]:
         """Rows for everything in one array of lanes; integers are the last."""
@@ -206,8 +220,8 @@ class Loop:
             "x": self.n,
             "nominal": self.functions["step"].parameters,
             "model_state": self.n_model_state,
-            "x_next": self.n * two_loops,
-            "correction": self.n * two_loops,
+            "x_next": (self.n - self.targets) * two_loops,
+            "correction": (self.n - self.targets) * two_loops,
             "force": self.m * two_loops,
             **self.rows,
             "integers": len(integers),

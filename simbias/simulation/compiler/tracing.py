@@ -47,12 +47,12 @@ TraceInputs = tuple[
 
 def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
     """The parts of a closed loop: measures, policy, nominal model, bias."""
-    task, points = model.task, Points.of(model.task)
+    task, points, of_robot = model.task, Points.of(model.task), Points.of(model.task.without_targets)
     return (
         of_measure(task, points),
         of_policy(model.policy, task, points),
-        of_nominal(model.nominal, points),
-        of_bias(model.bias, points),
+        of_nominal(model.nominal, of_robot),
+        of_bias(model.bias, of_robot),
     )
 
 

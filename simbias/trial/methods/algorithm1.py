@@ -55,7 +55,7 @@ class Algorithm1(Method):
                 if not succeeded:
                     learned_from.append(rollouts)
                     model, data = learn(study, experiments, learned_from)  # 13, 14
-                selection = study.samples.select(rollouts, model.nominal)
+                selection = study.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset)
             counts = succeeded, len(experiments)
             yield iteration_record(i, theta, rollouts, *counts, clock, simulation, found, learning)

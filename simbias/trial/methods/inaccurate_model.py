@@ -82,10 +82,12 @@ def gradient(study: Study, theta: Array, experiment: Rollout) -> Array:
 def along(study: Study, thetas: Array, experiment: Rollout) -> list[Rollout]:
     """Rollouts of thetas (k, p) from an experiment's start, on the model made exact along it."""
     task, nominal, policy, k = study.task, study.nominal, study.policy, len(thetas)
-    missed = experiment.states[1:] - nominal.along(experiment.states[:-1], experiment.inputs)
+    n = len(task.without_targets.states)  # behind them, targets stay as they are
+    recorded = experiment.of_states(n)
+    missed = recorded.states[1:] - nominal.along(recorded.states[:-1], recorded.inputs)
     states = np.empty((k, task.horizon + 1, len(task.states)))
     inputs = np.empty((k, task.horizon, len(task.inputs)))
-    states[:, 0], frames, violated = experiment.states[0], np.full(k, task.horizon), np.full(k, -1)
+    states[:], frames, violated = experiment.states[0], np.full(k, task.horizon), np.full(k, -1)
     policy_state, model_state = np.zeros((k, policy.state_size)), np.zeros((k, nominal.state_size))
     for t in range(task.horizon + 1):
         failing = task.violated(states[:, t])
@@ -94,8 +96,8 @@ def along(study: Study, thetas: Array, experiment: Rollout) -> list[Rollout]:
         if t == task.horizon or (violated >= 0).all():
             break
         inputs[:, t], policy_state = policy.act(thetas, states[:, t], t * task.time_step, policy_state)
-        following, model_state = nominal.advance(states[:, t], inputs[:, t], model_state)
-        states[:, t + 1] = following + (missed[t] if t < len(missed) else 0.0)
+        following, model_state = nominal.advance(states[:, t, :n], inputs[:, t], model_state)
+        states[:, t + 1, :n] = following + (missed[t] if t < len(missed) else 0.0)
         states[violated >= 0, t + 1] = states[violated >= 0, t]  # where it has fallen, nothing overflows
     rollouts = [Rollout(x[: T + 1], u[:T]) for x, u, T in zip(states, inputs, frames, strict=True)]
     return [

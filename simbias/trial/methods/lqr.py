@@ -88,7 +88,7 @@ class Lqr(Method):
             clock = Stopwatch()
             with clock("learning"):
                 if experiments:
-                    model = study.model(None, study.identification.fit(study.nominal, experiments))
+                    model = study.model(None, study.identified(experiments))
             with clock("design"):
                 theta = self._design(model)
             observer.designed(theta, model)

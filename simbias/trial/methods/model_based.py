@@ -128,7 +128,7 @@ class ModelBased(Method):
                         log_likelihoods(study, experiments, self.margin) if self.model_selection else {}
                     )
                     model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
-                selection = study.samples.select(rollouts, model.nominal)
+                selection = study.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset, likelihoods)
             counts = succeeded, len(experiments)
             yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)

@@ -79,7 +79,7 @@ class MultiFidelity(Method):
                 if not succeeded:
                     learned_from.append(rollouts)
                     model, data = learn(study, experiments, learned_from)
-                selection = study.samples.select(rollouts, model.nominal)
+                selection = study.select(rollouts, model.nominal)
             counts = succeeded, len(experiments)
             learning = Learning(selection, data)
             yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)

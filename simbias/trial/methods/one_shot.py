@@ -50,7 +50,7 @@ class OneShot(Method):
             made += count
             succeeded = all(map(study.passes, rollouts))
             with clock("learning"):
-                selection = study.samples.select(rollouts, model.nominal)
+                selection = study.select(rollouts, model.nominal)
                 if not index and not succeeded:
                     model, data = learn(study, rollouts, [rollouts])
             learning = Learning(selection, data)

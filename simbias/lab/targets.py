@@ -1,0 +1,54 @@
+"""Targets of an experiment: its policy knows them, and they stand in its record; its hardware has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+
+from simbias.core import Law, Policy
+from simbias.core.records import Array, Rollout
+
+
+@final
+class WithTargets(Policy):
+    """A policy of a task with targets as that of an episode, whose targets (k,) it knows."""
+
+    def __init__(self, policy: Policy, targets: Array) -> None:
+        self._policy, self.targets = policy, targets
+        self.n_parameters, self.bounds, self.state_size = (
+            policy.n_parameters,
+            policy.bounds,
+            policy.state_size,
+        )
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        """Inputs u (..., m) at the robot's states x (..., n), and the policy state for the next frame."""
+        return self._policy.act(theta, self._seen(x), t, policy_state)
+
+    def outputs(self, x: Array) -> Array:
+        """The feedback quantities z (..., q) at the robot's states x (..., n)."""
+        return self._policy.outputs(self._seen(x))
+
+    def law(self, theta: Array) -> Law:
+        """The policy's law, with the targets."""
+        law = self._policy.law(theta)
+        return Law(law.words, {**law.numbers, "targets": self.targets})
+
+    def _seen(self, x: Array) -> Array:
+        """The robot's states and the targets (..., n + k)."""
+        targets = np.broadcast_to(self.targets, (*x.shape[:-1], len(self.targets)))
+        return np.concatenate([x, targets], axis=-1)
+
+
+def beside(rollout: Rollout, targets: Array) -> Rollout:
+    """A robot's rollout with its targets (k,) in each frame of its states, and of what was measured."""
+    if not len(targets):
+        return rollout
+
+    def with_targets(states: Array) -> Array:
+        return np.hstack([states, np.tile(targets, (len(states), 1))])
+
+    measured = None if rollout.measured is None else with_targets(rollout.measured)
+    return replace(rollout, states=with_targets(rollout.states), measured=measured)

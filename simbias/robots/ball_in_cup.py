@@ -1,0 +1,153 @@
+"""A ball on a string, and the cup that it hangs from, in a vertical plane: from their equations of motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import copy
+from functools import cache
+from typing import final
+
+import numpy as np
+
+from simbias.core import Kernel, Nominal, Task
+from simbias.core.parameters import uncertain
+from simbias.core.ranges import Acceleration, Length, Mass, NonNegative, Positive, TimeStep
+from simbias.core.records import Array
+from simbias.simulation.compiler import at_least, at_most, elementwise
+
+RISE, FLARE, DEPTH = 0.04, 0.07, 0.08  # m: half the bottom's width, half the rim's, the cup's height
+REACH = 0.033  # m, of the ball's centre from the middle of a wall where they touch
+SLIP = 0.02  # m/s, at which friction has two thirds of its size
+EDGE = 1e-4  # m, of penetration up to which a contact comes to bear
+_UNITS = {
+    "cup_mass": "kg",
+    "ball_mass": "kg",
+    "string": "m",
+    "damping": "N s/m",
+    "friction": "1",
+}
+
+
+def _touched(x, z, v_x, v_z, from_x, from_z, along_x, along_z, rate, friction):
+    """The acceleration of a ball by a wall, from a point and along a vector; x, v are relative to it.
+
+    A contact is a spring that is damped critically, one-sided, with smooth Coulomb friction.
+    """
+    off_x, off_z = x - from_x, z - from_z
+    share = (off_x * along_x + off_z * along_z) / (along_x * along_x + along_z * along_z)
+    share = at_most(at_least(share, 0.0), 1.0)
+    off_x, off_z = off_x - share * along_x, off_z - share * along_z
+    distance = np.sqrt(off_x * off_x + off_z * off_z + 1e-12)
+    n_x, n_z = off_x / distance, off_z / distance
+    depth = REACH - distance
+    normal, slip = n_x * v_x + n_z * v_z, n_x * v_z - n_z * v_x
+    bears = at_most(at_least(depth / EDGE, 0.0), 1.0)
+    push = bears * at_least(rate * rate * depth - 2.0 * rate * normal, 0.0)
+    drag = -friction * push * slip / np.sqrt(slip * slip + SLIP * SLIP)
+    return push * n_x - drag * n_z, push * n_z + drag * n_x
+
+
+def _accelerations(x, u, parameters):
+    """Accelerations of the cup and of the ball."""
+    _, gravity, rate, cup_mass, ball_mass, string, damping, friction = parameters
+    cup_x, cup_z, ball_x, ball_z, cup_v_x, cup_v_z, ball_v_x, ball_v_z = x
+    x, z, v_x, v_z = ball_x - cup_x, ball_z - cup_z, ball_v_x - cup_v_x, ball_v_z - cup_v_z
+    distance = np.sqrt(x * x + z * z + 1e-12)
+    n_x, n_z = x / distance, z / distance
+    stretch = distance - string
+    taut = at_most(at_least(stretch / EDGE, 0.0), 1.0)
+    pull = -taut * at_least(rate * rate * stretch + 2.0 * rate * (n_x * v_x + n_z * v_z), 0.0)
+    b_x, b_z = _touched(x, z, v_x, v_z, -RISE, 0.0, 2.0 * RISE, 0.0, rate, friction)
+    l_x, l_z = _touched(x, z, v_x, v_z, -RISE, 0.0, RISE - FLARE, DEPTH, rate, friction)
+    r_x, r_z = _touched(x, z, v_x, v_z, RISE, 0.0, FLARE - RISE, DEPTH, rate, friction)
+    reduced = cup_mass * ball_mass / (cup_mass + ball_mass)
+    f_x = reduced * (pull * n_x + b_x + l_x + r_x)
+    f_z = reduced * (pull * n_z + b_z + l_z + r_z)
+    return (
+        (u[0] - damping * cup_v_x - f_x) / cup_mass,
+        (u[1] - damping * cup_v_z - f_z) / cup_mass,
+        f_x / ball_mass,
+        f_z / ball_mass - gravity,
+    )
+
+
+@cache
+def _frame(count: int) -> Callable:
+    """So many steps of the semi-implicit Euler method."""
+
+    def frame(x, u, parameters):
+        """States a frame after x under u."""
+        h = parameters[0]
+        for _ in range(count):
+            a_x, a_z, b_x, b_z = _accelerations(x, u, parameters)
+            v_x, v_z, w_x, w_z = x[4] + h * a_x, x[5] + h * a_z, x[6] + h * b_x, x[7] + h * b_z
+            x = (x[0] + h * v_x, x[1] + h * v_z, x[2] + h * w_x, x[3] + h * w_z, v_x, v_z, w_x, w_z)
+        return x
+
+    return frame
+
+
+@final
+class BallInCup(Nominal):
+    """States are x and z of the cup, x and z of the ball, and their velocities; inputs are forces on the cup.
+
+    The cup's weight is held by its rails; it is one of three straight walls. String and walls are stiff
+    springs, damped critically. All lengths but the string's are constants of this module.
+
+    Parameters
+    ----------
+    string
+        Its length in m.
+    damping, friction
+        Of the cup's rails, and of the ball on the cup.
+    contact_rate
+        Of the springs, in rad/s.
+    uncertainty
+        Of masses, string, damping and friction by name: the standard deviation of the logarithm or, where a
+        value is zero, of the normal distribution whose upper half is its prior.
+    sub_step
+        At most, of the semi-implicit Euler method, in s.
+
+    Raises
+    ------
+    ValueError
+        If the task has not these states, or no parameter has such a name.
+    """
+
+    kernel: Kernel
+
+    def __init__(
+        self,
+        task: Task,
+        cup_mass: Mass,
+        ball_mass: Mass,
+        string: Length,
+        damping: NonNegative = 0.0,
+        friction: NonNegative = 0.5,
+        gravity: Acceleration = 9.81,
+        contact_rate: Positive = 100.0,
+        uncertainty: dict[str, NonNegative] | None = None,
+        sub_step: TimeStep = 0.002,
+    ) -> None:
+        if [state.unit for state in task.states] != ["m"] * 4 + ["m/s"] * 4 or len(task.inputs) != 2:
+            raise ValueError(
+                "expected a task with the places of a cup and a ball, their velocities, two forces"
+            )
+        values = dict(zip(_UNITS, (cup_mass, ball_mass, string, damping, friction), strict=True))
+        self.parameters = uncertain(values, _UNITS, uncertainty or {})
+        steps = math.ceil(task.time_step / sub_step - 1e-9)
+        numbers = np.array([task.time_step / steps, gravity, contact_rate, *values.values()])
+        self.kernel = Kernel(_frame(steps), numbers)
+
+    def step(self, x: Array, u: Array) -> Array:
+        """x_next (..., 8), one frame after x (..., 8) under u (..., 2) in N."""
+        return elementwise(self.kernel.function, x, u, parameters=self.kernel.parameters)
+
+    def with_parameters(self, values: Array) -> BallInCup:
+        """The model with other values (k,) of its parameters."""
+        places = {name: place for place, name in enumerate(_UNITS, start=3)}
+        changed, numbers = copy(self), self.kernel.parameters.copy()
+        numbers[[places[parameter.name] for parameter in self.parameters]] = values
+        changed.kernel = self.kernel._replace(parameters=numbers)
+        return changed
