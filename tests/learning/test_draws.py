@@ -146,7 +146,7 @@ def test_with_fourier_features_draws_have_the_posteriors_moments_where_there_are
 
 def test_periodic_biases_are_the_same_after_a_turn() -> None:
     bias = pendulum().bias.fit(swings())
-    turned = UPRIGHT_TO_HANGING + [2 * np.pi, 0.0, 0.0]
+    turned = UPRIGHT_TO_HANGING + np.array([2 * np.pi, 0.0, 0.0])
     for each in (bias, bias.draw(np.random.default_rng(0))):
         once, again = (each.correction(x[:, :2], x[:, 2:]) for x in (UPRIGHT_TO_HANGING, turned))
         np.testing.assert_allclose(once, again, rtol=0, atol=1e-9)
