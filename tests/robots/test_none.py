@@ -17,7 +17,7 @@ SCRATCH = ["preset=[pendulum_swingup,scratch]", "tracking=none"]
 
 
 def test_without_a_model_nothing_moves_or_positions_by_their_rates() -> None:
-    """What is left of a semi-implicit step is its acceleration: of the rate, and by a frame of the position."""
+    """What is left of a semi-implicit step is its acceleration, in rate and position."""
     x, u = np.array([[0.3, -2.0], [3.1, 4.0]]), np.ones((2, 1))
     still = simbias.load([*SCRATCH, "nominal.kinematics=false"]).nominal
     np.testing.assert_array_equal(still.step(x, u), x)
