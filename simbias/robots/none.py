@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
-from simbias.core import Nominal
+import numpy as np
+
+from simbias.core import Nominal, Task, rates_and_positions
 from simbias.core.records import Array
 
 
 class NoNominal(Nominal):
-    """Predicts that nothing changes: f' = 0 in Eq. 2, so that g_D is learned from scratch (Section IV-A)."""
+    """Predicts that nothing changes: f' = 0 in Eq. 2, so that g_D is learned from scratch (Section IV-A).
+
+    Parameters
+    ----------
+    kinematics
+        Positions move by their rates, as rates are defined; only what changes these is left to be learned.
+
+    Raises
+    ------
+    ValueError
+        If positions are to move, and the task has not a rate for each: they are taken in the same order.
+    """
+
+    def __init__(self, task: Task, kinematics: bool = False) -> None:
+        self._moves = np.zeros((len(task.states), len(task.states)))  # change of x in a frame, by x itself
+        if kinematics:
+            rates, positions = rates_and_positions(task.states)
+            self._moves[rates, positions] = task.time_step
 
     def step(self, x: Array, u: Array) -> Array:
-        """X_next (..., n) = x (..., n)."""
-        return x.copy()
+        """X_next (..., n) = x (..., n), or with each position moved by its rate."""
+        return x + x @ self._moves if self._moves.any() else x.copy()

@@ -11,6 +11,9 @@ from in_lanes import corrections
 import simbias
 from simbias.core import FittedBias
 from simbias.core.records import Array, Transitions
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.trial.study import Study
 
 OPTIONS = ["gp", "sparse_gp", "gp_learned", "sparse_gp_learned"]
 DRAWS = 1500
@@ -110,3 +113,73 @@ def test_a_rollout_on_a_draw_is_the_compiled_one() -> None:
             x = study.nominal.step(x, u) + draw.predict(np.concatenate([x, u])[None])[0][0]
             np.testing.assert_allclose(fast[t + 1], x, rtol=0, atol=1e-5)
         assert len(fast) > 20
+
+
+def pendulum(option: str = "sparse_gp_learned", *values: str) -> Study:
+    """A pendulum of whose dynamics nothing is known; its draws vary where there are no data."""
+    scratch = ["preset=[pendulum_swingup,scratch]", "tracking=none", f"bias={option}"]
+    return simbias.load([*scratch, "bias.periodic=true", "bias.fourier_features=32", *values])
+
+
+def swings(n: int = 60) -> Transitions:
+    """Residuals of a pendulum near its lower rest, at up to 1 rad from it."""
+    rng = np.random.default_rng(6)
+    inputs = rng.uniform(-1, 1, (n, 3)) * [1.0, 4.0, 2.5] + [np.pi, 0.0, 0.0]
+    rate = 0.02 * (15.0 * np.sin(inputs[:, 0]) + 3.0 * inputs[:, 2]) + 0.01 * rng.standard_normal(n)
+    return Transitions(inputs, np.stack([0.01 * rate, rate], axis=1))
+
+
+UPRIGHT_TO_HANGING = np.stack([np.linspace(0.0, np.pi, 7), np.linspace(-2, 2, 7), np.zeros(7)], axis=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["gp", "sparse_gp_learned"])
+def test_with_fourier_features_draws_have_the_posteriors_moments_where_there_are_no_data(option: str) -> None:
+    """At the data and half a turn away; tolerances are five standard errors."""
+    draws, bias = 3000, pendulum(option).bias.fit(swings())
+    mean, variance = bias.predict(UPRIGHT_TO_HANGING)
+    rng, scale = np.random.default_rng(0), np.sqrt(np.mean(swings().residuals ** 2, axis=0))
+    values = np.array([bias.draw(rng).predict(UPRIGHT_TO_HANGING)[0] for _ in range(draws)]) / scale
+    latent = variance / scale**2 - bias._hyper.noise_variance
+    assert latent[0].min() > 10 * latent[-1].max()  # upright, where it has not been
+    assert (np.abs(values.mean(axis=0) - mean / scale) < 5 * np.sqrt(latent / draws)).all()
+    squares = (values - values.mean(axis=0)) ** 2  # more than normal tails, as the features are few
+    assert (np.abs(squares.mean(axis=0) - latent) < 5 * squares.std(axis=0) / np.sqrt(draws) + 2e-4).all()
+
+
+def test_periodic_biases_are_the_same_after_a_turn() -> None:
+    bias = pendulum().bias.fit(swings())
+    turned = UPRIGHT_TO_HANGING + np.array([2 * np.pi, 0.0, 0.0])
+    for each in (bias, bias.draw(np.random.default_rng(0))):
+        once, again = (each.correction(x[:, :2], x[:, 2:]) for x in (UPRIGHT_TO_HANGING, turned))
+        np.testing.assert_allclose(once, again, rtol=0, atol=1e-9)
+        x = np.repeat(UPRIGHT_TO_HANGING, 2, axis=0)
+        plain = each.correction(x[:, :2], x[:, 2:])
+        np.testing.assert_allclose(corrections(each, x, 2), plain, rtol=0, atol=2e-5)
+    off = simbias.load(["preset=[pendulum_swingup,scratch]", "bias.periodic=false"]).bias.fit(swings())
+    assert np.abs(np.subtract(*(off.predict(x)[0] for x in (UPRIGHT_TO_HANGING, turned)))).max() > 1e-3
+
+
+def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
+    """Compiled, each with a function of its own; the same numbers of the same generator, and NumPy's."""
+    study = pendulum("sparse_gp_learned", "task.horizon=25", "evaluation.rollouts=3")
+    model, theta = study.model(study.bias.fit(swings())), np.full(study.policy.n_parameters, 0.5)
+    one, again, other = (
+        study.evaluation.objective(model, study.cost, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    costs = one.together(theta[None])
+    np.testing.assert_array_equal(costs, again.together(theta[None]))
+    assert costs != other.together(theta[None])
+    scenarios = one.scenarios
+    assert all(isinstance(scenario.simulator, CompiledSimulator) for scenario in scenarios)
+    ends = [scenario.simulator.rollout(theta, scenario.start).states[-1] for scenario in scenarios]
+    assert np.ptp(ends, axis=0).min() > 1e-3
+
+
+def test_a_drawn_rollout_is_the_plain_one() -> None:
+    study = pendulum("sparse_gp_learned", "task.horizon=25")
+    draw = study.bias.fit(swings()).draw(np.random.default_rng(3))
+    theta, start = np.full(study.policy.n_parameters, 0.5), study.task.start_mean
+    fast = study.simulator(draw).rollout(theta, start).states
+    plain = PlainSimulator([study.model(draw)], [None]).rollout(theta, start).states
+    np.testing.assert_allclose(fast, plain, rtol=0, atol=1e-4)

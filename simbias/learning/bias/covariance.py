@@ -21,15 +21,25 @@ class Hyperparameters:
     signal_variance: float  # alpha^2
     noise_variance: float  # sigma^2
     d: float
+    angles: tuple[int, ...] = ()  # columns of raw inputs that enter as sine and cosine, so that r > n + m
 
     @property
     def prior_variance(self) -> float:
         """k(x, x) with its noise (Eq. 3)."""
         return self.signal_variance + self.noise_variance
 
+    def coordinates(self, inputs: Array) -> Array:
+        """Raw inputs (k, n+m) as (k, r): sines in the place of angles, their cosines behind all others."""
+        if not self.angles:
+            return inputs
+        angles = list(self.angles)
+        sines = inputs.copy()
+        sines[:, angles] = np.sin(inputs[:, angles])
+        return np.concatenate([sines, np.cos(inputs[:, angles])], axis=1)
+
     def scale(self, inputs: Array) -> Array:
-        """Inputs (k, r) in units of the length scales."""
-        return inputs / (self.input_scale * self.length_scale)
+        """Raw inputs (k, n+m) as coordinates (k, r) in units of the length scales."""
+        return self.coordinates(inputs) / (self.input_scale * self.length_scale)
 
     def covariance(self, a: Array, b: Array) -> Array:
         """Latent covariance (k, l) of scaled inputs (k, r) and (l, r): Eq. 3 without its noise."""
@@ -49,8 +59,11 @@ def hyperparameters(
     noise_variance: float,
     d: float,
     input_scale: Sequence[float] | None,
+    periodic: bool = False,
 ) -> Hyperparameters:
     """Hyper-parameters for a task; by default inputs are scaled by their limits, states by 1.
+
+    If it is periodic, states that wrap enter as sine and cosine, both with the state's scales.
 
     Raises
     ------
@@ -64,7 +77,10 @@ def hyperparameters(
         if not isinstance(values, float | int) and len(values) != r:
             raise ValueError(f"{name} has {len(values)} values; the task has {r} states and inputs")
     lengths = np.broadcast_to(np.array(length_scale, dtype=np.float64), r)
-    return Hyperparameters(np.array(input_scale), lengths, signal_variance, noise_variance, d)
+    scales = np.array(input_scale, dtype=np.float64)
+    angles = tuple(i for i, state in enumerate(task.states) if periodic and state.wraps)
+    both = [*range(r), *angles]
+    return Hyperparameters(scales[both], lengths[both], signal_variance, noise_variance, d, angles)
 
 
 def output_scale(residuals: Array) -> Array:

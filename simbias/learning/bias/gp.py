@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 
 from simbias.core import Bias, FittedBias, SlowWarning, Task
-from simbias.core.ranges import Positive, Scale
+from simbias.core.ranges import CountOrZero, Positive, Scale
 from simbias.core.records import Transitions
 from simbias.learning.bias.covariance import Hyperparameters, hyperparameters
 from simbias.learning.bias.inducing import Inducing
@@ -37,6 +37,12 @@ class GaussianProcess(Bias):
         Learn the hyper-parameters, but d, by marginal likelihood; the given ones are the medians of priors.
     inducing
         See all data through few of its points, so that a search gets no slower with more data.
+    periodic
+        States that wrap enter as sine and cosine, so that the bias is the same after a turn; lists have one
+        number for both.
+    fourier_features
+        Random frequencies, each with its sine and cosine, by which draws from the posterior vary where there
+        are no data (`Posterior.draw`); 0: there they are zero.
     """
 
     def __init__(
@@ -49,9 +55,14 @@ class GaussianProcess(Bias):
         input_scale: list[Scale] | None = None,
         learning: Learning | None = None,
         inducing: Inducing | None = None,
+        periodic: bool = False,
+        fourier_features: CountOrZero = 0,
     ) -> None:
         self._task = task
-        self._hyper = hyperparameters(task, length_scale, signal_variance, noise_variance, d, input_scale)
+        self._hyper = hyperparameters(
+            task, length_scale, signal_variance, noise_variance, d, input_scale, periodic
+        )
+        self._fourier_features = fourier_features
         self._learning = learning
         self._inducing = inducing
 
@@ -60,8 +71,11 @@ class GaussianProcess(Bias):
         if not self._inducing:
             self._warn_of_a_slow_search(len(transitions))
         hyper = learn(self._hyper, transitions, self._learning) if self._learning else self._hyper
+        features = self._fourier_features
         posterior = (
-            sparse(hyper, transitions, self._inducing) if self._inducing else exact(hyper, transitions)
+            sparse(hyper, transitions, self._inducing, features)
+            if self._inducing
+            else exact(hyper, transitions, features)
         )
         if self._learning:
             posterior.diagnostics = {**posterior.diagnostics, **self._values(hyper)}
@@ -70,6 +84,7 @@ class GaussianProcess(Bias):
     def _values(self, hyper: Hyperparameters) -> dict[str, float]:
         """Learned hyper-parameters by name."""
         names = [quantity.name for quantity in (*self._task.states, *self._task.inputs)]
+        names += [f"cosine_of_{names[angle]}" for angle in hyper.angles]
         lengths = zip(names, hyper.length_scale.tolist(), strict=True)
         return {
             **{f"length_scale_{name}": value for name, value in lengths},

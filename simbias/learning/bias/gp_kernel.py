@@ -14,7 +14,17 @@ from __future__ import annotations
 import numpy as np
 
 from simbias.core.records import Array
-from simbias.simulation.compiler import LANES, broadcast, everywhere, exp, fma, load, store
+from simbias.simulation.compiler import (
+    LANES,
+    broadcast,
+    cosine_of_turns,
+    everywhere,
+    exp,
+    fma,
+    load,
+    sincos,
+    store,
+)
 
 PANEL = 6  # rows that are multiplied together; with 16 lanes they fill the registers of AVX2
 
@@ -35,14 +45,26 @@ def _pack(panels: list[Array]) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(panel.T.ravel() for panel in filled)]).astype(np.float32)
 
 
-def correlations(x, u, points, inverse_scale):
-    """k (N, LANES) of Eq. 4, over alpha^2, for the states x (n, LANES) under u (m, LANES)."""
-    N, r = points.shape
-    n = x.shape[0]
+def coordinates_of(x, u, inverse_scale, angles):
+    """Scaled coordinates (r, LANES) of states x (n, LANES) under u (m, LANES): `Hyperparameters.scale`."""
+    n, r = x.shape[0], inverse_scale.shape[0]
+    raw = r - angles.shape[0]
     coordinates = np.empty((r, LANES), np.float32)
-    for i in range(r):
+    for i in range(raw):
         for lane in range(LANES):
             coordinates[i, lane] = inverse_scale[i] * (x[i, lane] if i < n else u[i - n, lane])
+    for j in range(angles.shape[0]):
+        i = angles[j]
+        for lane in range(LANES):
+            sine, cosine = sincos(x[i, lane])
+            coordinates[i, lane] = inverse_scale[i] * sine
+            coordinates[raw + j, lane] = inverse_scale[raw + j] * cosine
+    return coordinates
+
+
+def correlations(coordinates, points):
+    """k (N, LANES) of Eq. 4, over alpha^2, at scaled coordinates (r, LANES)."""
+    N, r = points.shape
     k = np.empty((N, LANES), np.float32)
     for j in range(N):
         squared_distance = everywhere(np.float32(0.0))
@@ -51,6 +73,18 @@ def correlations(x, u, points, inverse_scale):
             squared_distance = fma(difference, difference, squared_distance)
         store(k, j, exp(everywhere(np.float32(-0.5)) * squared_distance))
     return k
+
+
+def waves(coordinates, frequencies):
+    """Cosines (F, LANES) at coordinates (r, LANES), of frequencies (F, r + 1) in turns; phases are last."""
+    F, columns = frequencies.shape
+    values = np.empty((F, LANES), np.float32)
+    for j in range(F):
+        turns = everywhere(frequencies[j, columns - 1])
+        for i in range(columns - 1):
+            turns = fma(everywhere(frequencies[j, i]), load(coordinates, i), turns)
+        store(values, j, cosine_of_turns(turns))
+    return values
 
 
 def product(panels, offset, columns, k):
@@ -104,14 +138,17 @@ def factor(norm, constants):
 def correct(x, u, data, correction):
     """exp(-d |sigma|^2) times the mean, for states x (n, LANES) under u (m, LANES).
 
-    The data are the points (N, r), U, W, the rows of U, 1 / scale, and (alpha^2, prior, d n). With d n = 0 it
-    is the mean alone, and needs no U.
+    The data are the points (N, r), U, W, the rows of U, 1 / scale, (alpha^2, prior, d n), the columns of
+    angles, and the frequencies and amplitudes of waves, which are added. With d n = 0 it is the mean alone,
+    and needs no U.
     """
-    points, triangle, weights, rows, inverse_scale, constants = data
+    points, triangle, weights, rows, inverse_scale, constants, angles, frequencies, amplitudes = data
     n = x.shape[0]
-    k = correlations(x, u, points, inverse_scale)
+    coordinates = coordinates_of(x, u, inverse_scale, angles)
+    added = means(amplitudes, waves(coordinates, frequencies), n)
+    k = correlations(coordinates, points)
     mean, norms = means(weights, k, n), squared_norms(triangle, k, rows)
     for lane in range(LANES):
         weight = factor(norms[lane], constants)
         for i in range(n):
-            correction[i, lane] = weight * mean[i, lane]
+            correction[i, lane] = weight * mean[i, lane] + added[i, lane]

@@ -35,7 +35,7 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
     chosen = np.linspace(0, N - 1, min(N, learning.points)).astype(int)
     scale = output_scale(transitions.residuals)
     varying = scale > 0
-    x = transitions.inputs[chosen] / medians.input_scale
+    x = medians.coordinates(transitions.inputs[chosen]) / medians.input_scale
     y = transitions.residuals[chosen][:, varying] / scale[varying]
     noise_ratio = medians.noise_variance / medians.signal_variance
     centre = np.log([*medians.length_scale, medians.signal_variance, noise_ratio])

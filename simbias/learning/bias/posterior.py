@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -37,6 +38,8 @@ class Posterior(FittedBias):
         W: Array,
         R: Array,
         diagnostics: Mapping[str, float],
+        L_inverse: Array | None = None,
+        features: int = 0,
     ) -> None:
         self._hyper = hyper
         self._scale = scale  # (n,) of the outputs
@@ -44,6 +47,8 @@ class Posterior(FittedBias):
         self._U = U  # (M, M), M <= N
         self._W = W  # (N, n)
         self._R = R  # (m, N), R^T R the covariance of the weights W
+        self._L_inverse = L_inverse  # (m, N), L_inverse^T L_inverse the inverse covariance of inducing points
+        self._features = features
         self.diagnostics = diagnostics
         self.kernel = _compiled(hyper, points, W, U, hyper.d * W.shape[1])
 
@@ -78,28 +83,71 @@ class Posterior(FittedBias):
         Beyond these points it returns to zero as the mean does: neither the conditional variance
         k(x, x) - k^T K_ZZ^-1 k nor the noise is sampled. Its size depends on the hyper-parameters: learned
         ones reflect the error of the mean, Table I's only the distance from the data.
+
+        With Fourier features, the conditional variance is sampled too: a function of the prior less what its
+        values at the inducing points predict of it (J. Wilson et al., Efficiently Sampling Functions from
+        Gaussian Process Posteriors, ICML 2020). Over many draws, mean and variance of the values are those
+        of the posterior at any input, whatever the number of features. Without data it is zero.
         """
         e = rng.standard_normal((len(self._R), len(self._scale)))
-        return GPSample(self._hyper, self._points, self._W + self._scale * (self._R.T @ e))
+        weights = self._W + self._scale * (self._R.T @ e)
+        if not self._features or self._L_inverse is None or not len(self._points):
+            return GPSample(self._hyper, self._points, weights)
+        waves = Waves.drawn(self._hyper, self._features, self._scale, rng)
+        weights -= self._L_inverse.T @ (self._L_inverse @ waves(self._points))
+        return GPSample(self._hyper, self._points, weights, waves)
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """A function of scaled inputs, a sum of cosines: a GP's prior by random Fourier features.
+
+    A. Rahimi, B. Recht, Random Features for Large-Scale Kernel Machines, NIPS 2007.
+    """
+
+    frequencies: Array  # (F, r), in rad
+    phases: Array  # (F,) in rad
+    amplitudes: Array  # (F, n)
+
+    @staticmethod
+    def drawn(hyper: Hyperparameters, features: int, scale: Array, rng: np.random.Generator) -> Waves:
+        """Cosines and sines of frequencies from the spectrum of Eq. 3; outputs in units of scale (n,)."""
+        frequencies = np.tile(rng.standard_normal((features, len(hyper.length_scale))), (2, 1))
+        phases = np.repeat([0.0, -np.pi / 2], features)
+        size = np.sqrt(hyper.signal_variance / features) * scale
+        return Waves(frequencies, phases, size * rng.standard_normal((2 * features, len(scale))))
+
+    @staticmethod
+    def none(r: int, n: int) -> Waves:
+        """The function zero."""
+        return Waves(np.empty((0, r)), np.empty(0), np.empty((0, n)))
+
+    def __call__(self, scaled: Array) -> Array:
+        """Values (k, n) at scaled inputs (k, r)."""
+        return np.cos(scaled @ self.frequencies.T + self.phases) @ self.amplitudes
 
 
 @final
 class GPSample(FittedBias):
-    """A sample k^T W of a posterior: a function without uncertainty.
+    """A sample k^T W of a posterior, with waves or without: a function without uncertainty.
 
     Its weight in Eq. 7 is one: samples differ where there is little data, so a smaller weight there would
     count the same uncertainty twice.
     """
 
-    def __init__(self, hyper: Hyperparameters, points: Array, W: Array) -> None:
+    def __init__(self, hyper: Hyperparameters, points: Array, W: Array, waves: Waves | None = None) -> None:
         self._hyper = hyper
         self._points = points  # (N, r), scaled
         self._W = W  # (N, n)
-        self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0)
+        self._waves = waves
+        self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0, waves)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """The function's values (k, n), and variances (k, n): zeros."""
-        values = self._hyper.covariance(self._hyper.scale(inputs), self._points) @ self._W
+        scaled = self._hyper.scale(inputs)
+        values = self._hyper.covariance(scaled, self._points) @ self._W
+        if self._waves is not None:
+            values += self._waves(scaled)
         return values, np.zeros_like(values)
 
     def correction(self, x: Array, u: Array) -> Array:
@@ -121,10 +169,14 @@ def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array
     return values[: len(rows)].reshape(*x.shape[:-1], -1)
 
 
-def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float) -> Kernel:
+def _compiled(
+    hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float, waves: Waves | None = None
+) -> Kernel:
     """The compiled correction in single precision; without points, the constant zero."""
     if not len(points):
         return constant(np.zeros(W.shape[1]))
+    waves = waves or Waves.none(points.shape[1], W.shape[1])
+    turns = np.column_stack([waves.frequencies, waves.phases]) / (2 * np.pi)
     data = (
         points.astype(np.float32),
         pack_triangle(U),
@@ -132,12 +184,15 @@ def _compiled(hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: fl
         len(U),
         1.0 / (hyper.input_scale * hyper.length_scale),
         np.array([hyper.signal_variance, hyper.prior_variance, d_n]),
+        np.array(hyper.angles, np.int64),
+        turns.astype(np.float32),
+        pack(waves.amplitudes.T),
     )
     return Kernel(correct, data)
 
 
-def exact(hyper: Hyperparameters, transitions: Transitions) -> Posterior:
-    """The posterior given all data: U = L^-1 and W = K^-1 y, with K = L L^T."""
+def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -> Posterior:
+    """The posterior given all data: U = L^-1, W = K^-1 y, K = L L^T; its draws have Fourier features."""
     points = hyper.scale(transitions.inputs)
     K = hyper.covariance(points, points)
     K[np.diag_indices_from(K)] += hyper.noise_variance
@@ -145,12 +200,16 @@ def exact(hyper: Hyperparameters, transitions: Transitions) -> Posterior:
     L_inverse = solve_triangular(L, np.eye(len(L)), lower=True)
     W = solve_triangular(L, solve_triangular(L, transitions.residuals, lower=True), lower=True, trans="T")
     chosen, _ = choose(hyper, points, Inducing())
-    R = np.zeros((len(chosen), len(points)))
-    R[:, chosen] = view(hyper, points, chosen).R
-    return Posterior(hyper, output_scale(transitions.residuals), points, L_inverse, W, R, {})
+    seen = view(hyper, points, chosen)
+    R, of_chosen = np.zeros((2, len(chosen), len(points)))
+    R[:, chosen], of_chosen[:, chosen] = seen.R, seen.L_inverse
+    scale = output_scale(transitions.residuals)
+    return Posterior(hyper, scale, points, L_inverse, W, R, {}, of_chosen, features)
 
 
-def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing) -> Posterior:
+def sparse(
+    hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int = 0
+) -> Posterior:
     """The posterior of Titsias (AISTATS 2009, Eq. 6): all data, seen through the inducing points Z.
 
     With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S, for which Z is
@@ -172,6 +231,8 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing)
         W,
         seen.R,
         {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance},
+        seen.L_inverse,
+        features,
     )
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)

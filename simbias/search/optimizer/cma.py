@@ -18,6 +18,7 @@ from simbias.core.records import Array
 PATIENCE, PROGRESS = 30, 0.01  # generations within which the best of their means has to improve by this share
 RESOLUTION = "the resolution"
 NO_PROGRESS = "a lack of progress"
+FLAT = "costs that no policy changes"
 UNUSED = ("matplotlib.pyplot", "scipy.stats")  # by the parts of pycma that are used here
 
 
@@ -54,7 +55,8 @@ def evolve(
     It searches in the unit box, in whose units deviation and resolution are; pycma's own boundary handling
     keeps it inside. It gives up where no cost of a generation is below the target and all deviations are
     below the resolution. Where generations meet scenarios of their own, their means are what is judged, and
-    it ends once the best of these, below the target, hardly improves. Pycma's own tests on costs are off:
+    it ends once the best of these, below the target, hardly improves, or where a whole generation costs the
+    same, as on a model in which nothing moves. Pycma's own tests on costs are off:
     they are absolute, or relative to what the cost of a failure in Eq. 8 inflates.
     """
     means: list[float] = []  # best costs of means so far
@@ -65,6 +67,8 @@ def evolve(
         costs = evaluations.rank([evaluations.lower + width * point for point in points])
         evolution.tell(points, costs)
         if evaluations.ranks_afresh:
+            if max(costs) == min(costs):
+                return FLAT
             costs = [evaluations.evaluate(evaluations.lower + width * evolution.result.xfavorite)]
             means.append(evaluations.best_cost)
             stale = len(means) > PATIENCE and means[-1] > (1 - PROGRESS) * means[-1 - PATIENCE]

@@ -11,7 +11,7 @@ from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
 from simbias.core.ranges import Deviation, EvaluationCount, Population, Share
 from simbias.core.records import Array
-from simbias.search.optimizer.cma import RESOLUTION, evolve
+from simbias.search.optimizer.cma import FLAT, RESOLUTION, evolve
 from simbias.search.optimizer.nlopt import Algorithm, search_nlopt
 from simbias.search.optimizer.sobol import search_sobol
 
@@ -57,7 +57,7 @@ class Hybrid(Optimizer):
             else:
                 start = evaluations.start
             stopped_by = self._refined(evaluations, rng, start, deviation or self.initial_deviation)
-            if evaluations.below_target and stopped_by != RESOLUTION:
+            if stopped_by == FLAT or (evaluations.below_target and stopped_by != RESOLUTION):
                 return stopped_by
             deviation = None
 

@@ -19,7 +19,7 @@ from simbias.simulation.compiler.closed_loop import Composition, compile_closed_
 from simbias.simulation.compiler.compilation import compiled_as, function_of
 from simbias.simulation.compiler.expressions import Expression, Expressions
 from simbias.simulation.compiler.kernels import LANES, elementwise
-from simbias.simulation.compiler.lanes import broadcast, everywhere, exp, fma, load, store
+from simbias.simulation.compiler.lanes import broadcast, cosine_of_turns, everywhere, exp, fma, load, store
 from simbias.simulation.compiler.loop import Function, constant
 from simbias.simulation.compiler.open_loop import compile_open_loop
 from simbias.simulation.compiler.points import Points
@@ -56,6 +56,7 @@ __all__ = [
     "compile_open_loop",
     "compiled_as",
     "constant",
+    "cosine_of_turns",
     "elementwise",
     "everywhere",
     "exp",

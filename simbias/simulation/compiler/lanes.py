@@ -8,6 +8,7 @@ and adds up at the end of each.
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -209,6 +210,11 @@ def _at_least(context, lanes, least):
 _LEAST = np.float32(-40.0)
 _LN_2 = np.float32(np.log(2.0))
 _LOG2_E = np.float32(1.0 / np.log(2.0))
+_MINUS_TWO, _ONE = np.float32(-2.0), np.float32(1.0)
+# sin(pi r) / r to single precision, of |r| <= 1/2, in powers of r^2 from the highest
+_SINE = tuple(
+    np.float32((-1) ** i * np.pi ** (2 * i + 1) / math.factorial(2 * i + 1)) for i in (5, 4, 3, 2, 1, 0)
+)
 _SERIES = tuple(np.float32(1.0 / factorial) for factorial in (720.0, 120.0, 24.0, 6.0, 2.0, 1.0, 1.0))
 
 
@@ -221,3 +227,14 @@ def exp(v):
     for coefficient in _SERIES[1:]:
         series = fma(series, remainder, everywhere(coefficient))
     return series * _power_of_two(n)
+
+
+def cosine_of_turns(v):
+    """cos(2 pi v), to 1e-6 and what single precision resolves of v."""
+    r = v - _rounded(v)
+    square = r * r
+    series = everywhere(_SINE[0])
+    for coefficient in _SINE[1:]:
+        series = fma(series, square, everywhere(coefficient))
+    sine = series * r  # of pi r: the cosine is 1 - 2 sine^2
+    return fma(everywhere(_MINUS_TWO) * sine, sine, everywhere(_ONE))

@@ -1,0 +1,47 @@
+"""No model: f' = 0 (Eq. 2), or positions that move by their rates and nothing else."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+import pytest
+
+import simbias
+from simbias.core import Quantity
+from simbias.robots.none import NoNominal
+from simbias.trial.observer import Observer
+from simbias.trial.steps import search
+
+SCRATCH = ["preset=[pendulum_swingup,scratch]", "tracking=none"]
+
+
+def test_without_a_model_nothing_moves_or_positions_by_their_rates() -> None:
+    """What is left of a semi-implicit step is its acceleration, in rate and position."""
+    x, u = np.array([[0.3, -2.0], [3.1, 4.0]]), np.ones((2, 1))
+    still = simbias.load([*SCRATCH, "nominal.kinematics=false"]).nominal
+    np.testing.assert_array_equal(still.step(x, u), x)
+    study = simbias.load(SCRATCH)
+    h = study.task.time_step
+    np.testing.assert_allclose(study.nominal.step(x, u), x + h * x[:, 1:] * [1.0, 0.0], rtol=1e-15)
+    rates = x[:, 1:] + h * np.array([[5.0], [-7.0]])
+    residual = np.concatenate([x[:, :1] + h * rates, rates], axis=1) - study.nominal.step(x, u)
+    np.testing.assert_allclose(residual, h * np.array([[5.0 * h, 5.0], [-7.0 * h, -7.0]]), rtol=1e-9)
+
+
+def test_positions_without_rates_of_their_own_are_refused() -> None:
+    task = copy(simbias.load(SCRATCH).task)
+    task.states = (*task.states, Quantity("other", "rad"))
+    with pytest.raises(ValueError, match="the task has not a rate for each position"):
+        NoNominal(task, kinematics=True)
+
+
+def test_a_first_search_without_a_model_says_that_no_policy_changes_the_cost() -> None:
+    """It ends with its first generation; the policy is a random one, another for another seed."""
+    study = simbias.load([*SCRATCH, "task.horizon=50", "optimizer.explorations=4", "optimizer.population=4"])
+    model = study.first_model()
+    found, other = (search(study, model, np.random.default_rng(i), Observer()).optimum for i in (0, 1))
+    assert found.stopped_by.startswith("costs that no policy changes")
+    assert found.flat
+    assert found.evaluations == 8
+    assert np.abs(found.parameters - other.parameters).max() > 0.5
