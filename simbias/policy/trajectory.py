@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Annotated
 
 import numpy as np
@@ -12,6 +13,7 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array
 from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
+from simbias.simulation.noise import QUIET, Variances
 
 LARGEST = 1e3  # of a state, and of an input without limits
 Knots = Annotated[int, Field(ge=2, le=2000)]
@@ -22,7 +24,7 @@ class Trajectory(Policy):
     """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
 
     x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; after it
-    the last ones hold. Parameters are, knot by knot, x_t (n), u_t (m) and the rows of K_t (m n). States that
+    the last ones hold. With a Kalman filter, x is the state that the input will meet. Parameters are, knot by knot, x_t (n), u_t (m) and the rows of K_t (m n). States that
     wrap are compared within half a turn.
 
     Parameters
@@ -31,10 +33,14 @@ class Trajectory(Policy):
         Two at least.
     bound
         Of the gains, in the inputs' limits by unit of a state.
-    observer
+    observer, noise
         As of `Network`.
     observer_gain
-        All of its gains: 1 trusts what is measured.
+        All of the observer's gains, which a Kalman filter has not: 1 trusts what is measured.
+    sliding
+        It is planned as joints slide, and the inputs compensate for the dry friction that they can overcome,
+        by the planned velocities; at rest, gains count on that of the other joints
+        (`simbias.search.optimizer.ilqr`).
     """
 
     def __init__(
@@ -45,11 +51,13 @@ class Trajectory(Policy):
         bound: Positive = 1e3,
         observer: ObserverKind = "none",
         observer_gain: ObserverGain = 0.5,
+        noise: Variances = QUIET,
+        sliding: bool = False,
     ) -> None:
-        self._task, self._knots = task, knots
+        self._task, self._knots, self.sliding = task, knots, sliding
         self._n, self._m = len(task.states), len(task.inputs)
         self._spacing = task.horizon * task.time_step / (knots - 1)
-        self._observer = OBSERVERS[observer](task, nominal)
+        self._observer = OBSERVERS[observer](task, nominal, noise)
         self._gains = np.full(len(self._observer.bounds[0]), observer_gain)
         self.state_size = self._observer.size
         lower, upper = (np.clip(each, -LARGEST, LARGEST) for each in task.input_bounds)
@@ -60,6 +68,18 @@ class Trajectory(Policy):
             np.tile(np.concatenate([states, upper, gains]), knots),
         )
         self.n_parameters = len(self.bounds[0])
+
+    def designed_on(self, nominal: Nominal) -> Trajectory:
+        """The policy, a Kalman filter being that of this model."""
+        other = copy(self)
+        other._observer = self._observer.designed_on(nominal)
+        other.state_size = other._observer.size
+        return self if other._observer is self._observer else other
+
+    @property
+    def frames_ahead(self) -> int:
+        """Frames by which the state that is held against x_t is ahead of the time."""
+        return self._observer.frames_ahead
 
     @property
     def times(self) -> Array:
@@ -73,10 +93,10 @@ class Trajectory(Policy):
         row = scheduled(theta.reshape(*theta.shape[:-1], self._knots, -1), t, self._spacing)
         x_t, u_t, K_t = row[..., :n], row[..., n : n + m], row[..., n + m :]
         estimate = self._observer.estimate(self._gains, x, t, policy_state)
-        off = wrapped(estimate - x_t, self._task.states)
+        off = wrapped(self._observer.ahead(estimate, policy_state) - x_t, self._task.states)
         K_t = K_t.reshape(*K_t.shape[:-1], m, n)
         u = np.clip(u_t - (K_t @ off[..., None])[..., 0], *self._task.input_bounds)
-        return u, self._observer.keep(x, estimate, u)
+        return u, self._observer.keep(x, estimate, u, policy_state)
 
     def following(self, states: Array, inputs: Array, gains: Array) -> Array:
         """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t (K, m, n) at the knots."""

@@ -115,7 +115,7 @@ def test_observers_know_rates_better_than_sensors(cartpole: Study, turning: Task
         kept, estimates = np.zeros(observer.size), []
         for t in range(n):
             estimates.append(observer.estimate(np.array(gains), seen[t], t * turning.time_step, kept))
-            kept = observer.keep(seen[t], estimates[-1], u[t])
+            kept = observer.keep(seen[t], estimates[-1], u[t], kept)
         errors[kind] = float(np.sqrt(np.mean((np.array(estimates)[5:, 2:] - x[5:, 2:]) ** 2)))
     assert errors["filter"] < 0.9 * errors["none"]
     assert errors["derivative"] < 0.7 * errors["none"]

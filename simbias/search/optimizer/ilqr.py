@@ -15,6 +15,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from simbias.core import GoalWeights, Model, Policy, Task, wrapped
 from simbias.core.errors import ConfigError
@@ -23,7 +24,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.riccati import Quadratic, beside, regulator, solved
 from simbias.simulation.closed_loop import simulator
-from simbias.simulation.linearization import advanced, derivatives
+from simbias.simulation.linearization import advanced, derivatives, linearization
 
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
 FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
@@ -31,6 +32,10 @@ INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
 SHARE = 0.8  # of the limits that a trajectory takes: what is left is for feedback
 GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
 STEP = 1e-3  # of differences: of states, and of inputs over their limits
+STIFFER = (1.0, 4.0, 16.0)  # times that gains at rest may grow for the friction of joints without a motor
+ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
+BISECTIONS = 30
+AT_REST = 0.05  # of each state, in its unit
 SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
@@ -67,7 +72,8 @@ def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None 
     """
     if not count:
         return
-    shooting, policy = Shooting(model, weights), follower(model.policy)
+    policy = follower(model.policy)
+    shooting = Shooting(model, weights, policy.sliding)
     plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
     found = [plan for plan in plans if plan is not None]
     if not found:
@@ -97,12 +103,14 @@ def default_weights(task: Task) -> GoalWeights:
 
 
 class Shooting:
-    """Trajectories of a model from the task's mean start to its goal."""
+    """Trajectories of a model, as it is or as its joints slide, from the task's mean start to its goal."""
 
-    def __init__(self, model: Model, weights: GoalWeights | None = None) -> None:
+    def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         task = model.task
-        self._model, self._task = model, task
         self._sliding = model.nominal.without_dry_friction()  # friction is steep at rest
+        self._nominal, self._slides = model.nominal, sliding
+        model = replace(model, nominal=self._sliding) if sliding else model
+        self._model, self._task = model, task
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
         self._simulator = simulator(replace(model, policy=self._every_frame))
@@ -136,19 +144,63 @@ class Shooting:
         Beside them, deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in
         each state's unit. A goal about all states, where it does not move, is a rest: the last knot is there,
         its gains those of an infinite horizon.
+
+        Of a plan as joints slide, inputs compensate for the friction along it. At rest, that of joints which
+        no input moves is damping, the more the slower they move, and a regulator that does not count on it
+        never comes to rest. So there are gains that count on none, and on as much as lets them grow 4 and
+        16 times.
         """
-        M, Q = self._linearised(plan.states, plan.inputs), self._state_weights(plan.states)
-        x, u, final = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]]), None
+        ahead = policy.frames_ahead
+        linearised = self._at_once if ahead else self._linearised
+        M, Q = linearised(plan.states, plan.inputs), self._state_weights(plan.states)
+        x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
+        finals: list[Array | None] = [None]
         if self._task.goals == self._task.states and not self._moves:
             x_rest, u_rest = rest(self._model, self._goal[-1])
             x_rest = x[-1] - wrapped(x[-1] - x_rest, self._task.states)
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
-            final = self._linearised(np.tile(x_rest, (2, 1)), u_rest[None])
+            final = linearised(np.tile(x_rest, (2, 1)), u_rest[None])
+            finals = list(self._rubbing(final, x_rest, u_rest)) if self._slides else [final]
+            moving = np.abs(wrapped(plan.states - x_rest, self._task.states)).max(axis=-1) > AT_REST
+            settled = len(M) if not self._slides else min(len(M), np.flatnonzero(moving)[-1] + 1)
+        if self._slides:
+            u = u + self._compensation(x, u, ahead)
         frames = policy.times / self._task.time_step
-        for weight in input_weights:
-            gains = self._gains(M, Q, weight, final)
-            rows = (_at(frames, each.reshape(len(each), -1)) for each in (x, u, gains))
-            yield policy.following(*rows)
+        for final in finals:
+            for weight in input_weights:
+                along = M if final is None else np.concatenate([M[:settled], np.repeat(final, len(M) - settled, 0)])
+                gains = self._gains(along, Q, weight, final)
+                K = _at(frames + ahead, gains.reshape(len(gains), -1))
+                yield policy.following(_at(frames + ahead, x), _at(frames, u), K)
+
+    def _rubbing(self, final: Array, x: Array, u: Array) -> Iterator[Array]:
+        """M (1, l, l+m) of the rest x (n,) under u (m,), with ever more of its dry friction if it has any.
+
+        Friction along the inputs' own effect is left out: an input overcomes it at once.
+        """
+        n, limit = self._n, self._task.input_limit
+        sliding, B = linearization(self._sliding, x, u, limit)
+        friction = linearization(self._nominal, x, u, limit)[0] - sliding
+        others = friction - B @ np.linalg.lstsq(B, friction, rcond=None)[0]
+        friction[:, np.linalg.norm(others, axis=0) <= ALONG * np.linalg.norm(friction, axis=0)] = 0.0
+        R = GAIN_WEIGHTS[-1] * np.diag(limit**-2.0)
+
+        def regulated(share: float) -> Array:
+            S = solve_discrete_are(sliding + share * friction, B, np.eye(n), R)
+            K: Array = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ (sliding + share * friction))
+            return K
+
+        soft = regulated(0.0)
+        for factor in STIFFER if friction.any() else STIFFER[:1]:
+            share, above = 0.0, float(factor > 1.0)
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (share + above)
+                K = regulated(middle)  # beyond a pole that no input moves, gains have the other sign
+                fits = np.linalg.norm(K) < factor * np.linalg.norm(soft) and np.sum(K * soft) > 0.0
+                share, above = (middle, above) if fits else (share, middle)
+            stiffer = final.copy()
+            stiffer[:, :n, :n] += share * friction
+            yield stiffer
 
     def _state_weights(self, states: Array) -> Array:
         """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
@@ -227,6 +279,24 @@ class Shooting:
     def _slopes(self, states: Array) -> Array:
         """Derivatives (T+1, g, n) of the goal's quantities along states (T+1, n)."""
         return derivatives(self._task.aim, states, np.full(self._n, STEP))
+
+    def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:
+        """What inputs (T+1, m) take beside, to overcome dry friction at states (T+1, n) some frames later."""
+        x = states[np.minimum(np.arange(len(states)) + ahead, len(states) - 1)]
+        lost = self._sliding.step(x, inputs) - self._nominal.step(x, inputs)
+        _, B = linearization(self._sliding, x, inputs, self._task.input_limit)
+        return (np.linalg.pinv(B) @ lost[..., None])[..., 0]
+
+    def _at_once(self, states: Array, inputs: Array) -> Array:
+        """M (T, n, n+m) of the model as if inputs acted at once, along states (T+1, n) and inputs (T, m)."""
+        n, nominal, bias = self._n, self._sliding, self._model.bias
+        steps = STEP * np.concatenate([np.ones(n), self._task.input_limit])
+
+        def after(points: Array) -> Array:
+            x, u = points[..., :n], points[..., n:]
+            return nominal.step(x, u) + bias.correction(x, u)
+
+        return derivatives(after, np.concatenate([states[:-1], inputs], axis=-1), steps)
 
     def _linearised(self, states: Array, inputs: Array) -> Array:
         """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m)."""
