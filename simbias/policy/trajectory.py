@@ -15,6 +15,7 @@ from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
 from simbias.simulation.noise import QUIET, Variances
 
+SMALL = 0.1  # share of the inputs' limits that gains for friction ask for at most
 LARGEST = 1e3  # of a state, and of an input without limits
 Knots = Annotated[int, Field(ge=2, le=2000)]
 ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
@@ -39,8 +40,8 @@ class Trajectory(Policy):
         All of the observer's gains, which a Kalman filter has not: 1 trusts what is measured.
     sliding
         It is planned as joints slide, and the inputs compensate for the dry friction that they can overcome,
-        by the planned velocities; at rest, gains count on that of the other joints
-        (`simbias.search.optimizer.ilqr`).
+        by the planned velocities. That of other joints is met near rest by gains L_t beside, of deviations so
+        small that L_t (x - x_t) is below a tenth of the limits, where it is cut off.
     """
 
     def __init__(
@@ -64,8 +65,8 @@ class Trajectory(Policy):
         gains = np.repeat(bound * np.minimum(task.input_limit, LARGEST), self._n)
         states = np.full(self._n, LARGEST)
         self.bounds = (
-            np.tile(np.concatenate([-states, lower, -gains]), knots),
-            np.tile(np.concatenate([states, upper, gains]), knots),
+            np.tile(np.concatenate([-states, lower, *[-gains] * (1 + sliding)]), knots),
+            np.tile(np.concatenate([states, upper, *[gains] * (1 + sliding)]), knots),
         )
         self.n_parameters = len(self.bounds[0])
 
@@ -91,16 +92,21 @@ class Trajectory(Policy):
         """Inputs u (..., m) at states x (..., n), and the observer's state."""
         n, m = self._n, self._m
         row = scheduled(theta.reshape(*theta.shape[:-1], self._knots, -1), t, self._spacing)
-        x_t, u_t, K_t = row[..., :n], row[..., n : n + m], row[..., n + m :]
+        x_t, u_t, K_t = row[..., :n], row[..., n : n + m], row[..., n + m : n + m + m * n]
         estimate = self._observer.estimate(self._gains, x, t, policy_state)
         off = wrapped(self._observer.ahead(estimate, policy_state) - x_t, self._task.states)
-        K_t = K_t.reshape(*K_t.shape[:-1], m, n)
-        u = np.clip(u_t - (K_t @ off[..., None])[..., 0], *self._task.input_bounds)
+        u = u_t - (K_t.reshape(*K_t.shape[:-1], m, n) @ off[..., None])[..., 0]
+        if self.sliding:
+            for_friction = (row[..., -m * n :].reshape(*K_t.shape[:-1], m, n) @ off[..., None])[..., 0]
+            most = SMALL * self._task.input_limit
+            u = u - np.clip(for_friction, -most, most)
+        u = np.clip(u, *self._task.input_bounds)
         return u, self._observer.keep(x, estimate, u, policy_state)
 
-    def following(self, states: Array, inputs: Array, gains: Array) -> Array:
-        """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t (K, m, n) at the knots."""
-        rows = np.concatenate([states, inputs, gains.reshape(self._knots, -1)], axis=1)
+    def following(self, states: Array, inputs: Array, *gains: Array) -> Array:
+        """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t and L_t (K, m, n) at the knots."""
+        used = gains[: 1 + self.sliding]
+        rows = np.concatenate([states, inputs, *(each.reshape(self._knots, -1) for each in used)], axis=1)
         return np.clip(rows.ravel(), *self.bounds)
 
     def law(self, theta: Array) -> Law:

@@ -32,7 +32,7 @@ INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
 SHARE = 0.8  # of the limits that a trajectory takes: what is left is for feedback
 GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
 STEP = 1e-3  # of differences: of states, and of inputs over their limits
-STIFFER = (1.0, 4.0, 16.0)  # times that gains at rest may grow for the friction of joints without a motor
+STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
 ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
 BISECTIONS = 30
 AT_REST = 0.05  # of each state, in its unit
@@ -145,62 +145,57 @@ class Shooting:
         each state's unit. A goal about all states, where it does not move, is a rest: the last knot is there,
         its gains those of an infinite horizon.
 
-        Of a plan as joints slide, inputs compensate for the friction along it. At rest, that of joints which
-        no input moves is damping, the more the slower they move, and a regulator that does not count on it
-        never comes to rest. So there are gains that count on none, and on as much as lets them grow 4 and
-        16 times.
+        Of a plan as joints slide, inputs compensate for the friction along it, and there are gains for small
+        deviations from rest, which count on the friction of joints that no input moves.
         """
         ahead = policy.frames_ahead
         linearised = self._at_once if ahead else self._linearised
         M, Q = linearised(plan.states, plan.inputs), self._state_weights(plan.states)
-        x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
-        finals: list[Array | None] = [None]
+        x, u, final = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]]), None
+        settled = len(x)
         if self._task.goals == self._task.states and not self._moves:
             x_rest, u_rest = rest(self._model, self._goal[-1])
             x_rest = x[-1] - wrapped(x[-1] - x_rest, self._task.states)
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
             final = linearised(np.tile(x_rest, (2, 1)), u_rest[None])
-            finals = list(self._rubbing(final, x_rest, u_rest)) if self._slides else [final]
-            moving = np.abs(wrapped(plan.states - x_rest, self._task.states)).max(axis=-1) > AT_REST
-            settled = len(M) if not self._slides else min(len(M), np.flatnonzero(moving)[-1] + 1)
-        if self._slides:
+            settled = np.flatnonzero(np.abs(x - x_rest).max(axis=-1) > AT_REST)[-1] + 1
+        if policy.sliding:
             u = u + self._compensation(x, u, ahead)
         frames = policy.times / self._task.time_step
-        for final in finals:
-            for weight in input_weights:
-                along = M if final is None else np.concatenate([M[:settled], np.repeat(final, len(M) - settled, 0)])
-                gains = self._gains(along, Q, weight, final)
-                K = _at(frames + ahead, gains.reshape(len(gains), -1))
-                yield policy.following(_at(frames + ahead, x), _at(frames, u), K)
+        for weight in input_weights:
+            gains, beside = self._gains(M, Q, weight, final), np.zeros((len(x), self._m, self._n))
+            if policy.sliding and settled < len(x):
+                beside[settled:] = self._for_friction(x_rest, u_rest, weight)
+            K, K_0 = (_at(frames + ahead, each.reshape(len(x), -1)) for each in (gains, beside))
+            yield policy.following(_at(frames + ahead, x), _at(frames, u), K, K_0)
 
-    def _rubbing(self, final: Array, x: Array, u: Array) -> Iterator[Array]:
-        """M (1, l, l+m) of the rest x (n,) under u (m,), with ever more of its dry friction if it has any.
+    def _for_friction(self, x: Array, u: Array, weight: float) -> Array:
+        """What gains (m, n) at a rest x (n,) under u (m,) take beside for the dry friction of some joints.
 
-        Friction along the inputs' own effect is left out: an input overcomes it at once.
+        At small velocities it is damping, the more the smaller they are, until no input moves the joints
+        against it: gains grow without bound as it comes near to that. As much of it is counted on as lets
+        them grow `STIFFER` times; none along the inputs' own effect, as an input overcomes that at once.
         """
         n, limit = self._n, self._task.input_limit
         sliding, B = linearization(self._sliding, x, u, limit)
         friction = linearization(self._nominal, x, u, limit)[0] - sliding
         others = friction - B @ np.linalg.lstsq(B, friction, rcond=None)[0]
         friction[:, np.linalg.norm(others, axis=0) <= ALONG * np.linalg.norm(friction, axis=0)] = 0.0
-        R = GAIN_WEIGHTS[-1] * np.diag(limit**-2.0)
+        R = weight * np.diag(limit**-2.0)
 
         def regulated(share: float) -> Array:
-            S = solve_discrete_are(sliding + share * friction, B, np.eye(n), R)
-            K: Array = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ (sliding + share * friction))
+            A = sliding + share * friction
+            S = solve_discrete_are(A, B, np.eye(n), R)
+            K: Array = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
             return K
 
-        soft = regulated(0.0)
-        for factor in STIFFER if friction.any() else STIFFER[:1]:
-            share, above = 0.0, float(factor > 1.0)
-            for _ in range(BISECTIONS):
-                middle = 0.5 * (share + above)
-                K = regulated(middle)  # beyond a pole that no input moves, gains have the other sign
-                fits = np.linalg.norm(K) < factor * np.linalg.norm(soft) and np.sum(K * soft) > 0.0
-                share, above = (middle, above) if fits else (share, middle)
-            stiffer = final.copy()
-            stiffer[:, :n, :n] += share * friction
-            yield stiffer
+        soft, share, above = regulated(0.0), 0.0, float(friction.any())
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (share + above)
+            K = regulated(middle)  # beyond, gains have the other sign
+            fits = np.linalg.norm(K) < STIFFER * np.linalg.norm(soft) and np.sum(K * soft) > 0.0
+            share, above = (middle, above) if fits else (share, middle)
+        return regulated(share) - soft
 
     def _state_weights(self, states: Array) -> Array:
         """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
