@@ -16,7 +16,9 @@ from simbias.simulation.noise import QUIET, Noise, Variances
 ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
 LEAST = 0.02  # gain of a filter
 DISTURBANCE = 0.05  # deviation of unknown inputs in a frame, as a share of the limits: process noise
-ELSEWHERE = 0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is known exactly
+ELSEWHERE = (
+    0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is known exactly
+)
 MOST_AHEAD = 20  # frames that it looks ahead
 EXACT = 1e-6  # deviation of what is measured without noise, in its unit
 
@@ -168,7 +170,9 @@ class KalmanFilter(Observer):
         try:
             P = solve_discrete_are(A.T, np.eye(len(x)), W, V)
         except (np.linalg.LinAlgError, ValueError) as error:
-            raise ValueError(f"observer: the nominal model has no Kalman filter at the goal: {error}") from error
+            raise ValueError(
+                f"observer: the nominal model has no Kalman filter at the goal: {error}"
+            ) from error
         gain: Array = np.linalg.solve(P + V, P).T
         return gain
 

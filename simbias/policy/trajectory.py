@@ -25,8 +25,9 @@ class Trajectory(Policy):
     """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
 
     x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; after it
-    the last ones hold. With a Kalman filter, x is the state that the input will meet. Parameters are, knot by knot, x_t (n), u_t (m) and the rows of K_t (m n). States that
-    wrap are compared within half a turn.
+    the last ones hold. With a Kalman filter, x is the state that the input will meet. Parameters are, knot by
+    knot, x_t (n), u_t (m) and the rows of K_t (m n), with `sliding` those of L_t (m n) too. States that wrap
+    are compared within half a turn.
 
     Parameters
     ----------
@@ -111,8 +112,10 @@ class Trajectory(Policy):
 
     def law(self, theta: Array) -> Law:
         """The knots, a row for each."""
+        beside = f" - clip(L_t (x - x_t), {SMALL:g} of the limits)" * self.sliding
         words = (
-            "u = u_t - K_t (x - x_t), cut off at the inputs' limits, linear between rows of t, x_t, u_t, K_t"
+            f"u = u_t - K_t (x - x_t){beside}, cut off at the inputs' limits, linear between rows of "
+            f"t, x_t, u_t, K_t{', L_t' * self.sliding}"
         )
         rows = theta.reshape(self._knots, -1)
         return Law(words, {"knots": np.concatenate([self.times[:, None], rows], axis=1)})

@@ -75,7 +75,7 @@ def late(task: Task, study: Study, frames: float) -> Rig:
 def test_compiled_they_are_what_they_are_in_numpy(
     cartpole: Study, turning: Task, observer: ObserverKind
 ) -> None:
-    """With noise, and around a turn; every other observer is a switched policy's, and Kalman's looks ahead."""
+    """With noise, and around a turn; every other observer is a switched policy's. Kalman's looks ahead."""
     policy: Policy = Network(turning, cartpole.nominal, errors=True, observer=observer)
     if observer in ("filter", "model", "kalman"):
         policy = Switched(turning, cartpole.nominal, "rbf", units=5, observer=observer)

@@ -113,9 +113,7 @@ def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     policy = Trajectory(cartpole.task, cartpole.nominal, KNOTS, observer="kalman", sliding=True)
     rows = theta.reshape(KNOTS, 9)
     theta = np.concatenate([rows, 0.1 * rows[:, 5:]], axis=1).ravel()
-    request = ExperimentRequest(
-        cartpole.task, policy.designed_on(nominal), theta, cartpole.task.start_mean
-    )
+    request = ExperimentRequest(cartpole.task, policy.designed_on(nominal), theta, cartpole.task.start_mean)
     assert request.why_no_code == ""
     made = files(request)
     assert "static const double v" in made[HEADER]

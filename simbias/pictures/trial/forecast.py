@@ -89,7 +89,9 @@ def _draws(study: Study, model: Model, experiment: Rollout) -> Array | None:
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
         drawn = nominal.draw(rng) if nominal.estimates else nominal
-        rollout = study.designed_on(model).simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
+        rollout = study.designed_on(model).simulate(
+            experiment.parameters, bias.draw(rng), experiment.states[0], drawn
+        )
         states[: len(rollout.states)] = rollout.states
     return draws
 
