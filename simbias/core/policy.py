@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from simbias.core.records import Array
+
+if TYPE_CHECKING:
+    from simbias.core.model import Nominal
 
 
 class Law(NamedTuple):
@@ -39,6 +42,13 @@ class Policy(ABC):
     @abstractmethod
     def outputs(self, x: Array) -> Array:
         """The feedback quantities z (..., q) of the policy at states x (..., n)."""
+
+    def designed_on(self, nominal: Nominal) -> Self:
+        """The policy, what it takes from the model being that of this one, as identified; by default itself.
+
+        Its parameters keep number and meaning.
+        """
+        return self
 
     def imitating(self, states: Array, inputs: Array) -> Array | None:
         """The parameters (p,) that come nearest to inputs (k, T, m) at states (k, T, n); None: not known.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Annotated, final
 
 import numpy as np
@@ -11,6 +12,7 @@ from simbias.core import Nominal, Policy, Task
 from simbias.core.records import Array
 from simbias.policy.networks import NETWORKS, Kind
 from simbias.policy.observer import OBSERVERS, ObserverKind
+from simbias.simulation.noise import QUIET, Variances
 
 Units = Annotated[int, Field(ge=1, le=200)]
 Bound = Annotated[float, Field(gt=0, le=100)]
@@ -31,8 +33,12 @@ class Network(Policy):
     errors
         The errors of the task's goal are inputs of the network too.
     observer
-        "filter": a low-pass filter of rates; "derivative": rates from positions; "model": a Kalman filter of
-        the nominal model; their gains are searched. "none": the network sees what is measured.
+        "filter": a low-pass filter of rates; "derivative": rates from positions; "model": predictions of the
+        nominal model as declared, corrected; their gains are searched. "kalman": a Kalman filter of the
+        nominal model, as identified. "none": the network sees what is measured.
+    noise
+        Variances of what is measured, by name (`simbias.simulation.noise.Noise`), which the Kalman filter
+        reckons with.
     """
 
     def __init__(
@@ -44,14 +50,13 @@ class Network(Policy):
         bound: Bound = 5.0,
         errors: bool = False,
         observer: ObserverKind = "none",
+        noise: Variances = QUIET,
     ) -> None:
         self._task, self._errors = task, errors
         q = len(task.outputs) + errors * len(task.goals)
         self._network = NETWORKS[kind](q, len(task.inputs), units, bound)
-        self._observer, self._n = (
-            OBSERVERS[observer](task.without_targets, nominal),
-            len(task.without_targets.states),
-        )
+        self._observer = OBSERVERS[observer](task.without_targets, nominal, noise)
+        self._n = len(task.without_targets.states)
         parts = (self._network.bounds, self._observer.bounds)
         lower, upper = (np.concatenate(each) for each in zip(*parts, strict=True))
         self.bounds, self.n_parameters = (lower, upper), len(lower)
@@ -60,16 +65,23 @@ class Network(Policy):
         least, most = task.input_bounds
         self._middle, self._half = (most + least) / 2, (most - least) / 2
 
+    def designed_on(self, nominal: Nominal) -> Network:
+        """The network, a Kalman filter being that of this model."""
+        other = copy(self)
+        other._observer = self._observer.designed_on(nominal)
+        other.state_size = other._observer.size
+        return self if other._observer is self._observer else other
+
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the observer's state."""
         estimate = self.estimate(theta, x, t, policy_state)
-        u = self.ask(theta, estimate, t)
-        return u, self.keep(x, estimate, u)
+        u = self.ask(theta, self.ahead(estimate, policy_state), t)
+        return u, self.keep(x, estimate, u, policy_state)
 
     def estimate(self, theta: Array, x: Array, t: float, kept: Array) -> Array:
         """The state (..., n) as the observer sees it, its own state being (..., s)."""
         own = self._observer.estimate(theta[..., self._weights :], x[..., : self._n], t, kept)
-        return np.concatenate([own, x[..., self._n :]], axis=-1)  # targets are known
+        return self._with_targets(own, x)
 
     def ask(self, theta: Array, estimate: Array, t: float) -> Array:
         """Inputs u (..., m) at an estimate (..., n) of the state."""
@@ -77,9 +89,17 @@ class Network(Policy):
         z = np.concatenate([z, self._task.error(estimate, t)], axis=-1) if self._errors else z
         return self._middle + self._half * self._network(theta[..., : self._weights], z)
 
-    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+    def ahead(self, estimate: Array, kept: Array) -> Array:
+        """The state (..., n) that the next input will meet, as the observer knows it."""
+        return self._with_targets(self._observer.ahead(estimate[..., : self._n], kept), estimate)
+
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
         """The observer's state (..., s) for the next frame."""
-        return self._observer.keep(x[..., : self._n], estimate[..., : self._n], u)
+        return self._observer.keep(x[..., : self._n], estimate[..., : self._n], u, kept)
+
+    def _with_targets(self, own: Array, x: Array) -> Array:
+        """The robot's own states and the targets in x, which are known (..., n)."""
+        return np.concatenate([own, x[..., self._n :]], axis=-1)
 
     def outputs(self, x: Array) -> Array:
         """Outputs z (..., q) at states x (..., n)."""

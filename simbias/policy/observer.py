@@ -6,12 +6,21 @@ from abc import ABC, abstractmethod
 from typing import Any, Literal
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Task, rates_and_positions, wrapped
 from simbias.core.records import Array
+from simbias.simulation.linearization import linearization
+from simbias.simulation.noise import QUIET, Noise, Variances
 
-ObserverKind = Literal["none", "filter", "derivative", "model"]
+ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
 LEAST = 0.02  # gain of a filter
+DISTURBANCE = 0.05  # deviation of unknown inputs in a frame, as a share of the limits: process noise
+ELSEWHERE = (
+    0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is known exactly
+)
+MOST_AHEAD = 20  # frames that it looks ahead
+EXACT = 1e-6  # deviation of what is measured without noise, in its unit
 
 
 class Observer(ABC):
@@ -19,9 +28,10 @@ class Observer(ABC):
 
     bounds: tuple[Array, Array] = (np.empty(0), np.empty(0))  # of its parameters: lower (o,), upper (o,)
     size: int = 0  # of its state
+    frames_ahead: int = 0  # after which the next input acts, as far as it knows
 
-    def __init__(self, task: Task, nominal: Nominal) -> None:
-        self._task, self._nominal = task, nominal
+    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
+        self._task, self._nominal, self._noise = task, nominal, noise
         self._is_rate = np.array([state.is_rate for state in task.states])
 
     @abstractmethod
@@ -29,8 +39,16 @@ class Observer(ABC):
         """The state (..., n) of what is measured, x (..., n); gains (..., o), its state (..., s)."""
 
     @abstractmethod
-    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
         """The observer's state (..., s) for the next frame, given the input u (..., m) that is sent."""
+
+    def ahead(self, estimate: Array, kept: Array) -> Array:
+        """The state (..., n) that the next input will meet, as far as the observer knows of delays."""
+        return estimate
+
+    def designed_on(self, nominal: Nominal) -> Observer:
+        """The observer of an identified model; itself if it is of no model, or of the one as declared."""
+        return self
 
     def _first(self, t: Any) -> Any:
         """Whether time t is in the first frame."""
@@ -44,7 +62,7 @@ class Measured(Observer):
         """The measured state (..., n), unchanged."""
         return x
 
-    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
         """An empty state (..., 0): measurements need no memory."""
         return x[..., :0]
 
@@ -54,15 +72,15 @@ class RateFilter(Observer):
 
     bounds = (np.array([LEAST]), np.array([1.0]))
 
-    def __init__(self, task: Task, nominal: Nominal) -> None:
-        super().__init__(task, nominal)
+    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
+        super().__init__(task, nominal, noise)
         self.size = len(task.states)
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
         """The state with filtered rates."""
         return np.where(self._first(t), x, kept + np.where(self._is_rate, gains, 1.0) * (x - kept))
 
-    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
         """The estimate (..., n)."""
         return estimate
 
@@ -78,8 +96,8 @@ class RatesOfPositions(Observer):
 
     bounds = (np.array([LEAST]), np.array([1.0]))
 
-    def __init__(self, task: Task, nominal: Nominal) -> None:
-        super().__init__(task, nominal)
+    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
+        super().__init__(task, nominal, noise)
         rates, positions = rates_and_positions(task.states)
         self._source = np.arange(len(task.states))
         self._source[rates] = positions  # of each state, the one whose difference counts
@@ -92,7 +110,7 @@ class RatesOfPositions(Observer):
         moved = wrapped((x - before)[..., self._source], self._quantities) / self._task.time_step
         return np.where(self._first(t) | ~self._is_rate, x, rates + gains * (moved - rates))
 
-    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
         """The measured state and the estimate, concatenated (..., 2n)."""
         return np.concatenate([x, estimate], axis=-1)
 
@@ -100,13 +118,14 @@ class RatesOfPositions(Observer):
 class ModelObserver(Observer):
     """x^ <- f'(x^, u) + gains (x - f'(x^, u)), f' the nominal model: one gain of positions, one of rates.
 
-    It is a Kalman filter whose gains are searched rather than computed of variances.
+    It is a Kalman filter whose gains are searched rather than computed of variances, and whose model is the
+    one as declared.
     """
 
     bounds = (np.array([LEAST, LEAST]), np.array([1.0, 1.0]))
 
-    def __init__(self, task: Task, nominal: Nominal) -> None:
-        super().__init__(task, nominal)
+    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
+        super().__init__(task, nominal, noise)
         self.size = len(task.states)
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
@@ -114,9 +133,81 @@ class ModelObserver(Observer):
         gain = np.where(self._is_rate, gains[..., 1:], gains[..., :1])
         return np.where(self._first(t), x, kept + gain * wrapped(x - kept, self._task.states))
 
-    def keep(self, x: Array, estimate: Array, u: Array) -> Array:
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
         """The prediction of the next state."""
         return self._nominal.step(estimate, u)
+
+
+class KalmanFilter(Observer):
+    """x^ <- x- + L (x - x-), x- = f'(x^, u): a stationary Kalman filter of the (identified) nominal model.
+
+    L is that of the model linearised at the goal's rest, or at the mean start if the goal is not about all
+    states, its joints sliding (R. E. Kalman, J. Basic Eng. 82, 1960). What the states do not show, as inputs
+    that are late, is known: it follows from the inputs that were sent. If inputs are late, the policy acts on
+    the state that its input will meet: `frames_ahead` frames later, by the inputs that are under way.
+
+    Raises
+    ------
+    ValueError
+        If the model has no stationary filter there.
+    """
+
+    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
+        super().__init__(task, nominal, noise)
+        self.size = len(task.states) + nominal.state_size
+        self.gain = self._stationary()  # L (n, n)
+        self.frames_ahead = self._delay()
+
+    def _stationary(self) -> Array:
+        """The gain (n, n) of what is measured."""
+        task, limit = self._task, self._task.input_limit
+        at_goal, end = task.goals == task.states, task.horizon * task.time_step
+        x = np.broadcast_to(task.reference(end) if at_goal else task.start_mean, (len(task.states),))
+        A, B = linearization(self._nominal.without_dry_friction(), x, np.zeros(len(limit)), limit)
+        by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
+        W = by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(x))
+        V = np.diag(np.maximum(Noise(task, self._noise).sensor_variance, EXACT**2))
+        try:
+            P = solve_discrete_are(A.T, np.eye(len(x)), W, V)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise ValueError(
+                f"observer: the nominal model has no Kalman filter at the goal: {error}"
+            ) from error
+        gain: Array = np.linalg.solve(P + V, P).T
+        return gain
+
+    def _delay(self) -> int:
+        """Frames until more than half of an input acts."""
+        nominal, limit = self._nominal, self._task.input_limit
+        x, hidden = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
+        u = np.stack([limit, 0.0 * limit])
+        at_once = np.abs(np.subtract(*nominal.step(x, u))).sum()
+        for frames in range(MOST_AHEAD):
+            moved, hidden = nominal.advance(x, u, hidden)
+            if np.abs(np.subtract(*moved)).sum() > 0.5 * at_once:
+                return frames
+        return MOST_AHEAD
+
+    def designed_on(self, nominal: Nominal) -> KalmanFilter:
+        """The filter of another model."""
+        return KalmanFilter(self._task, nominal, self._noise)
+
+    def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
+        """The prediction, corrected by what is measured."""
+        predicted = kept[..., : len(self.gain)]
+        innovation = wrapped(x - predicted, self._task.states)
+        return np.where(self._first(t), x, predicted + (self.gain @ innovation[..., None])[..., 0])
+
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+        """The prediction of the next state, and the model state (..., n + h)."""
+        return np.concatenate(self._nominal.advance(estimate, u, kept[..., len(self.gain) :]), axis=-1)
+
+    def ahead(self, estimate: Array, kept: Array) -> Array:
+        """The state (..., n) after the frames in which inputs act that were sent before."""
+        hidden, nothing = kept[..., len(self.gain) :], 0.0 * estimate[..., : len(self._task.inputs)]
+        for _ in range(self.frames_ahead):
+            estimate, hidden = self._nominal.advance(estimate, nothing, hidden)
+        return estimate
 
 
 OBSERVERS: dict[ObserverKind, type[Observer]] = {
@@ -124,4 +215,5 @@ OBSERVERS: dict[ObserverKind, type[Observer]] = {
     "filter": RateFilter,
     "derivative": RatesOfPositions,
     "model": ModelObserver,
+    "kalman": KalmanFilter,
 }

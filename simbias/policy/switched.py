@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import final
 
 import numpy as np
@@ -14,6 +15,7 @@ from simbias.policy.network import Bound, Network, Units
 from simbias.policy.networks import Kind
 from simbias.policy.observer import ObserverKind
 from simbias.simulation.linearization import linearization
+from simbias.simulation.noise import QUIET, Variances
 
 LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest where the regulator is not cut off
 
@@ -27,8 +29,8 @@ class Switched(Policy):
 
     Parameters
     ----------
-    kind, units, bound, observer
-        Of the network (`Network`).
+    kind, units, bound, observer, noise
+        Of the network (`Network`). With a Kalman filter, the regulator is that of the identified model, too.
     input_weight
         Weight of the squared inputs at their limits, that of the squared error of a state by one unit
         being 1.
@@ -51,27 +53,39 @@ class Switched(Policy):
         observer: ObserverKind = "none",
         input_weight: Positive = 10.0,
         hysteresis: Positive = 2.0,
+        noise: Variances = QUIET,
     ) -> None:
         if task.goals != task.states:
             raise ValueError("the task's goal has to be about all states, in their order")
-        self._task, self._hysteresis = task, hysteresis
-        self._swing_up = Network(task, nominal, kind, units, bound, observer=observer)
+        self._task, self._hysteresis, self._input_weight = task, hysteresis, input_weight
+        self._swing_up = Network(task, nominal, kind, units, bound, observer=observer, noise=noise)
         self._K, self._S = _regulator(task, nominal, input_weight)
         lower, upper = self._swing_up.bounds
         self.bounds = np.append(lower, LEVELS[0]), np.append(upper, LEVELS[1])
         self.n_parameters = len(lower) + 1
         self.state_size = self._swing_up.state_size + 1
 
+    def designed_on(self, nominal: Nominal) -> Switched:
+        """The policy, a Kalman filter and its regulator being those of this model."""
+        other = copy(self)
+        other._swing_up = self._swing_up.designed_on(nominal)
+        if other._swing_up is self._swing_up:
+            return self
+        other.state_size = other._swing_up.state_size + 1
+        other._K, other._S = _regulator(self._task, nominal.without_dry_friction(), self._input_weight)
+        return other
+
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n); the observer's state, and 1 where the regulator is on."""
         kept, on = policy_state[..., :-1], policy_state[..., -1:]
         estimate = self._swing_up.estimate(theta[..., :-1], x, t, kept)
-        e = self._task.error(estimate, t)
+        met = self._swing_up.ahead(estimate, kept)
+        e = self._task.error(met, t)
         V = ((e @ self._S) * e).sum(axis=-1, keepdims=True)
         near = np.exp(theta[..., -1:]) * (1.0 + (self._hysteresis - 1.0) * on) > V
         regulated = np.clip(-(e @ self._K.T), *self._task.input_bounds)
-        u = np.where(near, regulated, self._swing_up.ask(theta[..., :-1], estimate, t))
-        kept = self._swing_up.keep(x, estimate, u)
+        u = np.where(near, regulated, self._swing_up.ask(theta[..., :-1], met, t))
+        kept = self._swing_up.keep(x, estimate, u, kept)
         return u, np.concatenate([kept, np.where(near, 1.0, 0.0)], axis=-1)
 
     def outputs(self, x: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +13,9 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array
 from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
+from simbias.simulation.noise import QUIET, Variances
 
+SMALL = 0.1  # share of the inputs' limits that gains for friction ask for at most
 LARGEST = 1e3  # of a state, and of an input without limits
 Knots = Annotated[int, Field(ge=2, le=2000)]
 ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
@@ -22,8 +25,9 @@ class Trajectory(Policy):
     """u = u_t - K_t (x - x_t) within the task's limits: feedforward, and gains that vary in time.
 
     x_t, u_t and K_t are linear in time between knots, which are evenly spaced over the horizon; after it
-    the last ones hold. Parameters are, knot by knot, x_t (n), u_t (m) and the rows of K_t (m n). States that
-    wrap are compared within half a turn.
+    the last ones hold. With a Kalman filter, x is the state that the input will meet. Parameters are, knot by
+    knot, x_t (n), u_t (m) and the rows of K_t (m n), with `sliding` those of L_t (m n) too. States that wrap
+    are compared within half a turn.
 
     Parameters
     ----------
@@ -31,10 +35,14 @@ class Trajectory(Policy):
         Two at least.
     bound
         Of the gains, in the inputs' limits by unit of a state.
-    observer
+    observer, noise
         As of `Network`.
     observer_gain
-        All of its gains: 1 trusts what is measured.
+        All of the observer's gains, which a Kalman filter has not: 1 trusts what is measured.
+    sliding
+        It is planned as joints slide, and the inputs compensate for the dry friction that they can overcome,
+        by the planned velocities. That of other joints is met near rest by gains L_t beside, of deviations so
+        small that L_t (x - x_t) is below a tenth of the limits, where it is cut off.
 
     Raises
     ------
@@ -50,23 +58,37 @@ class Trajectory(Policy):
         bound: Positive = 1e3,
         observer: ObserverKind = "none",
         observer_gain: ObserverGain = 0.5,
+        noise: Variances = QUIET,
+        sliding: bool = False,
     ) -> None:
         if task.targets:
             raise ValueError("follows one plan; this task's targets ask for another one at each start")
-        self._task, self._knots = task, knots
+        self._task, self._knots, self.sliding = task, knots, sliding
         self._n, self._m = len(task.states), len(task.inputs)
         self._spacing = task.horizon * task.time_step / (knots - 1)
-        self._observer = OBSERVERS[observer](task, nominal)
+        self._observer = OBSERVERS[observer](task, nominal, noise)
         self._gains = np.full(len(self._observer.bounds[0]), observer_gain)
         self.state_size = self._observer.size
         lower, upper = (np.clip(each, -LARGEST, LARGEST) for each in task.input_bounds)
         gains = np.repeat(bound * np.minimum(task.input_limit, LARGEST), self._n)
         states = np.full(self._n, LARGEST)
         self.bounds = (
-            np.tile(np.concatenate([-states, lower, -gains]), knots),
-            np.tile(np.concatenate([states, upper, gains]), knots),
+            np.tile(np.concatenate([-states, lower, *[-gains] * (1 + sliding)]), knots),
+            np.tile(np.concatenate([states, upper, *[gains] * (1 + sliding)]), knots),
         )
         self.n_parameters = len(self.bounds[0])
+
+    def designed_on(self, nominal: Nominal) -> Trajectory:
+        """The policy, a Kalman filter being that of this model."""
+        other = copy(self)
+        other._observer = self._observer.designed_on(nominal)
+        other.state_size = other._observer.size
+        return self if other._observer is self._observer else other
+
+    @property
+    def frames_ahead(self) -> int:
+        """Frames by which the state that is held against x_t is ahead of the time."""
+        return self._observer.frames_ahead
 
     @property
     def times(self) -> Array:
@@ -78,22 +100,29 @@ class Trajectory(Policy):
         """Inputs u (..., m) at states x (..., n), and the observer's state."""
         n, m = self._n, self._m
         row = scheduled(theta.reshape(*theta.shape[:-1], self._knots, -1), t, self._spacing)
-        x_t, u_t, K_t = row[..., :n], row[..., n : n + m], row[..., n + m :]
+        x_t, u_t, K_t = row[..., :n], row[..., n : n + m], row[..., n + m : n + m + m * n]
         estimate = self._observer.estimate(self._gains, x, t, policy_state)
-        off = wrapped(estimate - x_t, self._task.states)
-        K_t = K_t.reshape(*K_t.shape[:-1], m, n)
-        u = np.clip(u_t - (K_t @ off[..., None])[..., 0], *self._task.input_bounds)
-        return u, self._observer.keep(x, estimate, u)
+        off = wrapped(self._observer.ahead(estimate, policy_state) - x_t, self._task.states)
+        u = u_t - (K_t.reshape(*K_t.shape[:-1], m, n) @ off[..., None])[..., 0]
+        if self.sliding:
+            for_friction = (row[..., -m * n :].reshape(*K_t.shape[:-1], m, n) @ off[..., None])[..., 0]
+            most = SMALL * self._task.input_limit
+            u = u - np.clip(for_friction, -most, most)
+        u = np.clip(u, *self._task.input_bounds)
+        return u, self._observer.keep(x, estimate, u, policy_state)
 
-    def following(self, states: Array, inputs: Array, gains: Array) -> Array:
-        """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t (K, m, n) at the knots."""
-        rows = np.concatenate([states, inputs, gains.reshape(self._knots, -1)], axis=1)
+    def following(self, states: Array, inputs: Array, *gains: Array) -> Array:
+        """The parameters (p,) that follow x_t (K, n), u_t (K, m) with K_t and L_t (K, m, n) at the knots."""
+        used = gains[: 1 + self.sliding]
+        rows = np.concatenate([states, inputs, *(each.reshape(self._knots, -1) for each in used)], axis=1)
         return np.clip(rows.ravel(), *self.bounds)
 
     def law(self, theta: Array) -> Law:
         """The knots, a row for each."""
+        beside = f" - clip(L_t (x - x_t), {SMALL:g} of the limits)" * self.sliding
         words = (
-            "u = u_t - K_t (x - x_t), cut off at the inputs' limits, linear between rows of t, x_t, u_t, K_t"
+            f"u = u_t - K_t (x - x_t){beside}, cut off at the inputs' limits, linear between rows of "
+            f"t, x_t, u_t, K_t{', L_t' * self.sliding}"
         )
         rows = theta.reshape(self._knots, -1)
         return Law(words, {"knots": np.concatenate([self.times[:, None], rows], axis=1)})

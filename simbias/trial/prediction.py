@@ -53,6 +53,7 @@ def predict(
     Draws begin at random starts of the task, on models and biases as they may be, for all that is known.
     """
     model = study.model(bias, nominal)
+    study = study.designed_on(model)
     rng = np.random.default_rng(SEED)
     draws = tuple(
         study.simulate(theta, model.bias.draw(rng), study.task.draw_start(rng), model.nominal.draw(rng))

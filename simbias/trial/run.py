@@ -115,7 +115,9 @@ class _Run(Observer):
         for iteration in study.run(self._observers):
             self._observers.iterated(iteration if self._kept is None else self._kept.iteration(iteration))
         if self._iterations:
-            theta, trying = self._iterations[-1].parameters, self._observers.trying
+            last, trying = self._iterations[-1], self._observers.trying
+            study = study if last.model is None else study.designed_on(last.model)
+            theta = last.parameters
             self._policy_test = run_policy_test(study, theta, study.policy_test, trying)
 
     @property

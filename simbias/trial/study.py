@@ -222,6 +222,10 @@ class Study:
 
         return AskTell(self.task.without_targets, run)
 
+    def designed_on(self, model: Model) -> Study:
+        """The study with the policy as it was designed on a model; others simulate and run that one, too."""
+        return self if model.policy is self.policy else replace(self, policy=model.policy)
+
     def with_horizon(self, horizon: int) -> Study:
         """The study with another horizon in frames; its hardware is constructed again for it.
 
@@ -237,12 +241,16 @@ class Study:
 
     def simulator(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Simulator:
         """The closed loop on the (identified) nominal model, corrected by a fitted bias; g = 0 without."""
-        return simulator(self.model(fitted_bias, nominal), cost=self.cost)
+        return simulator(replace(self.model(fitted_bias, nominal), policy=self.policy), cost=self.cost)
 
     def model(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Model:
-        """The (identified) nominal model, corrected by a fitted bias; g = 0 without one."""
+        """The (identified) nominal model, corrected by a fitted bias; g = 0 without one.
+
+        Its policy takes from this model what it takes from a model.
+        """
         bias = fitted_bias or self.bias.fit(self.no_data)
-        return Model(self.task, self.policy, nominal or self.nominal, bias)
+        policy = self.policy if nominal is None else self.policy.designed_on(nominal)
+        return Model(self.task, policy, nominal or self.nominal, bias)
 
     def first_model(self) -> Model:
         """The model before any experiment: as declared, or as recordings have identified it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from omegaconf import OmegaConf
 import simbias
 from simbias.config.components import construct
 from simbias.core import Model, Policy, Task
+from simbias.learning.identification.rig import Motor, Rig
 from simbias.policy.network import Network
-from simbias.policy.observer import OBSERVERS, ObserverKind
+from simbias.policy.observer import DISTURBANCE, ELSEWHERE, OBSERVERS, KalmanFilter, ObserverKind
 from simbias.policy.switched import Switched
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import linearization
@@ -62,11 +64,18 @@ def test_a_perceptron_and_radial_basis_functions_are_their_formulas(cartpole: St
     assert np.abs(everywhere).max() <= 300
 
 
+def late(task: Task, study: Study, frames: float) -> Rig:
+    """The cart-pole with a motor that is so many frames late."""
+    rig = Rig(task, study.nominal, {"force": Motor(delay=task.time_step)}, {})
+    delay = {"force.delay": frames * task.time_step}
+    return rig.with_parameters(np.array([delay.get(each.name, each.value) for each in rig.parameters]))
+
+
 @pytest.mark.parametrize("observer", OBSERVERS)
 def test_written_they_are_what_they_are_in_numpy(
     cartpole: Study, turning: Task, observer: ObserverKind
 ) -> None:
-    """With noise, and around a turn; every other observer is a switched policy's."""
+    """With noise, and around a turn; every other observer is a switched policy's. Kalman's looks ahead."""
     with interpreted():
         expect_the_same(cartpole, turning, observer)
 
@@ -78,10 +87,11 @@ def test_compiled_too(cartpole: Study, turning: Task) -> None:
 
 
 def expect_the_same(cartpole: Study, turning: Task, observer: ObserverKind) -> None:
-    """The lanes' loop against NumPy's,."""
+    """The lanes' loop against NumPy's."""
     policy: Policy = Network(turning, cartpole.nominal, errors=True, observer=observer)
-    if observer in ("filter", "model"):
+    if observer in ("filter", "model", "kalman"):
         policy = Switched(turning, cartpole.nominal, "rbf", units=5, observer=observer)
+        policy = policy.designed_on(late(turning, cartpole, 1.3))
     noise = Noise(turning, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
     starts = np.array([[0.0, 3.0, 0.0, 1.0], [0.0, 0.02, 0.0, 0.0]])
     model = Model(turning, policy, cartpole.nominal, cartpole.bias.fit(cartpole.no_data))
@@ -120,18 +130,73 @@ def test_observers_know_rates_better_than_sensors(cartpole: Study, turning: Task
         x[t + 1] = cartpole.nominal.step(x[t], u[t])
     seen = x + rng.standard_normal((n, 4)) * [1e-4, 1e-4, 2.0, 2.0]
     seen[:, 1] = (seen[:, 1] + np.pi) % (2 * np.pi) - np.pi
-    errors = {}
+    errors, noise = {}, {"angle_variance": 1e-8, "position_variance": 1e-8, "velocity_variance": 4.0}
     for kind, make in OBSERVERS.items():
-        observer = make(turning, cartpole.nominal)
+        observer = make(turning, cartpole.nominal, noise)
         gains = {"filter": [0.6], "derivative": [0.9], "model": [0.9, 0.1]}.get(kind, [])
         kept, estimates = np.zeros(observer.size), []
         for t in range(n):
             estimates.append(observer.estimate(np.array(gains), seen[t], t * turning.time_step, kept))
-            kept = observer.keep(seen[t], estimates[-1], u[t])
+            kept = observer.keep(seen[t], estimates[-1], u[t], kept)
         errors[kind] = float(np.sqrt(np.mean((np.array(estimates)[5:, 2:] - x[5:, 2:]) ** 2)))
     assert errors["filter"] < 0.9 * errors["none"]
     assert errors["derivative"] < 0.7 * errors["none"]
     assert errors["model"] < 0.3 * errors["none"]
+    assert errors["kalman"] < 0.5 * errors["model"]  # nothing is searched
+
+
+def test_the_kalman_filters_gain_is_where_its_covariance_settles(cartpole: Study, turning: Task) -> None:
+    """By the recursion of the covariance, from that of the first measurement."""
+    noise = {"velocity_variance": 4.0, "angle_variance": 1e-4, "position_variance": 1e-6}
+    gain = KalmanFilter(turning, cartpole.nominal, noise).gain
+    A, B = linearization(cartpole.nominal, np.zeros(4), np.zeros(1), turning.input_limit)
+    V = np.diag(Noise(turning, noise).sensor_variance)
+    W = (DISTURBANCE * turning.input_limit) ** 2 * B @ B.T
+    W += ELSEWHERE**2 * np.diag(np.diag(W)) + 1e-12 * np.eye(4)
+    P = V
+    for _ in range(5000):
+        before = A @ P @ A.T + W
+        L = before @ np.linalg.inv(before + V)
+        P = (np.eye(4) - L) @ before
+    np.testing.assert_allclose(gain, L, rtol=1e-5, atol=1e-9)
+    trusting = KalmanFilter(turning, cartpole.nominal).gain  # what is measured has no noise
+    np.testing.assert_allclose(trusting @ np.eye(4), np.eye(4), atol=0.3)
+
+
+def test_a_kalman_filter_knows_late_inputs_and_what_the_next_one_will_meet(
+    cartpole: Study, turning: Task
+) -> None:
+    """Without noise: its predictions are the states, and it looks ahead by the delay."""
+    motor, rng, frames = late(turning, cartpole, 2.0), np.random.default_rng(0), 30
+    observer = KalmanFilter(turning, cartpole.nominal).designed_on(motor)
+    assert observer.frames_ahead == 2
+    assert KalmanFilter(turning, cartpole.nominal).frames_ahead == 0
+    u = rng.uniform(-30.0, 30.0, (frames, 1))
+    x, hidden = np.zeros((frames + 1, 4)), np.zeros(motor.state_size)
+    x[0, 1] = 0.2
+    for t in range(frames):
+        x[t + 1], hidden = motor.advance(x[t], u[t], hidden)
+    kept = np.zeros(observer.size)
+    for t in range(frames - 2):
+        estimate = observer.estimate(np.empty(0), x[t], t * turning.time_step, kept)
+        np.testing.assert_allclose(estimate, x[t], atol=1e-9)
+        np.testing.assert_allclose(observer.ahead(estimate, kept), x[t + 2], atol=1e-9)
+        kept = observer.keep(x[t], estimate, u[t], kept)
+        np.testing.assert_allclose(kept[:4], x[t + 1], atol=1e-9)
+
+
+def test_the_policy_that_runs_is_that_of_the_model(cartpole: Study, turning: Task) -> None:
+    """Of an identified one, if it has a Kalman filter; else it stays as it is."""
+    other = late(turning, cartpole, 1.0)
+    for make in (Network, Switched):
+        plain = make(turning, cartpole.nominal)
+        assert plain.designed_on(other) is plain
+        study = replace(cartpole, policy=make(turning, cartpole.nominal, observer="kalman"))
+        model = study.model(None, other)
+        assert model.policy is not study.policy
+        assert study.designed_on(model).policy is model.policy
+        assert study.designed_on(study.model()) is study
+        assert model.policy.state_size == study.policy.state_size + other.state_size
 
 
 def test_a_switched_policy_needs_a_goal_about_all_states(cartpole: Study) -> None:

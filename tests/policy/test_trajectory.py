@@ -11,6 +11,7 @@ from simbias.core import Model
 from simbias.core.records import Array
 from simbias.lab.requests.folder import files
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
+from simbias.learning.identification.rig import Motor, Rig
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import linearised, lqr_gains
 from simbias.simulation.closed_loop import join, simulator
@@ -69,6 +70,18 @@ def test_the_input_is_feedforward_and_gains_at_that_time(cartpole: Study) -> Non
     assert abs(beyond) == cartpole.task.input_limit
 
 
+def test_gains_for_friction_are_cut_off_at_a_tenth_of_the_limits(cartpole: Study) -> None:
+    policy = Trajectory(cartpole.task, cartpole.nominal, KNOTS, sliding=True)
+    nothing = np.zeros((KNOTS, 5))
+    K, L = np.tile([1.0, 2.0, 3.0, 4.0], (KNOTS, 1, 1)), np.tile([0.0, 500.0, 0.0, 0.0], (KNOTS, 1, 1))
+    theta = policy.following(nothing[:, :4], nothing[:, :1], K, L)
+    assert theta.shape == (policy.n_parameters,)
+    most = 0.1 * cartpole.task.input_limit
+    for angle, beside in ((0.01, -5.0), (-0.01, 5.0), (0.5, -most)):
+        u, _ = policy.act(theta, np.array([0.0, angle, 0.0, 0.0]), 0.0, np.empty(0))
+        assert u == pytest.approx(-2.0 * angle + beside)
+
+
 def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """With noise; in lanes that are at different times, as rollouts end and others begin."""
     policy, thetas = around(cartpole, 40)
@@ -90,9 +103,18 @@ def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
 
 
 def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
-    """In C and Python, over more frames than its table has; files are only made if they agree."""
-    policy, (theta,) = around(cartpole, 1)
-    request = ExperimentRequest(cartpole.task, policy, theta, cartpole.task.start_mean)
+    """In C and Python, over more frames than its table has; files are only made if they agree.
+
+    It has all that it can have: a Kalman filter of a late motor, and gains for friction.
+    """
+    _, (theta,) = around(cartpole, 1)
+    rig = Rig(cartpole.task, cartpole.nominal, {"force": Motor(delay=0.05)}, {})
+    late = {"force.delay": 1.5 * cartpole.task.time_step}
+    nominal = rig.with_parameters(np.array([late.get(each.name, each.value) for each in rig.parameters]))
+    policy = Trajectory(cartpole.task, cartpole.nominal, KNOTS, observer="kalman", sliding=True)
+    rows = theta.reshape(KNOTS, 9)
+    theta = np.concatenate([rows, 0.1 * rows[:, 5:]], axis=1).ravel()
+    request = ExperimentRequest(cartpole.task, policy.designed_on(nominal), theta, cartpole.task.start_mean)
     assert request.why_no_code == ""
     made = files(request)
     assert "static const double v" in made[HEADER]

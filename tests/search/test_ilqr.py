@@ -11,9 +11,10 @@ from scipy.linalg import solve_discrete_are
 import simbias
 from simbias.core.errors import ConfigError
 from simbias.policy.trajectory import Trajectory
-from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
+from simbias.search.optimizer.ilqr import STIFFER, Shooting, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -67,6 +68,48 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
         assert cartpole.passes(cartpole.simulate(theta, start=start)), seed
     last = theta.reshape(-1, 9)[-1]
     assert cartpole.task.error(last[:4], 5.0) == pytest.approx(np.zeros(4), abs=1e-3)
+
+
+ELBOW, SHOULDER = {"friction_2": 0.12}, {"friction_1": 0.0127}  # N m, of arctan: pi/2 times as much
+
+
+def rubbing(**friction: float) -> Shooting:
+    """Trajectories of an acrobot whose joints rub, planned as they slide."""
+    study = simbias.load(["preset=acrobot_trajectory", "tracking=none", "task.horizon=200"])
+    nominal = study.nominal
+    names = [each.name for each in nominal.parameters]
+    values = np.array([friction.get(each.name, each.value) for each in nominal.parameters])
+    assert set(friction) <= set(names)
+    return Shooting(study.model(None, nominal.with_parameters(values)), None, sliding=True)
+
+
+def test_inputs_overcome_the_friction_of_their_own_joint() -> None:
+    shooting, rng = rubbing(**ELBOW), np.random.default_rng(0)
+    x, u = rng.normal(0.0, [1.0, 1.0, 3.0, 3.0], (20, 4)), rng.uniform(-3.0, 3.0, (20, 1))
+    asked = u + shooting._compensation(x, u, 0)
+    np.testing.assert_allclose(shooting._nominal.step(x, asked), shooting._sliding.step(x, u), atol=2e-3)
+    assert np.abs(shooting._nominal.step(x, u) - shooting._sliding.step(x, u)).max() > 0.05
+
+
+def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
+    """They bring an acrobot nearer to rest than a regulator of sliding joints does."""
+    zero, u_0 = np.zeros(4), np.zeros(1)
+    assert not rubbing(**ELBOW)._for_friction(zero, u_0, 100.0).any()
+    shooting = rubbing(**ELBOW, **SHOULDER)
+    beside = shooting._for_friction(zero, u_0, 100.0)
+    A, B = linearization(shooting._sliding, zero, u_0, np.array([6.0]))
+    R = 100.0 * np.array([[6.0**-2]])
+    S = solve_discrete_are(A, B, np.eye(4), R)
+    soft = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
+    assert np.linalg.norm(soft + beside) == pytest.approx(STIFFER * np.linalg.norm(soft), rel=0.01)
+    ends = []
+    for small in (0.0, 0.6):
+        x, path = np.array([0.01, 0.0, 0.0, 0.0]), []
+        for _ in range(1200):
+            x = shooting._nominal.step(x, np.clip(-soft @ x - np.clip(beside @ x, -small, small), -6.0, 6.0))
+            path.append(x)
+        ends.append(np.abs(path[-300:]).max(axis=0))
+    assert (ends[1][:2] < 0.5 * ends[0][:2]).all()
 
 
 def test_without_a_policy_that_follows_it_is_one_line(cartpole: Study) -> None:

@@ -63,7 +63,7 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
     """
     iteration = on_hardware(iterations)[-1]
     experiment = worst_experiment(iteration)
-    rollouts: list[NamedRollout | None] = [on_nominal(study, experiment)]
+    rollouts: list[NamedRollout | None] = [on_nominal(study, iteration, experiment)]
     if learned_before(iterations, iteration):
         rollouts.append(in_simulation(study, iterations, iteration, experiment))
     rollouts.append(NamedRollout(hardware_words(study), experiment))

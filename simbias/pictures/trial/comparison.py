@@ -32,13 +32,15 @@ def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]
         return []
     thetas = np.array([rollout.parameters for rollout in experiments])
     starts = np.array([rollout.states[0] for rollout in experiments])
-    rollouts = study.simulator(model.bias, model.nominal).rollouts(thetas, starts)
+    own = study.designed_on(model)
+    rollouts = own.simulator(model.bias, model.nominal).rollouts(thetas, starts)
     return [replace(rollout, cost=study.cost.of(rollout)) for rollout in rollouts]
 
 
-def on_nominal(study: Study, experiment: Rollout) -> NamedRollout:
-    """An experiment on the nominal model alone, from the same start."""
-    rollout = study.simulate(experiment.parameters, None, experiment.states[0])
+def on_nominal(study: Study, iteration: Iteration, experiment: Rollout) -> NamedRollout:
+    """An experiment of an iteration on the nominal model alone, from the same start."""
+    own = study if iteration.model is None else study.designed_on(iteration.model)
+    rollout = own.simulate(experiment.parameters, None, experiment.states[0])
     return NamedRollout("nominal model alone", rollout, NOMINAL, ":")
 
 
@@ -49,7 +51,8 @@ def in_simulation(
     model = iteration.model
     if model is None:
         return None
-    rollout = study.simulate(experiment.parameters, model.bias, experiment.states[0], model.nominal)
+    own = study.designed_on(model)
+    rollout = own.simulate(experiment.parameters, model.bias, experiment.states[0], model.nominal)
     name = simulation_words(study, model, samples_before(iterations, iteration))
     return NamedRollout(name, rollout, SIMULATION, "--")
 

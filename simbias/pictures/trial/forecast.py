@@ -58,7 +58,7 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         assert learned is not None
         curves.append(learned)
         draws = _draws(study, model, experiment)
-    curves.append(on_nominal(study, experiment))
+    curves.append(on_nominal(study, iteration, experiment))
     figure, (grid,) = panels(len(task.states), HEIGHT)
     beyond = False
     for i, (axes, quantity) in enumerate(zip(grid, task.states, strict=True)):
@@ -89,7 +89,9 @@ def _draws(study: Study, model: Model, experiment: Rollout) -> Array | None:
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
         drawn = nominal.draw(rng) if nominal.estimates else nominal
-        rollout = study.simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
+        rollout = study.designed_on(model).simulate(
+            experiment.parameters, bias.draw(rng), experiment.states[0], drawn
+        )
         states[: len(rollout.states)] = rollout.states
     return draws
 

@@ -15,6 +15,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from simbias.core import GoalWeights, Model, Policy, Task, wrapped
 from simbias.core.errors import ConfigError
@@ -23,7 +24,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.riccati import Quadratic, beside, regulator, solved
 from simbias.simulation.closed_loop import simulator
-from simbias.simulation.linearization import advanced, derivatives
+from simbias.simulation.linearization import advanced, derivatives, linearization
 
 ERROR_WEIGHT, RATE_WEIGHT = 1.0, 0.05  # of the goal's squared errors, 1/s; of those that are rates
 FINAL_WEIGHT = 10.0  # in s: what they weigh at the end
@@ -31,6 +32,10 @@ INPUT_WEIGHT = 0.1  # of squared inputs at their limits, 1/s
 SHARE = 0.8  # of the limits that a trajectory takes: what is left is for feedback
 GAIN_WEIGHTS = (1.0, 10.0, 100.0)  # R of inputs at their limits; Q of a state of one unit is 1
 STEP = 1e-3  # of differences: of states, and of inputs over their limits
+STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
+ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
+BISECTIONS = 30
+AT_REST = 0.5  # of each state, in its unit, within which a plan is as good as at rest
 SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
@@ -67,7 +72,8 @@ def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None 
     """
     if not count:
         return
-    shooting, policy = Shooting(model, weights), follower(model.policy)
+    policy = follower(model.policy)
+    shooting = Shooting(model, weights, policy.sliding)
     plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
     found = [plan for plan in plans if plan is not None]
     if not found:
@@ -97,12 +103,14 @@ def default_weights(task: Task) -> GoalWeights:
 
 
 class Shooting:
-    """Trajectories of a model from the task's mean start to its goal."""
+    """Trajectories of a model, as it is or as its joints slide, from the task's mean start to its goal."""
 
-    def __init__(self, model: Model, weights: GoalWeights | None = None) -> None:
+    def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         task = model.task
-        self._model, self._task = model, task
         self._sliding = model.nominal.without_dry_friction()  # friction is steep at rest
+        self._nominal, self._slides = model.nominal, sliding
+        model = replace(model, nominal=self._sliding) if sliding else model
+        self._model, self._task = model, task
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
         self._simulator = simulator(replace(model, policy=self._every_frame))
@@ -136,19 +144,58 @@ class Shooting:
         Beside them, deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in
         each state's unit. A goal about all states, where it does not move, is a rest: the last knot is there,
         its gains those of an infinite horizon.
+
+        Of a plan as joints slide, inputs compensate for the friction along it, and there are gains for small
+        deviations from rest, which count on the friction of joints that no input moves.
         """
-        M, Q = self._linearised(plan.states, plan.inputs), self._state_weights(plan.states)
+        ahead = policy.frames_ahead
+        linearised = self._at_once if ahead else self._linearised
+        M, Q = linearised(plan.states, plan.inputs), self._state_weights(plan.states)
         x, u, final = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]]), None
+        settled = len(x)
         if self._task.goals == self._task.states and not self._moves:
             x_rest, u_rest = rest(self._model, self._goal[-1])
             x_rest = x[-1] - wrapped(x[-1] - x_rest, self._task.states)
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
-            final = self._linearised(np.tile(x_rest, (2, 1)), u_rest[None])
+            final = linearised(np.tile(x_rest, (2, 1)), u_rest[None])
+            settled = np.flatnonzero(np.abs(x - x_rest).max(axis=-1) > AT_REST)[-1] + 1
+        if policy.sliding:
+            u = u + self._compensation(x, u, ahead)
         frames = policy.times / self._task.time_step
         for weight in input_weights:
-            gains = self._gains(M, Q, weight, final)
-            rows = (_at(frames, each.reshape(len(each), -1)) for each in (x, u, gains))
-            yield policy.following(*rows)
+            gains, beside = self._gains(M, Q, weight, final), np.zeros((len(x), self._m, self._n))
+            if policy.sliding and settled < len(x):
+                beside[settled:] = self._for_friction(x_rest, u_rest, weight)
+            K, K_0 = (_at(frames + ahead, each.reshape(len(x), -1)) for each in (gains, beside))
+            yield policy.following(_at(frames + ahead, x), _at(frames, u), K, K_0)
+
+    def _for_friction(self, x: Array, u: Array, weight: float) -> Array:
+        """What gains (m, n) at a rest x (n,) under u (m,) take beside for the dry friction of some joints.
+
+        At small velocities it is damping, the more the smaller they are, until no input moves the joints
+        against it: gains grow without bound as it comes near to that. As much of it is counted on as lets
+        them grow `STIFFER` times; none along the inputs' own effect, as an input overcomes that at once.
+        """
+        n, limit = self._n, self._task.input_limit
+        sliding, B = linearization(self._sliding, x, u, limit)
+        friction = linearization(self._nominal, x, u, limit)[0] - sliding
+        others = friction - B @ np.linalg.lstsq(B, friction, rcond=None)[0]
+        friction[:, np.linalg.norm(others, axis=0) <= ALONG * np.linalg.norm(friction, axis=0)] = 0.0
+        R = weight * np.diag(limit**-2.0)
+
+        def regulated(share: float) -> Array:
+            A = sliding + share * friction
+            S = solve_discrete_are(A, B, np.eye(n), R)
+            K: Array = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
+            return K
+
+        soft, share, above = regulated(0.0), 0.0, float(friction.any())
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (share + above)
+            K = regulated(middle)  # beyond, gains have the other sign
+            fits = np.linalg.norm(K) < STIFFER * np.linalg.norm(soft) and np.sum(K * soft) > 0.0
+            share, above = (middle, above) if fits else (share, middle)
+        return regulated(share) - soft
 
     def _state_weights(self, states: Array) -> Array:
         """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
@@ -227,6 +274,24 @@ class Shooting:
     def _slopes(self, states: Array) -> Array:
         """Derivatives (T+1, g, n) of the goal's quantities along states (T+1, n)."""
         return derivatives(self._task.aim, states, np.full(self._n, STEP))
+
+    def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:
+        """What inputs (T+1, m) take beside, to overcome dry friction at states (T+1, n) some frames later."""
+        x = states[np.minimum(np.arange(len(states)) + ahead, len(states) - 1)]
+        lost = self._sliding.step(x, inputs) - self._nominal.step(x, inputs)
+        _, B = linearization(self._sliding, x, inputs, self._task.input_limit)
+        return (np.linalg.pinv(B) @ lost[..., None])[..., 0]
+
+    def _at_once(self, states: Array, inputs: Array) -> Array:
+        """M (T, n, n+m) of the model as if inputs acted at once, along states (T+1, n) and inputs (T, m)."""
+        n, nominal, bias = self._n, self._sliding, self._model.bias
+        steps = STEP * np.concatenate([np.ones(n), self._task.input_limit])
+
+        def after(points: Array) -> Array:
+            x, u = points[..., :n], points[..., n:]
+            return nominal.step(x, u) + bias.correction(x, u)
+
+        return derivatives(after, np.concatenate([states[:-1], inputs], axis=-1), steps)
 
     def _linearised(self, states: Array, inputs: Array) -> Array:
         """M (T, l, l+m) of the model with its model state, along states (T+1, n) and inputs (T, m)."""
