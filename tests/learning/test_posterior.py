@@ -138,7 +138,7 @@ def test_the_posterior_is_that_of_markov_chains(study: Study, seed: int) -> None
     fitted = study.identification.fit(study.nominal, [rollout])
     assert isinstance(fitted, Identified)
     windows = Windows.of([rollout], 50, 5)
-    problem = Problem.at(study.nominal, windows, fitted.mode, FREEDOM)
+    problem = Problem.at(study.nominal, [windows], fitted.mode, FREEDOM)
     covariance = np.linalg.inv(problem.precision(fitted.mode))
     z = walk(problem.log_densities, fitted.mode, covariance, rng)
     deviations = np.sqrt(np.diag(covariance))
