@@ -28,7 +28,7 @@ def recording(zero: float, seed: int) -> pd.DataFrame:
     """Two seconds of a pendulum that is not quite the described one, as its lab would have written them."""
     from loading import declared, load
 
-    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT, test=False)
+    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT)
     true = {"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8, "angle.zero": zero}
     values = {parameter.name: parameter.value for parameter in rig.prior.parameters} | true
     robot, rng = rig.prior.with_parameters(np.array(list(values.values()))), np.random.default_rng(seed)
@@ -95,7 +95,7 @@ def test_errors_are_told_as_published_ones_are(modules: None) -> None:
     from in_units import rows
     from loading import declared, load
 
-    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT, test=False)
+    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT)
     u = np.sin(0.05 * np.arange(200))[:, None]
     states = [np.zeros(2)]
     for each in u:
@@ -116,7 +116,7 @@ def test_mujocos_own_identification_finds_a_double_pendulum(modules: None) -> No
     from loading import declared, load
     from ways import nominal, sysid
 
-    rig = load(declared()["design_C.1"] | {"development": []}, ROOT, test=False)
+    rig = load(declared()["design_C.1"] | {"development": []}, ROOT)
     rng, parameters = np.random.default_rng(0), rig.prior.parameters
     true = {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7}
     values = {parameter.name: parameter.value for parameter in parameters} | true
@@ -137,7 +137,7 @@ def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
     from ways import of_lab
 
     for name, declaration in declared().items():
-        rig = load(declaration | {"development": []}, ROOT, test=False)
+        rig = load(declaration | {"development": []}, ROOT)
         known = of_lab(rig)
         made = dict(zip(known.parameters, values_at(rig.prior.parameters, np.array(known.mode)), strict=True))
         for parameter, value in rig.lab_values.items():

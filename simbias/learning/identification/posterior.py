@@ -106,9 +106,10 @@ class Posterior(Identification):
         return self._window * self._time_step
 
     def with_window(self, window: float) -> Posterior:
-        """A copy whose predictions last `window` s."""
+        """A copy whose predictions last `window` s, longer ones in proportion."""
         other = copy(self)
         other._set_window(window)
+        other._longer = [each * window / self.window for each in self._longer]
         return other
 
     def with_known(self, known: Known) -> Posterior:

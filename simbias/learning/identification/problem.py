@@ -46,6 +46,9 @@ class Comparison:
         self.places = coordinates_of(nominal.parameters, len(windows.frames))  # (recordings, parameters)
         self.errors = errors
 
+    def __len__(self) -> int:
+        return len(self._windows)
+
     @property
     def size(self) -> int:
         """The number p of coordinates."""
@@ -143,7 +146,8 @@ class Problem:
 
     def __init__(self, comparisons: Sequence[Comparison]) -> None:
         self._comparisons = comparisons
-        self._weight = len(comparisons) ** -0.5  # of residuals
+        counts = np.array([len(each) for each in comparisons])
+        self._weights = np.sqrt(counts / counts.sum())  # of residuals
         self.places, self.errors = comparisons[0].places, comparisons[0].errors
         self._last: tuple[bytes, Array, Array] | None = None
 
@@ -179,21 +183,22 @@ class Problem:
         spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
         H, scatters = spread @ spread.T, [each.scatter(z) for each in self._comparisons]
         for _ in range(SPREAD_ROUNDS):
-            across = [self._weight * scatter(spread) for scatter in scatters]
+            across = [w * scatter(spread) for w, scatter in zip(self._weights, scatters, strict=True)]
             scattered = H @ np.hstack([np.eye(p), *across])
             spread = qr(scattered.T, mode="economic")[1].T
         return spread
 
     def log_densities(self, z: Array) -> Array:
         """Posterior log-density (k,) at coordinates z (k, p), up to a constant."""
-        losses = np.mean([each.losses(z) for each in self._comparisons], axis=0)
+        losses = self._weights**2 @ np.array([each.losses(z) for each in self._comparisons])
         return -0.5 * (np.sum(z**2, axis=1) + losses)
 
     def _at(self, z: Array) -> tuple[Array, Array]:
         """Residuals (R + p,), the prior's last, and their derivatives by z (p,)."""
         if self._last is None or self._last[0] != z.tobytes():
             made = [each.residuals(z) for each in self._comparisons]
-            residuals = np.concatenate([*(self._weight * r for r, _ in made), z])
-            derivatives = np.concatenate([*(self._weight * J for _, J in made), np.eye(len(z))])
+            weighted = [(w * r, w * J) for w, (r, J) in zip(self._weights, made, strict=True)]
+            residuals = np.concatenate([*(r for r, _ in weighted), z])
+            derivatives = np.concatenate([*(J for _, J in weighted), np.eye(len(z))])
             self._last = z.tobytes(), residuals, derivatives
         return self._last[1], self._last[2]
