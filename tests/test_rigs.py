@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import runpy
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from conftest import ROOT
 
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
+from simbias.learning.bias.none import ConstantBias
 
 STUDY = ROOT / "sweeps" / "studies" / "rigs"
 ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
@@ -129,6 +130,35 @@ def test_mujocos_own_identification_finds_a_double_pendulum(modules: None) -> No
     rollout = Rollout(np.array(states), u)
     before, after = (np.abs(way(rig, [rollout]).errors([rollout], 50)).mean() for way in (nominal, sysid))
     assert after < 0.3 * before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_residual_that_hurts_is_left_out(
+    modules: None, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Of one recording its thirds tell, of several each other one; a residual that helps stays."""
+    import ways
+    from loading import declared, load
+
+    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT)
+    u = np.sin(0.05 * np.arange(400))[:, None]
+    states = [np.zeros(2)]
+    for each in u:
+        states.append(rig.study.nominal.step(states[-1], each) + np.array([0.0, 0.01]))
+    made = [Rollout(np.array(states), u)] * count
+
+    def pushed(by: float) -> ways.Learned:
+        bias = ConstantBias(np.array([0.0, by]), np.zeros(2))
+
+        def learned(_: object, rollouts: Sequence[Rollout]) -> ways.Learned:
+            return ways.Learned(rig.study.nominal, [rig.study.nominal] * len(rollouts), bias)
+
+        monkeypatch.setattr(ways, "with_residual", learned)
+        return ways.guarded(rig, made)
+
+    assert pushed(0.01).bias is not None
+    assert pushed(-0.01).bias is None
 
 
 def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
