@@ -140,8 +140,8 @@ class Comparison:
 class Problem:
     """Nonlinear least squares for the mode.
 
-    Where windows have several durations, their log-likelihoods are averaged, as they are of the same data
-    (a composite likelihood: C. Varin, N. Reid and D. Firth, Statistica Sinica 21, 2011).
+    Windows of several durations are of the same data, so their log-likelihoods are averaged, each weighted by
+    its number of windows (a composite likelihood: C. Varin, N. Reid and D. Firth, Statistica Sinica 21, 2011).
     """
 
     def __init__(self, comparisons: Sequence[Comparison]) -> None:
