@@ -141,7 +141,7 @@ class Problem:
     """Nonlinear least squares for the mode.
 
     Windows of several durations are of the same data, so their log-likelihoods are averaged, each weighted by
-    its number of windows (a composite likelihood: C. Varin, N. Reid and D. Firth, Statistica Sinica 21, 2011).
+    its number of windows (a composite likelihood: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011).
     """
 
     def __init__(self, comparisons: Sequence[Comparison]) -> None:
