@@ -15,6 +15,7 @@ from conftest import ROOT
 
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
+from simbias.learning.bias.none import ConstantBias
 from simbias.recordings import horizons
 from simbias.simulation.open_loop import plain
 
@@ -41,7 +42,7 @@ def recordings(zeros: Sequence[float]) -> Iterator[pd.DataFrame]:
     """Of a pendulum that is not quite the described one, as its lab would have written them."""
     from loading import load
 
-    prior = load(quick("simple_pendulum") | {"development": []}, ROOT, test=False).prior
+    prior = load(quick("simple_pendulum") | {"development": []}, ROOT).prior
     true = {"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8}
     values = {parameter.name: parameter.value for parameter in prior.parameters} | true
     robot, rng = prior.with_parameters(np.array(list(values.values()))), np.random.default_rng(0)
@@ -110,7 +111,7 @@ def test_errors_are_told_as_published_ones_are(modules: None) -> None:
     from in_units import rows
     from loading import load
 
-    rig = load(quick("simple_pendulum") | {"development": []}, ROOT, test=False)
+    rig = load(quick("simple_pendulum") | {"development": []}, ROOT)
     u = np.sin(0.05 * np.arange(200))[:, None]
     states = [np.zeros(2)]
     for each in u:
@@ -136,7 +137,7 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
 
     monkeypatch.setattr(horizons, "predict", plain)  # each model once
     monkeypatch.setattr(mujoco_sysid, "STEPS", 4)
-    rig = load(declared()["design_C.1"] | {"development": []}, ROOT, test=False)
+    rig = load(declared()["design_C.1"] | {"development": []}, ROOT)
     rng, parameters = np.random.default_rng(0), rig.prior.parameters
     true = {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7}
     values = {parameter.name: parameter.value for parameter in parameters} | true
@@ -151,13 +152,42 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
     assert after < 0.3 * before
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_residual_that_hurts_is_left_out(
+    modules: None, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Of one recording its thirds tell, of several each other one; a residual that helps stays."""
+    import ways
+    from loading import declared, load
+
+    rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT)
+    u = np.sin(0.05 * np.arange(400))[:, None]
+    states = [np.zeros(2)]
+    for each in u:
+        states.append(rig.study.nominal.step(states[-1], each) + np.array([0.0, 0.01]))
+    made = [Rollout(np.array(states), u)] * count
+
+    def pushed(by: float) -> ways.Learned:
+        bias = ConstantBias(np.array([0.0, by]), np.zeros(2))
+
+        def learned(_: object, rollouts: Sequence[Rollout]) -> ways.Learned:
+            return ways.Learned(rig.study.nominal, [rig.study.nominal] * len(rollouts), bias)
+
+        monkeypatch.setattr(ways, "with_residual", learned)
+        return ways.guarded(rig, made)
+
+    assert pushed(0.01).bias is not None
+    assert pushed(-0.01).bias is None
+
+
 def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
     """Each rig can be composed without its recordings, and coordinates give the lab's values back."""
     from loading import declared, load
     from ways import of_lab
 
     for name, declaration in declared().items():
-        rig = load(declaration | {"development": []}, ROOT, test=False)
+        rig = load(declaration | {"development": []}, ROOT)
         known = of_lab(rig)
         made = dict(zip(known.parameters, values_at(rig.prior.parameters, np.array(known.mode)), strict=True))
         for parameter, value in rig.lab_values.items():

@@ -13,7 +13,7 @@ from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
-from simbias.learning.identification.problem import Problem
+from simbias.learning.identification.problem import Comparison
 from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
@@ -127,7 +127,7 @@ class Designer:
         covariances, gains = [], []
         for z, rollout in zip(self._z, rollouts, strict=True):
             windows = self._posterior.windows([rollout])
-            precision = self._precision + Problem(self.nominal, windows, errors).information(z)
+            precision = self._precision + Comparison(self.nominal, windows, errors).information(z)
             covariances.append(np.linalg.inv(precision))
             gains.append(0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(self._precision)[1]))
         deviations = np.sqrt(np.mean([np.diag(each) for each in covariances], axis=0))

@@ -130,6 +130,26 @@ def test_the_posterior_covers_the_truth() -> None:
     assert kstest(every.ravel(), "uniform").statistic < 0.12
 
 
+def test_windows_that_count_twice_tell_nothing_more(study: Study) -> None:
+    """The same windows twice have the likelihood of once; of two durations each window counts alike."""
+    robot, _ = truth(study.nominal, np.random.default_rng(0))
+    rollout, z = experiment(robot, np.random.default_rng(0), 300), np.zeros(11)
+    short, long = Windows.of([rollout], 50, 5), Windows.of([rollout], 100, 10)
+    once, twice, both = (
+        Problem.at(study.nominal, each, z, FREEDOM) for each in ([short], [short, short], [short, long])
+    )
+    np.testing.assert_allclose(twice.precision(z), once.precision(z), rtol=1e-9)
+    np.testing.assert_allclose(
+        twice.spread(z) @ twice.spread(z).T, once.spread(z) @ once.spread(z).T, rtol=1e-6
+    )
+    apart = [
+        Problem.at(study.nominal, [each], z, FREEDOM).precision(z) - np.eye(11) for each in (short, long)
+    ]
+    np.testing.assert_allclose(both.precision(z) - np.eye(11), (2 * apart[0] + apart[1]) / 3, rtol=1e-9)
+    zs = np.array([z, z + 0.1])
+    np.testing.assert_allclose(twice.log_densities(zs), once.log_densities(zs), rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_the_posterior_is_that_of_markov_chains(study: Study) -> None:
     """The density's normal approximation against walkers, which use neither derivatives nor normality."""
@@ -139,7 +159,7 @@ def test_the_posterior_is_that_of_markov_chains(study: Study) -> None:
     fitted = study.identification.fit(study.nominal, [rollout])
     assert isinstance(fitted, Identified)
     windows = Windows.of([rollout], 50, 5)
-    problem = Problem.at(study.nominal, windows, fitted.mode, FREEDOM)
+    problem = Problem.at(study.nominal, [windows], fitted.mode, FREEDOM)
     covariance = np.linalg.inv(problem.precision(fitted.mode))
     z = walk(problem.log_densities, fitted.mode, covariance, rng)
     deviations = np.sqrt(np.diag(covariance))

@@ -13,7 +13,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.identification.possible import nearest_possible
-from simbias.learning.identification.problem import Problem
+from simbias.learning.identification.problem import Comparison, Problem
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import Windows
@@ -60,6 +60,9 @@ class Posterior(Identification):
     each
         Names of the model's parameters of which each recording has its own, as a load that is put on; the
         others are shared.
+    longer_windows
+        Further durations in s of predictions that count alike, as what differs little in a short while may
+        differ much in a long one; those that no experiment lasts for do not count.
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Posterior(Identification):
         motors: dict[str, Motor] | None = None,
         sensors: dict[str, Sensor] | None = None,
         each: list[str] | None = None,
+        longer_windows: list[Seconds] | None = None,
     ) -> None:
         self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
         self._time_step = task.time_step
@@ -88,6 +92,7 @@ class Posterior(Identification):
         self._starts = starts
         self._rounds = rounds
         self._evaluations = evaluations
+        self._longer = longer_windows or []
 
     def _set_window(self, window: float) -> None:
         """Round its duration in s to a whole number of chunks."""
@@ -101,9 +106,10 @@ class Posterior(Identification):
         return self._window * self._time_step
 
     def with_window(self, window: float) -> Posterior:
-        """A copy whose predictions last `window` s."""
+        """A copy whose predictions last `window` s, longer ones in proportion."""
         other = copy(self)
         other._set_window(window)
+        other._longer = [each * window / self.window for each in self._longer]
         return other
 
     def with_known(self, known: Known) -> Posterior:
@@ -139,10 +145,12 @@ class Posterior(Identification):
         windows = self.windows(rollouts) if rollouts else None
         if not nominal.parameters or not windows:
             return nominal
+        longer = [self.with_window(each).windows(rollouts) for each in self._longer]
+        compared = [windows, *(each for each in longer if len(each))]
         z = self._start(nominal, windows)
         for freedom in (ROBUST_FREEDOM, FREEDOM):
             for _ in range(self._rounds):
-                problem = Problem.at(nominal, windows, z, freedom)
+                problem = Problem.at(nominal, compared, z, freedom)
                 before, z = z, problem.mode(z, self._evaluations)
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
@@ -159,7 +167,7 @@ class Posterior(Identification):
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
         """The likeliest coordinates (p,) among the prior's median and draws from it."""
-        problem = Problem(nominal, windows, ErrorDistribution(np.empty((0, 0))))
+        problem = Comparison(nominal, windows, ErrorDistribution(np.empty((0, 0))))
         z = np.random.default_rng(0).standard_normal((self._starts, problem.size))
         z[0] = 0.0
         fits = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,8 +33,8 @@ def coordinates_of(parameters: Sequence[Parameter], recordings: int) -> Indices:
     return places
 
 
-class Problem:
-    """Nonlinear least squares for the mode, with the errors' covariance given.
+class Comparison:
+    """Predictions over windows of one duration against what was recorded, with the errors' covariance given.
 
     Coordinates z (p,) are those of the first recording, then of what each other one has of its own.
     """
@@ -45,7 +45,9 @@ class Problem:
         self._observed = windows.means
         self.places = coordinates_of(nominal.parameters, len(windows.frames))  # (recordings, parameters)
         self.errors = errors
-        self._last: tuple[bytes, Array, Array] | None = None
+
+    def __len__(self) -> int:
+        return len(self._windows)
 
     @property
     def size(self) -> int:
@@ -53,22 +55,11 @@ class Problem:
         return int(self.places.max(initial=-1)) + 1
 
     @staticmethod
-    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Problem:
-        """The problem with the errors' covariance estimated at coordinates z (p,)."""
-        problem = Problem(nominal, windows, ErrorDistribution(np.empty((0, 0))))
-        problem.errors = ErrorDistribution.of(problem.prediction_errors(z[None])[0], windows, freedom)
-        return problem
-
-    def mode(self, z: Array, evaluations: int) -> Array:
-        """The most probable coordinates, searched from z."""
-        return least_squares(
-            lambda at: self._at(at)[0],
-            z,
-            lambda at: self._at(at)[1],
-            ftol=1e-5,
-            xtol=1e-4,
-            max_nfev=evaluations,
-        ).x
+    def at(nominal: Nominal, windows: Windows, z: Array, freedom: float) -> Comparison:
+        """The comparison with the errors' covariance estimated at coordinates z (p,)."""
+        made = Comparison(nominal, windows, ErrorDistribution(np.empty((0, 0))))
+        made.errors = ErrorDistribution.of(made.prediction_errors(z[None])[0], windows, freedom)
+        return made
 
     def information(self, z: Array) -> Array:
         """Fisher information (p, p) about coordinates that these windows would hold if z were the truth."""
@@ -76,17 +67,26 @@ class Problem:
         J = self.errors.whiten(each[1:] - each[0]).reshape(len(z), -1) / STEP
         return self.errors.independent_share * J @ J.T
 
-    def precision(self, z: Array) -> Array:
-        """Curvature (p, p) of the negative logarithm of the density at z."""
-        J = self._at(z)[1]
-        return J.T @ J
+    def losses(self, z: Array) -> Array:
+        """Twice the negative log-likelihoods (k,) of coordinates z (k, p), up to a constant."""
+        white = self.errors.whiten(self.prediction_errors(z))
+        return self.errors.independent_share * self.errors.losses(white).sum(axis=1)
 
-    def spread(self, z: Array) -> Array:
-        """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
+    def residuals(self, z: Array) -> tuple[Array, Array]:
+        """Residuals (w d,), whose squares sum to the loss, and their derivatives by z, (w d, p)."""
+        p = len(z)
+        white = self.errors.whiten(self.prediction_errors(z + STEP * np.eye(p + 1, p, -1)))
+        J = (white[1:] - white[0]) / STEP
+        weights = self.errors.independent_share * self.errors.weights(white[0])
+        losses = self.errors.independent_share * self.errors.losses(white[0])
+        size = np.sum(white[0] ** 2, axis=1)
+        ratio = np.divide(losses, size, out=weights.copy(), where=size > 0)  # tends to the weights at 0
+        scale = np.sqrt(ratio)
+        slope = weights / scale
+        return (scale[:, None] * white[0]).ravel(), (slope[:, None] * J).reshape(p, -1).T
 
-        G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
-        one that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960).
-        """
+    def scatter(self, z: Array) -> Callable[[Array], Array]:
+        """By a root (p, p) of the covariance of z: one (p, w d) of that which errors give to the gradient."""
         p, windows = len(z), self._windows
         steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
         n = len(steps)
@@ -99,24 +99,16 @@ class Problem:
         white = self.errors.whiten(errors)
         J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
         by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
-        spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
-        H, weights = spread @ spread.T, self.errors.independent_share * self.errors.weights(white)
-        for _ in range(SPREAD_ROUNDS):
+        weights = self.errors.independent_share * self.errors.weights(white)
+
+        def across(spread: Array) -> Array:
             linearisation = Linearisation.of(by_start, by_parameters @ spread)
             ratio = np.linalg.solve(
                 self.errors.factor, ErrorDistribution.of(errors, windows, FREEDOM, linearisation).factor
             )
-            across = (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
-            scattered = H @ np.hstack([np.eye(p), across])
-            spread = qr(scattered.T, mode="economic")[1].T
-        return spread
+            return (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
 
-    def log_densities(self, z: Array) -> Array:
-        """Posterior log-density (k,) at coordinates z (k, p), up to a constant."""
-        white = self.errors.whiten(self.prediction_errors(z))
-        return -0.5 * (
-            np.sum(z**2, axis=1) + self.errors.independent_share * self.errors.losses(white).sum(axis=1)
-        )
+        return across
 
     def prediction_errors(self, z: Array) -> Array:
         """Errors (k, w, J, n) with the parameters at coordinates z (k, p)."""
@@ -144,19 +136,69 @@ class Problem:
             return [PredictionModel(model) for model in models]
         return [PredictionModel(model, offset=each) for model, each in zip(models, offsets, strict=True)]
 
+
+class Problem:
+    """Nonlinear least squares for the mode.
+
+    Windows of several durations are of the same data, so their log-likelihoods are averaged, each weighted by
+    its number of windows (a composite likelihood: C. Varin, N. Reid, D. Firth, Statistica Sinica 21, 2011).
+    """
+
+    def __init__(self, comparisons: Sequence[Comparison]) -> None:
+        self._comparisons = comparisons
+        counts = np.array([len(each) for each in comparisons])
+        self._weights = np.sqrt(counts / counts.sum())  # of residuals
+        self.places, self.errors = comparisons[0].places, comparisons[0].errors
+        self._last: tuple[bytes, Array, Array] | None = None
+
+    @staticmethod
+    def at(nominal: Nominal, windows: Sequence[Windows], z: Array, freedom: float) -> Problem:
+        """The problem of windows of each duration, with the covariances estimated at coordinates z (p,)."""
+        return Problem([Comparison.at(nominal, each, z, freedom) for each in windows])
+
+    def mode(self, z: Array, evaluations: int) -> Array:
+        """The most probable coordinates, searched from z."""
+        return least_squares(
+            lambda at: self._at(at)[0],
+            z,
+            lambda at: self._at(at)[1],
+            ftol=1e-5,
+            xtol=1e-4,
+            max_nfev=evaluations,
+        ).x
+
+    def precision(self, z: Array) -> Array:
+        """Curvature (p, p) of the negative logarithm of the density at z."""
+        J = self._at(z)[1]
+        return J.T @ J
+
+    def spread(self, z: Array) -> Array:
+        """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
+
+        G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
+        one that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960). Of several
+        durations, G is the mean, which that of their mean does not exceed.
+        """
+        p = len(z)
+        spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
+        H, scatters = spread @ spread.T, [each.scatter(z) for each in self._comparisons]
+        for _ in range(SPREAD_ROUNDS):
+            across = [w * scatter(spread) for w, scatter in zip(self._weights, scatters, strict=True)]
+            scattered = H @ np.hstack([np.eye(p), *across])
+            spread = qr(scattered.T, mode="economic")[1].T
+        return spread
+
+    def log_densities(self, z: Array) -> Array:
+        """Posterior log-density (k,) at coordinates z (k, p), up to a constant."""
+        losses = self._weights**2 @ np.array([each.losses(z) for each in self._comparisons])
+        return -0.5 * (np.sum(z**2, axis=1) + losses)
+
     def _at(self, z: Array) -> tuple[Array, Array]:
-        """Residuals (w d + p,), the prior's last, and their derivatives by z (p,)."""
+        """Residuals (R + p,), the prior's last, and their derivatives by z (p,)."""
         if self._last is None or self._last[0] != z.tobytes():
-            p = len(z)
-            white = self.errors.whiten(self.prediction_errors(z + STEP * np.eye(p + 1, p, -1)))
-            J = (white[1:] - white[0]) / STEP
-            weights = self.errors.independent_share * self.errors.weights(white[0])
-            losses = self.errors.independent_share * self.errors.losses(white[0])
-            size = np.sum(white[0] ** 2, axis=1)
-            ratio = np.divide(losses, size, out=weights.copy(), where=size > 0)  # tends to the weights at 0
-            scale = np.sqrt(ratio)  # so that squares sum to the loss
-            slope = weights / scale
-            r, J = scale[:, None] * white[0], slope[:, None] * J
-            residuals, derivatives = np.append(r.ravel(), z), np.concatenate([J.reshape(p, -1).T, np.eye(p)])
+            made = [each.residuals(z) for each in self._comparisons]
+            weighted = [(w * r, w * J) for w, (r, J) in zip(self._weights, made, strict=True)]
+            residuals = np.concatenate([*(r for r, _ in weighted), z])
+            derivatives = np.concatenate([*(J for _, J in weighted), np.eye(len(z))])
             self._last = z.tobytes(), residuals, derivatives
         return self._last[1], self._last[2]

@@ -4,8 +4,8 @@
 
 A state x is recorded as y. A motor has gain, offset, lag and delay (`simbias.simulation.actuator`), and its
 gear friction beyond the model's: Stribeck's, which falls with the velocity, and one in proportion to the
-torque. A delay that all sensors share is the motors' delay: their record cannot be told apart. A sensor's
-zero is another one in each recording.
+torque. A delay that all sensors share is the motors' delay: their record cannot be told apart. A zero, of a
+motor or a sensor, is an offset that is another one in each recording.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _PRIORS: dict[str, tuple[str, float, Prior]] = {  # unit, or "" for the signal's
 
 @dataclass(frozen=True)
 class Motor:
-    """The uncertainty of a motor: standard deviations, of half-normals but for gain and offset."""
+    """The uncertainty of a motor: standard deviations, of half-normals but for gain, offset and zero."""
 
     gain: Spread = 0.0  # of its logarithm
     offset: NonNegative = 0.0  # in the input's unit
@@ -50,6 +50,7 @@ class Motor:
     velocity: str | None = None  # the state that its friction brakes
     stribeck: NonNegative = 0.0  # friction at rest beyond that in motion, in the input's unit
     load: NonNegative = 0.0  # friction over the torque
+    zero: NonNegative = 0.0  # of the offset: another one in each recording
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class Rig(Nominal):
         actuators = [
             Actuator(
                 v.get(f"{u}.gain", 1.0),
-                v.get(f"{u}.offset", 0.0),
+                v.get(f"{u}.offset", 0.0) + v.get(f"{u}.zero", 0.0),
                 lag=v.get(f"{u}.lag", 0.0),
                 delay=v.get(f"{u}.delay", 0.0),
             )

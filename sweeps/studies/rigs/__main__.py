@@ -1,12 +1,12 @@
 """Identify public robots from their recordings, and predict recordings that nothing was chosen on.
 
-    python sweeps/studies/rigs CHECKOUTS [--test] [--rigs NAME ...] [--ways NAME ...]
+    python sweeps/studies/rigs CHECKOUTS [--test | --second] [--rigs NAME ...] [--ways NAME ...]
 
-CHECKOUTS is a folder of checkouts of the repositories that `rigs.yaml` names, each in a folder of its name.
-That file also says which recordings may be looked at (development) and which are predicted once, at the end
-(`--test`). In development, each other recording is predicted by what is learned from one, and each by what is
-learned from all others together; at the end, test recordings are by what is learned from one, and from all
-development recordings.
+CHECKOUTS is a folder of checkouts of the repositories that `rigs.yaml` names, each in a folder of its name;
+those of other commits in `NAME-COMMIT`. That file also says which recordings may be looked at (development)
+and which are predicted once, at the end (`--test`; a later `--second` test has others). In development, each
+other recording is predicted by what is learned from one, and each by what is learned from all others
+together; at the end, test recordings are by what is learned from one, and from all development recordings.
 
 Measured are, at each horizon, from measured states under measured inputs: errors of all states over those of
 the lab's own identified model, a geometric mean over states; how many errors lie in 90% regions; how many
@@ -36,7 +36,7 @@ import numpy as np
 import pandas as pd
 from loading import ONE, Rig, cases, declared, load
 from threadpoolctl import threadpool_limits
-from ways import OF_ONE, OF_SEVERAL, WAYS, fit, lab, of_lab, timed
+from ways import OF_SEVERAL, WAYS, fit, lab, of_lab, timed
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
@@ -47,11 +47,11 @@ COMPARED = (0.1, 0.5)  # s
 BEGINNING = 0.2  # share of a recording that tells its zeros
 
 
-def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """A row for each case, way to learn, and horizon."""
+def rows(rig: Rig, ways: Sequence[str], zeros: bool) -> Iterator[dict[str, Any]]:
+    """A row for each case, way to learn, and horizon; also of predictions whose beginnings tell `zeros`."""
     for number, name, known, left in cases(rig):
         learned, reference = list(known.values()), lab(rig, list(known.values()))
-        for way in [way for way in ways if way in (OF_ONE if number == ONE else OF_SEVERAL)]:
+        for way in [way for way in ways if way in (WAYS if number == ONE else OF_SEVERAL)]:
             found, seconds = timed(WAYS[way], rig, learned)
             case = {"number": number, "learned": name, "way": way, "cpu": seconds, "zeros": _zeros(found.own)}
             for horizon in HORIZONS:
@@ -64,7 +64,7 @@ def rows(rig: Rig, ways: Sequence[str]) -> Iterator[dict[str, Any]]:
                 held = float(np.mean(inside(wrong, covariances)))
                 own = {"ratio": ratio(wrong, labs_wrong), "coverage": held, "nats": float(nats)}
                 yield case | {"seconds": horizon} | own | {"residual": found.bias is not None}
-            if way == "identified" and isinstance(found.model, Identified) and rig.has_zeros:
+            if way == "identified" and isinstance(found.model, Identified) and rig.has_zeros and zeros:
                 yield from rows_with_zeros(rig, case, found.model.known, left)
         print(number, name, file=sys.stderr, flush=True)
 
@@ -145,22 +145,28 @@ def main() -> None:
     """Write the table and the summary to the current folder."""
     parser = argparse.ArgumentParser(prog="rigs")
     parser.add_argument("checkouts", type=Path)
-    parser.add_argument("--test", action="store_true", help="predict the test recordings: once, at the end")
+    tests = parser.add_mutually_exclusive_group()
+    for part in ("test", "second"):
+        tests.add_argument(
+            f"--{part}", dest="part", action="store_const", const=part, help="predict these, once"
+        )
     parser.add_argument("--rigs", nargs="+", choices=declared(), default=list(declared()), help="only these")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS), help="only these")
     arguments = parser.parse_args()
     found, weighed, told = (list[dict[str, Any]]() for _ in range(3))
     for name in arguments.rigs:
         declaration = declared()[name]
-        rig = load(declaration, arguments.checkouts.resolve(), arguments.test)
+        rig = load(declaration, arguments.checkouts.resolve(), arguments.part)
+        if arguments.part and not rig.test:
+            continue
         if "load" in declaration:
-            unloaded = load(declared()[declaration["load"]["unloaded"]], arguments.checkouts.resolve(), False)
+            unloaded = load(declared()[declaration["load"]["unloaded"]], arguments.checkouts.resolve())
             weighed += loads.rows(rig, declaration["load"]["name"], unloaded)
             pd.DataFrame(weighed).to_csv("loads.csv", index=False, float_format="%.4g")
         if "published" in declaration:
             told += [{"rig": name, **row} for row in in_units.rows(rig, declaration["published"])]
             pd.DataFrame(told).to_csv("published.csv", index=False, float_format="%.4g")
-        found += [{"rig": name, **row} for row in rows(rig, arguments.ways)]
+        found += [{"rig": name, **row} for row in rows(rig, arguments.ways, arguments.part != "second")]
         pd.DataFrame(found).to_csv("rigs.csv", index=False, float_format="%.4g")
     text = summary(pd.DataFrame(found)) if found else ""
     Path("table.md").write_text(text)

@@ -21,6 +21,7 @@ from simbias.trial.study import Study
 
 HERE = Path(__file__).parent
 ZERO = 0.05  # rad, standard deviation of an encoder's zero
+LONGER = [0.5]  # s, of predictions that are compared beside those of 0.1 s
 ONE, SEVERAL = "one", "several"  # recordings that are learned from
 
 
@@ -30,7 +31,7 @@ class Rig(NamedTuple):
     study: Study
     lab_values: dict[str, float]  # of parameters, as the lab identified them; others are nominal
     development: dict[str, Rollout]
-    test: dict[str, Rollout]  # empty unless they are asked for
+    test: dict[str, Rollout]  # or those of the second test; empty unless they are asked for
 
     @property
     def lab(self) -> Nominal:
@@ -56,8 +57,8 @@ def declared() -> dict[str, dict[str, Any]]:
     return {name: read["robots"][rig["robot"]] | rig for name, rig in read["rigs"].items()}
 
 
-def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
-    """A rig whose repository is checked out in a folder of its name; with its test recordings if `test`."""
+def load(rig: Mapping[str, Any], checkouts: Path, part: str | None = None) -> Rig:
+    """A rig whose repository is checked out in a folder of its name; with those of `test` or `second`."""
     nominal = [f"{key}={_text(value)}" for key, value in rig.items() if key.startswith("nominal.")]
     zeros = [f"+identification.sensors.{angle}.zero={ZERO}" for angle in rig["zeros"]]
     load = (
@@ -65,10 +66,11 @@ def load(rig: Mapping[str, Any], checkouts: Path, test: bool) -> Rig:
         if "load" in rig
         else []
     )
-    study = simbias.load([*rig["composition"], "tracking=none", *nominal, *zeros, *load], HERE / "robots")
-    folder = checkouts / Path(rig["repository"]).name / rig["folder"]
-    recordings = [_read(study, rig, folder, rig[part]) for part in ("development", "test")[: 1 + test]]
-    return Rig(study, rig["lab"], *recordings, *[{}] * (not test))
+    options = ["tracking=none", f"identification.longer_windows={LONGER}"]
+    study = simbias.load([*rig["composition"], *options, *nominal, *zeros, *load], HERE / "robots")
+    before = rig["before_second"] if part == "second" and "before_second" in rig else rig["development"]
+    after = rig.get(part, []) if part else []
+    return Rig(study, rig["lab"], *(_read(study, rig, checkouts, places) for places in (before, after)))
 
 
 def cases(rig: Rig) -> Iterator[tuple[str, str, dict[str, Rollout], list[Rollout]]]:
@@ -85,17 +87,19 @@ def cases(rig: Rig) -> Iterator[tuple[str, str, dict[str, Rollout], list[Rollout
 
 
 def _read(
-    study: Study, rig: Mapping[str, Any], folder: Path, places: Sequence[str | Mapping[str, Any]]
+    study: Study, rig: Mapping[str, Any], checkouts: Path, places: Sequence[str | Mapping[str, Any]]
 ) -> dict[str, Rollout]:
     """The longest piece of each recording, or what lies between two of its times."""
-    reader, found = Recorded(study.task, str(folder), columns=rig["columns"]).reader, {}
+    found, repository = {}, Path(rig["repository"]).name
     for place in places:
         own: Mapping[str, Any] = {"file": place} if isinstance(place, str) else place
+        checkout = f"{repository}-{own['commit']}" if "commit" in own else repository
+        file = checkouts / checkout / own.get("folder", rig["folder"]) / own["file"]
+        begin = study.task.frames(own.get("from", _begins(rig, file)))
+        reader = Recorded(study.task, str(file.parent), columns=own.get("columns", rig["columns"])).reader
         with tempfile.TemporaryDirectory() as scratch:
-            file = folder / own["file"]
             file = _of_matlab(file, Path(scratch)) if file.suffix == ".mat" else file
             whole = max(reader.read(file).pieces, key=lambda piece: piece.frames)
-        begin = study.task.frames(own.get("from", _begins(rig, folder / own["file"])))
         end = study.task.frames(own["until"]) if "until" in own else whole.frames
         states = whole.states[begin : end + 1]
         found[str(place)] = Rollout(states, whole.inputs[begin:end], measured=states, sensed=True)

@@ -16,10 +16,11 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.horizons import errors, ratio, regions, spread
+from simbias.recordings.parts import Part, others, parts
 from simbias.simulation.open_loop import PredictionModel, predict
 from simbias.trial.study import Study
 
-GUARDED = (0.1, 0.5)  # s
+GUARDED = (0.1, 0.2, 0.5)  # s
 MOST_RATIO = 1.0  # of errors with a residual over those without, on any recording, at any horizon
 MOST = 4.0  # prior standard deviations that least squares may go
 
@@ -30,23 +31,29 @@ class Learned(NamedTuple):
     model: Nominal  # of other recordings
     own: Sequence[Nominal]  # of each recording that was learned from
     bias: FittedBias | None = None
+    apart: Sequence[Nominal] = ()  # of each, identified from the others, if there are several
 
     def errors(self, rollouts: Sequence[Rollout], frames: int) -> Array:
         """Errors (w, n) of predictions of other recordings."""
         return errors(self.model, rollouts, frames, self.bias)
 
     def covariances(self, known: Sequence[Rollout], rollouts: Sequence[Rollout], frames: int) -> Array:
-        """Covariances (w, n, n) of these errors, sized by those of the recordings that are known."""
-        pairs = list(zip(self.own, known, strict=True))
+        """Covariances (w, n, n) of these errors, sized by those of the recordings that are known.
+
+        Of several, each is predicted by a model of the others, as yet others are. One tells of itself alone:
+        how recordings differ is added.
+        """
+        pairs = list(zip(self.apart or self.own, known, strict=True))
         wrong = np.concatenate([errors(model, [one], frames, self.bias) for model, one in pairs])
         if not isinstance(self.model, Identified):
             n = wrong.shape[1]
             count = len(errors(self.model, rollouts, frames))
             return regions(np.zeros((count, n, n)), wrong, np.zeros((len(wrong), n, n)))
         spreads = np.concatenate([spread(model, [one], frames) for model, one in pairs])
-        shared, zeros = (self.model.of_share(own=own) for own in (False, True))
-        unseen = spread(zeros, rollouts, frames, noisy=False)
-        return regions(spread(shared, rollouts, frames), wrong, spreads, unseen)
+        if self.apart:
+            return regions(spread(self.model, rollouts, frames), wrong, spreads)
+        unseen = spread(self.model.of_shift(), rollouts, frames, noisy=False)
+        return regions(spread(self.model.of_share(own=False), rollouts, frames), wrong, spreads, unseen)
 
 
 Way = Callable[[Rig, Sequence[Rollout]], Learned]
@@ -96,28 +103,32 @@ def residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 
 def identified(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The posterior of the parameters."""
-    model = fit(rig, rollouts)
-    return Learned(model.elsewhere(), [model.of_recording(i) for i in range(len(rollouts))])
+    pieces = [Part("", (rollout,)) for rollout in rollouts]
+    apart = [fit(rig, others(pieces, i)).elsewhere() for i in range(len(rollouts) * (len(rollouts) > 1))]
+    return _posterior_of(rig, rollouts)._replace(apart=apart)
 
 
 def with_residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The posterior, and a residual of its mode."""
-    found = identified(rig, rollouts)
+    found = _posterior_of(rig, rollouts)
     return found._replace(bias=_bias(rig.study, found, rollouts))
 
 
 def guarded(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The same, without the residual where it may hurt.
 
-    Each recording is predicted by what is learned from the others, with and without the residual. It is left
-    out if it makes predictions of any of them worse, at any horizon.
+    Each recording (of a single one, each third) is predicted by what is learned from the others, with and
+    without the residual. It is left out if it makes predictions of any of them worse, at any horizon.
     """
     found = with_residual(rig, rollouts)
-    for i, rollout in enumerate(rollouts):
-        of_rest = with_residual(rig, [*rollouts[:i], *rollouts[i + 1 :]])
+    pieces = parts({str(i): rollout for i, rollout in enumerate(rollouts)})
+    for i, piece in enumerate(pieces):
+        of_rest = with_residual(rig, others(pieces, i))
+        if len(rollouts) == 1:  # thirds have its zeros
+            of_rest = of_rest._replace(model=of_rest.own[0])
         for seconds in GUARDED:
             k = rig.study.task.frames(seconds)
-            wrong = [each.errors([rollout], k) for each in (of_rest, of_rest._replace(bias=None))]
+            wrong = [each.errors(piece.rollouts, k) for each in (of_rest, of_rest._replace(bias=None))]
             if len(wrong[0]) and ratio(*wrong) > MOST_RATIO:
                 return found._replace(bias=None)
     return found
@@ -134,7 +145,6 @@ WAYS: dict[str, Way] = {
     "identified and guarded residual": guarded,
 }
 OF_SEVERAL = ("lab", "identified", "identified and residual", "identified and guarded residual")
-OF_ONE = tuple(way for way in WAYS if way != "identified and guarded residual")  # nothing tells of others
 
 
 def of_lab(rig: Rig) -> Known:
@@ -167,6 +177,12 @@ def fit(rig: Rig, rollouts: Sequence[Rollout], known: Known | None = None) -> Id
     model = posterior.fit(rig.study.nominal, rollouts)
     assert isinstance(model, Identified)
     return model
+
+
+def _posterior_of(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
+    """The posterior of the parameters, of other recordings and of each."""
+    model = fit(rig, rollouts)
+    return Learned(model.elsewhere(), [model.of_recording(i) for i in range(len(rollouts))])
 
 
 def _bias(study: Study, found: Learned, rollouts: Sequence[Rollout]) -> FittedBias:
