@@ -159,7 +159,7 @@ def test_periodic_biases_are_the_same_after_a_turn() -> None:
 
 def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
     """Compiled, each with a function of its own; the same numbers of the same generator, and NumPy's."""
-    study = pendulum("sparse_gp_learned", "task.horizon=25", "evaluation.rollouts=3")
+    study = pendulum("sparse_gp_learned", "task.horizon=60", "evaluation.rollouts=3")
     model, theta = study.model(study.bias.fit(swings())), np.full(study.policy.n_parameters, 0.5)
     one, again, other = (
         study.evaluation.objective(model, study.cost, np.random.default_rng(seed)) for seed in (1, 1, 2)
@@ -174,7 +174,7 @@ def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
 
 
 def test_a_drawn_rollout_is_the_plain_one() -> None:
-    study = pendulum("sparse_gp_learned", "task.horizon=25")
+    study = pendulum("sparse_gp_learned", "task.horizon=60")
     draw = study.bias.fit(swings()).draw(np.random.default_rng(3))
     theta, start = np.full(study.policy.n_parameters, 0.5), study.task.start_mean
     fast = study.simulator(draw).rollout(theta, start).states
