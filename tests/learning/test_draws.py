@@ -155,14 +155,14 @@ def test_periodic_biases_are_the_same_after_a_turn() -> None:
         np.testing.assert_allclose(once, again, rtol=0, atol=1e-9)
         x = np.repeat(UPRIGHT_TO_HANGING, 2, axis=0)
         plain = each.correction(x[:, :2], x[:, 2:])
-        np.testing.assert_allclose(corrections(each, x, 2), plain, rtol=0, atol=2e-5)
+        np.testing.assert_allclose(corrections(each, x, 2), plain, rtol=0, atol=2e-4)  # of 0.25, in single precision
     off = simbias.load(["preset=[pendulum_swingup,scratch]", "bias.periodic=false"]).bias.fit(swings())
     assert np.abs(np.subtract(*(off.predict(x)[0] for x in (UPRIGHT_TO_HANGING, turned)))).max() > 1e-3
 
 
 def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
     """Compiled, each with a function of its own; the same numbers of the same generator, and NumPy's."""
-    study = pendulum("sparse_gp_learned", "task.horizon=25", "evaluation.rollouts=3")
+    study = pendulum("sparse_gp_learned", "task.horizon=60", "evaluation.rollouts=3")
     model, theta = study.model(study.bias.fit(swings())), np.full(study.policy.n_parameters, 0.5)
     one, again, other = (
         study.evaluation.objective(model, study.cost, np.random.default_rng(seed)) for seed in (1, 1, 2)
@@ -177,7 +177,7 @@ def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
 
 
 def test_a_drawn_rollout_is_the_plain_one() -> None:
-    study = pendulum("sparse_gp_learned", "task.horizon=25")
+    study = pendulum("sparse_gp_learned", "task.horizon=60")
     draw = study.bias.fit(swings()).draw(np.random.default_rng(3))
     theta, start = np.full(study.policy.n_parameters, 0.5), study.task.start_mean
     fast = study.simulator(draw).rollout(theta, start).states
