@@ -35,6 +35,7 @@ STEP = 1e-3  # of differences: of states, and of inputs over their limits
 STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
 ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
 BISECTIONS = 30
+STAYS = 0.25  # s, for which it has to be
 AT_REST = 0.5  # of each state, in its unit, within which a plan is as good as at rest
 SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200
@@ -158,7 +159,12 @@ class Shooting:
             x_rest = x[-1] - wrapped(x[-1] - x_rest, self._task.states)
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
             final = linearised(np.tile(x_rest, (2, 1)), u_rest[None])
-            settled = np.flatnonzero(np.abs(x - x_rest).max(axis=-1) > AT_REST)[-1] + 1
+            near = np.abs(x - x_rest).max(axis=-1) <= AT_REST
+            stays = self._task.frames(STAYS)
+            whole = np.convolve(near, np.ones(stays), "valid") == stays
+            settled = int(np.argmax(whole)) if whole.any() else len(x)
+            if policy.sliding and whole.any():  # its last frames may leave again
+                x[-stays:], u[-stays:] = x_rest, u_rest
         if policy.sliding:
             u = u + self._compensation(x, u, ahead)
         frames = policy.times / self._task.time_step
