@@ -152,7 +152,7 @@ def test_periodic_biases_are_the_same_after_a_turn() -> None:
         np.testing.assert_allclose(once, again, rtol=0, atol=1e-9)
         x = np.repeat(UPRIGHT_TO_HANGING, 2, axis=0)
         plain = each.correction(x[:, :2], x[:, 2:])
-        np.testing.assert_allclose(corrections(each, x, 2), plain, rtol=0, atol=2e-4)  # of 0.25, single precision
+        np.testing.assert_allclose(corrections(each, x, 2), plain, rtol=0, atol=2e-4)
     off = simbias.load(["preset=[pendulum_swingup,scratch]", "bias.periodic=false"]).bias.fit(swings())
     assert np.abs(np.subtract(*(off.predict(x)[0] for x in (UPRIGHT_TO_HANGING, turned)))).max() > 1e-3
 
