@@ -12,10 +12,12 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import shipped
 from conftest import OWN_CONF, ROOT
 from hatchling.builders.wheel import WheelBuilder
 from pendulum import COLUMNS
 
+from simbias.config import compose
 from simbias.core.cache import cache_folder
 
 LARGEST_WHEEL = 1_000_000  # bytes
@@ -70,13 +72,35 @@ def shortened(command: str) -> list[str]:
             *(["--seconds", "1"] if "excite" in arguments else []),
         ]
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
-    needed = {"+sweep=table2": trials, "preset=arm_eight": ["task.hold=1.0"]}
-    return [*arguments, *SHORT, *(each for word in arguments for each in needed.get(word, []))]
+    if any(word.startswith("preset=") for word in arguments):
+        return [*arguments, *shortest(arguments)]
+    return [*arguments, *SHORT, *(trials if "+sweep=table2" in arguments else [])]
+
+
+def shortest(arguments: list[str]) -> list[str]:
+    """Overrides by which a preset is run in NumPy, as sweeps are in `tests/sweep/test_results.py`."""
+    whole = compose(arguments)
+    changed = shipped.shortened(whole).config
+    return [
+        *(
+            f"{group}.{key}={changed[group][key]}"
+            for group, most in shipped.SHORT.items()
+            for key in most.keys() & changed[group].keys()
+            if changed[group][key] != whole.config[group][key]
+        ),
+        "tracking.pictures=false",
+    ]
 
 
 PROGRAM = """
 import ast, sys
+from contextlib import ExitStack
+from types import SimpleNamespace
+from unittest.mock import patch
 import simbias
+from simbias.search.optimizer import ilqr
+from simbias.simulation import open_loop
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.__main__ import main
 from simbias.sweep.grid import expand
 from simbias.terminal import excite, identify
@@ -87,10 +111,17 @@ for name in ("fig4", "fig5", "fig6", "fig7"):  # whose classes lie beside the sw
     assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
 excite.TRAJECTORIES = identify.TRAJECTORIES = 4
 for arguments in ast.literal_eval(sys.argv[1]):
-    try:
-        status = main(arguments)
-    except SystemExit as end:  # of --help
-        status = end.code
+    with ExitStack() as patches:
+        if "tracking.pictures=false" in arguments and any(word.startswith("preset=") for word in arguments):
+            # To compile a loop for each takes seconds.
+            patches.enter_context(patch.object(CompiledSimulator, "of", lambda *_: None))
+            no_kernel = SimpleNamespace(kernel=None)
+            patches.enter_context(patch.object(open_loop, "of_nominal", lambda *_: no_kernel))
+            patches.enter_context(patch.object(ilqr, "ITERATIONS", 1))
+        try:
+            status = main(arguments)
+        except SystemExit as end:  # of --help
+            status = end.code
     print("status", status, flush=True)
 """
 

@@ -261,7 +261,7 @@ class Study:
         return self.identification.fit(self.nominal, self.of_robot(rollouts))
 
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:
-        """What is learned from experiments, with residuals against an (identified) nominal model."""
+        """Data of experiments to learn from, with residuals against an (identified) nominal model."""
         return self.samples.select(self.of_robot(rollouts), nominal)
 
     def of_robot(self, rollouts: Iterable[Rollout]) -> list[Rollout]:

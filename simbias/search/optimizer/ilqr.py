@@ -176,7 +176,7 @@ class Shooting:
             yield policy.following(_at(frames + ahead, x), _at(frames, u), K, K_0)
 
     def _for_friction(self, x: Array, u: Array, weight: float) -> Array:
-        """What gains (m, n) at a rest x (n,) under u (m,) take beside for the dry friction of some joints.
+        """Further gains (m, n) at a rest x (n,) under u (m,), for the dry friction of some joints.
 
         At small velocities it is damping, the more the smaller they are, until no input moves the joints
         against it: gains grow without bound as it comes near to that. As much of it is counted on as lets
@@ -282,7 +282,7 @@ class Shooting:
         return derivatives(self._task.aim, states, np.full(self._n, STEP))
 
     def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:
-        """What inputs (T+1, m) take beside, to overcome dry friction at states (T+1, n) some frames later."""
+        """Further inputs (T+1, m) that overcome dry friction at states (T+1, n) some frames later."""
         x = states[np.minimum(np.arange(len(states)) + ahead, len(states) - 1)]
         lost = self._sliding.step(x, inputs) - self._nominal.step(x, inputs)
         _, B = linearization(self._sliding, x, inputs, self._task.input_limit)

@@ -28,7 +28,12 @@ def robot(board: dict[str, Any], checkouts: Path) -> Rig:
     ]
     rig = declared()["design_C.1"]
     return load(
-        rig | {"development": [], "composition": [*rig["composition"], *motors]}, checkouts, test=False
+        rig
+        | {
+            "development": [],
+            "composition": [*rig["composition"], *motors, "identification.longer_windows=null"],
+        },
+        checkouts,
     )
 
 

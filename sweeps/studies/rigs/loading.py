@@ -67,7 +67,7 @@ def load(rig: Mapping[str, Any], checkouts: Path, part: str | None = None) -> Ri
         else []
     )
     options = ["tracking=none", f"identification.longer_windows={LONGER}"]
-    study = simbias.load([*rig["composition"], *options, *nominal, *zeros, *load], HERE / "robots")
+    study = simbias.load([*options, *rig["composition"], *nominal, *zeros, *load], HERE / "robots")
     before = rig["before_second"] if part == "second" and "before_second" in rig else rig["development"]
     after = rig.get(part, []) if part else []
     return Rig(study, rig["lab"], *(_read(study, rig, checkouts, places) for places in (before, after)))
