@@ -84,16 +84,16 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None) -> Cal
 
 @pytest.mark.slow
 def test_the_study_learns_from_one_and_from_several(study: Callable[..., pd.DataFrame]) -> None:
-    """Zeros come back, and what is identified beats the described model."""
+    """What is identified beats the described model, and more so with the zeros of what is predicted.
+
+    That zeros come back is held in `tests/learning/test_rig.py`; here few steps are made to find them.
+    """
     found = study("--ways", "nominal", "lab", "identified")
     assert (found.groupby(["number", "way"])["learned"].nunique() == 3).all()  # test recordings are no cases
     ratios = found[found["seconds"] == 0.1].groupby(["number", "way"])["ratio"].mean()
     assert ratios["one", "lab"] == ratios["several", "lab"] == 1.0
     assert ratios["one", "identified"] < 0.7 * ratios["one", "nominal"]
     assert ratios["one", "identified and zeros"] < ratios["one", "identified"]
-    alone = found[(found["number"] == "one") & (found["way"] == "identified")]
-    zeros = [float(each.split()[0]) for each in alone.drop_duplicates("learned")["zeros"]]  # of the encoder
-    np.testing.assert_allclose(zeros, ZEROS, atol=0.03)
     assert "| simple_pendulum | 0.5 s |" in Path("table.md").read_text()
 
 
