@@ -6,7 +6,7 @@ drawing coordinates, and a posterior that is normal in the coordinates respects 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -65,6 +65,16 @@ def uncertain(
         Parameter(name, units[name], values[name], spread, "log_normal" if values[name] else "half_normal")
         for name, spread in uncertainty.items()
     )
+
+
+def replaced(
+    numbers: Array, names: Iterable[str], first: int, parameters: Sequence[Parameter], values: Array
+) -> Array:
+    """A copy of numbers, which have these names from place `first` on, with other values (k,) of parameters."""
+    places = {name: place for place, name in enumerate(names, start=first)}
+    changed = numbers.copy()
+    changed[[places[parameter.name] for parameter in parameters]] = values
+    return changed
 
 
 def values_at(parameters: Sequence[Parameter], coordinates: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Kernel, Nominal, Task
-from simbias.core.parameters import uncertain
+from simbias.core.parameters import replaced, uncertain
 from simbias.core.ranges import Acceleration, Length, Mass, NonNegative, Positive, TimeStep
 from simbias.core.records import Array
 from simbias.simulation.compiler import at_least, at_most, elementwise
@@ -146,8 +146,7 @@ class BallInCup(Nominal):
 
     def with_parameters(self, values: Array) -> BallInCup:
         """The model with other values (k,) of its parameters."""
-        places = {name: place for place, name in enumerate(_UNITS, start=3)}
-        changed, numbers = copy(self), self.kernel.parameters.copy()
-        numbers[[places[parameter.name] for parameter in self.parameters]] = values
+        changed = copy(self)
+        numbers = replaced(self.kernel.parameters, _UNITS, 3, self.parameters, values)
         changed.kernel = self.kernel._replace(parameters=numbers)
         return changed

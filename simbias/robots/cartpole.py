@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Nominal, Task
-from simbias.core.parameters import uncertain
+from simbias.core.parameters import replaced, uncertain
 from simbias.core.ranges import Acceleration, Length, Mass, NonNegative
 from simbias.core.records import Array
 from simbias.simulation.compiler import elementwise, sincos
@@ -106,8 +106,6 @@ class CartPole(Nominal):
 
     def with_parameters(self, values: Array) -> CartPole:
         """The model with other values (k,) of its parameters."""
-        places = {name: place for place, name in enumerate(_UNITS, start=1)}
         changed = copy(self)
-        changed._constants = self._constants.copy()
-        changed._constants[[places[parameter.name] for parameter in self.parameters]] = values
+        changed._constants = replaced(self._constants, _UNITS, 1, self.parameters, values)
         return changed

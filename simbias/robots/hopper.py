@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from simbias.core import Kernel, Nominal, Task
-from simbias.core.parameters import uncertain
+from simbias.core.parameters import replaced, uncertain
 from simbias.core.ranges import Acceleration, Inertia, Mass, NonNegative, Positive, TimeStep
 from simbias.core.records import Array
 from simbias.simulation.compiler import at_least, at_most, elementwise, sincos
@@ -176,8 +176,7 @@ class Hopper(Nominal):
 
     def with_parameters(self, values: Array) -> Hopper:
         """The model with other values (k,) of its parameters."""
-        places = {name: place for place, name in enumerate(_UNITS, start=2)}
-        changed, numbers = copy(self), self.kernel.parameters.copy()
-        numbers[[places[parameter.name] for parameter in self.parameters]] = values
+        changed = copy(self)
+        numbers = replaced(self.kernel.parameters, _UNITS, 2, self.parameters, values)
         changed.kernel = self.kernel._replace(parameters=numbers)
         return changed
