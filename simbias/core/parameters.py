@@ -70,7 +70,7 @@ def uncertain(
 def replaced(
     numbers: Array, names: Iterable[str], first: int, parameters: Sequence[Parameter], values: Array
 ) -> Array:
-    """A copy of numbers, which have these names from place `first` on, with other values (k,) of parameters."""
+    """A copy of numbers, named so from place `first` on, with other values (k,) of parameters."""
     places = {name: place for place, name in enumerate(names, start=first)}
     changed = numbers.copy()
     changed[[places[parameter.name] for parameter in parameters]] = values

@@ -16,9 +16,7 @@ from simbias.simulation.noise import QUIET, Noise, Variances
 ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
 LEAST = 0.02  # gain of a filter
 DISTURBANCE = 0.05  # deviation of unknown inputs in a frame, as a share of the limits: process noise
-ELSEWHERE = (
-    0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is known exactly
-)
+ELSEWHERE = 0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is exact
 MOST_AHEAD = 20  # frames that it looks ahead
 EXACT = 1e-6  # deviation of what is measured without noise, in its unit
 

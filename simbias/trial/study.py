@@ -241,16 +241,19 @@ class Study:
 
     def simulator(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Simulator:
         """The closed loop on the (identified) nominal model, corrected by a fitted bias; g = 0 without."""
-        return simulator(replace(self.model(fitted_bias, nominal), policy=self.policy), cost=self.cost)
+        return simulator(self._corrected(self.policy, fitted_bias, nominal), cost=self.cost)
 
     def model(self, fitted_bias: FittedBias | None = None, nominal: Nominal | None = None) -> Model:
         """The (identified) nominal model, corrected by a fitted bias; g = 0 without one.
 
         Its policy takes from this model what it takes from a model.
         """
-        bias = fitted_bias or self.bias.fit(self.no_data)
         policy = self.policy if nominal is None else self.policy.designed_on(nominal)
-        return Model(self.task, policy, nominal or self.nominal, bias)
+        return self._corrected(policy, fitted_bias, nominal)
+
+    def _corrected(self, policy: Policy, bias: FittedBias | None, nominal: Nominal | None) -> Model:
+        """The model with a policy as it is."""
+        return Model(self.task, policy, nominal or self.nominal, bias or self.bias.fit(self.no_data))
 
     def first_model(self) -> Model:
         """The model before any experiment: as declared, or as recordings have identified it."""

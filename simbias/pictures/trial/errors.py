@@ -119,15 +119,9 @@ def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | 
         for rollout in experiments
         for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(experiments)))
     ]
-    n, m, s = (
-        len(study.task.without_targets.states),
-        len(study.task.inputs),
-        (nominal or study.nominal).state_size,
-    )
-    model_states = {
-        id(r): (nominal or study.nominal).model_states(r.states[:-1], r.inputs) for r in experiments
-    }
-    w = len(starts)
+    model, n, m = nominal or study.nominal, len(study.task.without_targets.states), len(study.task.inputs)
+    model_states = {id(r): model.model_states(r.states[:-1], r.inputs) for r in experiments}
+    s, w = model.state_size, len(starts)
     return Windows(
         np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(w, frames + 1, n),
         np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(w, frames, m),

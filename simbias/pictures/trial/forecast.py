@@ -82,16 +82,14 @@ def _draws(study: Study, model: Model, experiment: Rollout) -> Array | None:
 
     None where a learner does not draw.
     """
-    rng = np.random.default_rng(SEED)
+    rng, own = np.random.default_rng(SEED), study.designed_on(model)
     nominal, bias = model.nominal, model.bias
     if bias.draw(rng) is bias and not nominal.estimates:
         return None
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
         drawn = nominal.draw(rng) if nominal.estimates else nominal
-        rollout = study.designed_on(model).simulate(
-            experiment.parameters, bias.draw(rng), experiment.states[0], drawn
-        )
+        rollout = own.simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
         states[: len(rollout.states)] = rollout.states
     return draws
 
