@@ -94,12 +94,10 @@ def shortest(arguments: list[str]) -> list[str]:
 
 PROGRAM = """
 import ast, sys
-from contextlib import ExitStack
-from types import SimpleNamespace
-from unittest.mock import patch
+import pytest
 import simbias
+from in_numpy import predict_in_numpy
 from simbias.search.optimizer import ilqr
-from simbias.simulation import open_loop
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.__main__ import main
 from simbias.sweep.grid import expand
@@ -111,13 +109,12 @@ for name in ("fig4", "fig5", "fig6", "fig7"):  # whose classes lie beside the sw
     assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
 excite.TRAJECTORIES = identify.TRAJECTORIES = 4
 for arguments in ast.literal_eval(sys.argv[1]):
-    with ExitStack() as patches:
+    with pytest.MonkeyPatch.context() as patch:
         if "tracking.pictures=false" in arguments and any(word.startswith("preset=") for word in arguments):
             # To compile a loop for each takes seconds.
-            patches.enter_context(patch.object(CompiledSimulator, "of", lambda *_: None))
-            no_kernel = SimpleNamespace(kernel=None)
-            patches.enter_context(patch.object(open_loop, "of_nominal", lambda *_: no_kernel))
-            patches.enter_context(patch.object(ilqr, "ITERATIONS", 1))
+            patch.setattr(CompiledSimulator, "of", lambda *_: None)
+            patch.setattr(ilqr, "ITERATIONS", 1)
+            predict_in_numpy(patch)
         try:
             status = main(arguments)
         except SystemExit as end:  # of --help
@@ -154,7 +151,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     subprocess.run([*pip, str(target), str(wheel)], check=True)
     (target / "simbias" / "__pycache__").mkdir(exist_ok=True)
     (target / "simbias" / "__pycache__" / "closed_loops").symlink_to(cache_folder("closed_loops"))
-    path = os.pathsep.join((str(target), str(OWN_CONF.parent)))
+    path = os.pathsep.join(map(str, (target, OWN_CONF.parent, ROOT / "tests" / "support")))
     return os.environ | {"PYTHONPATH": path}
 
 
