@@ -106,6 +106,7 @@ class _Run(Observer):
         self._observers = Observers(self, observer)
         self._clock = time.perf_counter()
         self._iterations: list[Iteration] = []
+        self._made: list[Rollout] = []
         self._unfinished: list[Rollout] = []
         self._policy_test: PolicyTestResult | None = None
 
@@ -127,6 +128,7 @@ class _Run(Observer):
 
     def experimented(self, rollout: Rollout) -> None:
         """Note an experiment."""
+        self._made.append(rollout)
         self._unfinished.append(rollout)
 
     def iterated(self, iteration: Iteration) -> None:
@@ -147,19 +149,18 @@ class _Run(Observer):
     def record(self, outcome: Outcome, reason: str = "", traceback: str = "") -> TrialRecord:
         """The record of the trial so far, with how it ended."""
         method, test = self._study.method, self._policy_test
-        made = [rollout for each in self._iterations for rollout in each.experiments] + self._unfinished
         before = self._kept.folder if self._kept else None
         claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
         summary = TrialSummary(
             outcome=outcome,
             reason=reason,
-            experiments=len(made),
+            experiments=len(self._made),
             iterations=len(self._iterations),
             max_experiments=self._study.max_experiments,
             max_iterations=method.max_iterations,
             ended=time.time(),
             seconds=time.perf_counter() - self._clock + (before.seconds() if before else 0.0),
-            hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in made),
+            hardware_seconds=self._study.task.time_step * sum(rollout.frames for rollout in self._made),
             test_episodes=test.successes if test else "",
             lasting_episodes=test.lasting if test else "",
             success_rate=test.success_rate if test else nan,

@@ -14,10 +14,13 @@ import numpy as np
 from simbias.core import Model, Objective
 from simbias.core.objective import Mapped
 from simbias.core.records import Array, Iteration, Learning, Optimum, Rollout, Search, Transitions
+from simbias.policy.trajectory import Trajectory
 from simbias.search import lqr
 from simbias.search.optimizer.ilqr import trajectory_candidates
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
+
+RANDOM_KNOTS = 26  # of a random experiment: a new input every 25th of the horizon
 
 
 def search(
@@ -115,6 +118,19 @@ def experiment(
         if len(rollouts) >= before_stop and not all(map(study.passes, rollouts)):
             break
     return tuple(rollouts)
+
+
+def random_experiment(study: Study, rng: np.random.Generator, observer: Observer) -> Rollout:
+    """An experiment of its own inputs, for which no policy is needed.
+
+    Each input is at one of its limits, drawn at `RANDOM_KNOTS` times, and linear in time between.
+    """
+    input_rng, experiment_rng = rng.spawn(2)
+    policy = Trajectory(study.task, study.nominal, RANDOM_KNOTS)
+    n, m = len(study.task.states), len(study.task.inputs)
+    inputs = np.where(input_rng.random((RANDOM_KNOTS, m)) < 0.5, *study.task.input_bounds)
+    theta = policy.following(np.zeros((RANDOM_KNOTS, n)), inputs, np.zeros((RANDOM_KNOTS, m, n)))
+    return replace(study, policy=policy).experiment(theta, experiment_rng, observer=observer)
 
 
 class ModelVariant(NamedTuple):

@@ -14,7 +14,8 @@ from scripted import FRAMES, ScriptedHardware
 from scripted import scripted as run_scripted
 
 from simbias.core import Evaluation, Model
-from simbias.core.records import Iteration
+from simbias.core.errors import ConfigError
+from simbias.core.records import Iteration, Rollout
 from simbias.learning.bias.none import NoBias
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search import lqr
@@ -23,7 +24,9 @@ from simbias.search.lqr import lqr_policies
 from simbias.search.optimizer.nlopt import Nlopt
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.model_based import ModelBased
+from simbias.trial.observer import Observer
 from simbias.trial.run import run_trial
+from simbias.trial.steps import RANDOM_KNOTS
 from simbias.trial.study import Study
 
 
@@ -228,3 +231,35 @@ def test_success_may_ask_for_more_passes(point_mass: Study) -> None:
     assert ModelBased(max_iterations=3, experiments=2, passes=4).max_experiments == 12
     with pytest.raises(ValueError, match="passes: 1 are fewer than the 2 experiments"):
         ModelBased(passes=1)
+
+
+def test_random_experiments_come_first_and_are_learned_from(point_mass: Study) -> None:
+    """Inputs at the knots are at the limits; the first search knows what was learned; they count."""
+    study = replace(point_mass, method=ModelBased(max_iterations=1, random_experiments=2))
+    made: list[Rollout] = []
+
+    class Made(Observer):
+        def experimented(self, rollout: Rollout) -> None:
+            made.append(rollout)
+
+    (iteration,) = study.run(Made())
+    horizon, (lower, upper) = study.task.horizon, study.task.input_bounds
+    at_knots = made[0].inputs[:: horizon // (RANDOM_KNOTS - 1)]
+    assert set(np.unique(at_knots.round(9))) == {*lower, *upper}
+    assert not np.array_equal(made[0].inputs, made[1].inputs)
+    assert iteration.total_experiments == len(made) == 2 + len(iteration.experiments)
+    x, u = made[0].states[:1], made[0].inputs[:1]
+    assert not study.first_model().bias.correction(x, u).any()
+    assert iteration.model.bias.correction(x, u).any()
+    assert study.max_experiments == 2 + study.method.experiments
+    record = run_trial(study)
+    assert record.summary.experiments == len(made)
+    assert record.summary.hardware_seconds == sum(each.frames for each in made) * study.task.time_step
+
+
+def test_random_experiments_need_limits(point_mass: Study) -> None:
+    task = copy(point_mass.task)
+    task.input_limit = np.array([np.inf])
+    study = replace(point_mass, task=task, method=ModelBased(random_experiments=1))
+    with pytest.raises(ConfigError, match=r"^method.random_experiments: force has no limit"):
+        study.method.check(study)

@@ -53,18 +53,16 @@ def in_simulation(
         return None
     own = study.designed_on(model)
     rollout = own.simulate(experiment.parameters, model.bias, experiment.states[0], model.nominal)
-    name = simulation_words(study, model, samples_before(iterations, iteration))
+    name = simulation_words(study, model, has_samples(iterations, iteration))
     return NamedRollout(name, rollout, SIMULATION, "--")
 
 
-def samples_before(iterations: Sequence[Iteration], iteration: Iteration) -> int:
-    """The number of samples that its policy's bias was learned from: D after the iterations before."""
-    sizes = [
-        len(earlier.learning.data)
-        for earlier in iterations
-        if earlier.index < iteration.index and earlier.learning is not None
-    ]
-    return sizes[-1] if sizes else 0
+def has_samples(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
+    """Whether its policy's bias was learned: from D before it, or from random experiments."""
+    if iteration.index == 0:
+        return iteration.total_experiments > len(iteration.experiments)
+    earlier = [each.learning for each in iterations if each.index < iteration.index]
+    return any(len(learning.data) > 0 for learning in earlier[-1:] if learning is not None)
 
 
 def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
@@ -72,7 +70,7 @@ def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> boo
     model = iteration.model
     if model is None:
         return False
-    return bool(model.nominal.estimates) or samples_before(iterations, iteration) > 0
+    return bool(model.nominal.estimates) or has_samples(iterations, iteration)
 
 
 def on_hardware(iterations: Sequence[Iteration]) -> list[Iteration]:
@@ -115,9 +113,9 @@ def policy_words(iteration: Iteration) -> str:
     return f"Policy after {counted(before, 'hardware experiment')}"
 
 
-def simulation_words(study: Study, model: Model, samples: int) -> str:
-    """A simulation, whose bias was learned from `samples` samples."""
-    learns = samples and study.choices["bias"] != "none"
+def simulation_words(study: Study, model: Model, has_samples: bool) -> str:
+    """A simulation, whose bias was learned if it has samples."""
+    learns = has_samples and study.choices["bias"] != "none"
     bias = f" + learned bias ({study.choices['bias']})" if learns else ""
     return f"simulation: {'identified' if model.nominal.estimates else 'nominal'} model{bias}"
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from simbias.core.errors import ConfigError
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.search.optimizer.ilqr import follower
@@ -14,7 +16,7 @@ from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
 from simbias.trial.observer import Observer
-from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
+from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, random_experiment, search
 from simbias.trial.study import Study
 
 
@@ -64,6 +66,9 @@ class ModelBased(Method):
         Number of trajectories that a search plans on the model (`simbias.search.optimizer.ilqr`), beginning
         at different inputs; it evaluates policies first that follow the best one. It needs
         policy=trajectory.
+    random_experiments
+        Experiments before the first search, each with random inputs in place of a policy: J of PILCO. They
+        count, and are learned from.
     """
 
     max_iterations: Count = 10
@@ -80,11 +85,17 @@ class ModelBased(Method):
     from_last: bool = False
     confidence: Confidence | None = None
     margin: NonNegative = 0.0
+    random_experiments: CountOrZero = 0
 
     def __post_init__(self) -> None:
         if self.passes is not None and self.passes < self.experiments:
             problem = f"{self.passes} are fewer than the {self.experiments} experiments of an iteration"
             raise ValueError(f"passes: {problem}")
+
+    @cached_property
+    def max_experiments(self) -> int:
+        """Hardware experiments of a trial that never succeeds, at most."""
+        return self.random_experiments + super().max_experiments
 
     def passes_of(self, policy: int) -> int:
         """Experiments that the policy of this number has to pass."""
@@ -92,9 +103,14 @@ class ModelBased(Method):
         return passes_for(self.confidence, policy, least)
 
     def check(self, study: Study) -> None:
-        """Refuse a policy that follows no trajectory, if trajectories are planned."""
+        """Refuse a policy that follows no planned trajectory, and random inputs without limits."""
         if self.trajectories:
             follower(study.policy)
+        largest = np.max(np.abs(study.task.input_bounds), axis=0)
+        unlimited = [each.name for each, u in zip(study.task.inputs, largest, strict=True) if u == np.inf]
+        if self.random_experiments and (unlimited or study.task.targets):
+            problem = f"{unlimited[0]} has no limit" if unlimited else "no task with targets has any"
+            raise ConfigError("method.random_experiments", problem)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""
@@ -103,6 +119,11 @@ class ModelBased(Method):
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
         last: list[Array] = []
+        for random_rng in hardware_rng.spawn(self.random_experiments):
+            experiments.append(random_experiment(study, random_rng, observer))
+            learned_from.append((experiments[-1],))
+        if experiments:
+            model, data = learn(study, experiments, learned_from)
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("search"):
