@@ -254,7 +254,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of noise and pushes")
     arguments = parser.parse_args()
     trial = simbias.load_trial(arguments.trial)
-    policy, task, theta = trial.study.policy, trial.study.task, trial.iterations[-1].parameters
+    last = trial.iterations[-1]
+    study = trial.study if last.model is None else trial.study.designed_on(last.model)
+    policy, task, theta = study.policy, study.task, last.parameters
     joint = DRIVEN.index(arguments.robot)
     Path(f"con_{arguments.name}.py").write_text(controller_file(policy, task, theta, joint, arguments.name))
     law = Asked(policy, task, theta)
