@@ -65,12 +65,12 @@ class Cost(ABC):
         raise NotImplementedError(f"{type(self).__name__} has no `of_totals`")
 
     def of(self, rollout: Rollout) -> float:
-        """Z of a rollout: finite."""
+        """Z of a rollout: finite. A frame that ends in what is no number fails, and adds no term."""
         t = self.time_step * np.arange(1, rollout.frames + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may grow beyond all numbers
             terms = self.terms(rollout.states[1:], rollout.inputs, t)
             totals = [
-                np.sum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
+                np.nansum(term) if reduction == "sum" else np.fmax.reduce(term, initial=0.0)
                 for reduction, term in zip(self.reductions, np.moveaxis(terms, -1, 0), strict=True)
             ]
         lost = 0 if rollout.failed_at is None else self.horizon - rollout.failed_at

@@ -18,6 +18,7 @@ from simbias.cost.declared import Declared
 from simbias.cost.saturating import Saturating
 from simbias.cost.tracking import Tracking
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.compiler.closed_loop import REDUCTIONS
 
 CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
 GOAL = {"position": "0.3 * sin(2 * t)", "angle": 0.05}
@@ -88,3 +89,18 @@ def test_what_it_does_not_know_is_refused() -> None:
         Saturating(task, {task.goals[0].name: 1e-300}, 0.5)
     with pytest.raises(ValueError, match="running: 'power': nothing is called power"):
         Declared(task, 1.0, 1.0, running="power")
+
+
+@pytest.mark.parametrize("far", [1e160, np.inf, np.nan])
+def test_a_state_beyond_all_numbers_costs_a_finite_number(far: float) -> None:
+    """As of a model that explodes within a frame; compiled sums leave it out, too."""
+    task = task_of()
+    states = np.array([task.start_mean, np.full(4, far)])
+    rollout = Rollout(states, np.zeros((1, 1)), failed_at=1, failure="state")
+    for cost in costs(task):
+        assert np.isfinite(cost.of(rollout))
+
+
+@pytest.mark.parametrize(("reduction", "expected"), [("sum", 2.5), ("max", 2.5)])
+def test_what_is_no_number_is_left_out_of_totals(reduction: str, expected: float) -> None:
+    assert eval(REDUCTIONS[reduction].format("total", "term"), {"total": 2.5, "term": np.nan}) == expected

@@ -72,7 +72,10 @@ frame[lane] += 0 if stop else 1
 ended += running[lane] if stop else 0"""
 
 
-REDUCTIONS = {"sum": "{} + {}", "max": "max({}, {})"}  # of which the latter leaves out what is no number
+REDUCTIONS = {  # what is no number is left out
+    "sum": "{0} + ({1} if {1} == {1} else 0.0)",
+    "max": "max({0}, {1})",
+}
 
 
 @dataclass(frozen=True)
