@@ -117,9 +117,8 @@ class _Run(Observer):
             self._observers.iterated(iteration if self._kept is None else self._kept.iteration(iteration))
         if self._iterations:
             last, trying = self._iterations[-1], self._observers.trying
-            study = study if last.model is None else study.designed_on(last.model)
-            theta = last.parameters
-            self._policy_test = run_policy_test(study, theta, study.policy_test, trying)
+            designed, theta = study.designed_on(last.model), last.parameters
+            self._policy_test = run_policy_test(designed, theta, study.policy_test, trying)
 
     @property
     def succeeded(self) -> bool:

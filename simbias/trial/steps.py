@@ -100,21 +100,22 @@ def _watched(objective: Objective, observer: Observer) -> Objective:
 
 def experiment(
     study: Study,
+    model: Model | None,
     theta: Array,
     rng: np.random.Generator,
     observer: Observer,
     count: int,
     before_stop: int | None = None,
 ) -> tuple[Rollout, ...]:
-    """Evaluate a policy with `count` hardware experiments (the solid loop of Fig. 1).
+    """Evaluate a policy that was designed on a model with `count` hardware experiments (Fig. 1's solid loop).
 
     After the first `before_stop`, by default all, none follows one that failed; this changes nothing in those
     of later iterations.
     """
     before_stop = count if before_stop is None else before_stop
-    rollouts: list[Rollout] = []
+    own, rollouts = study.designed_on(model), list[Rollout]()
     for experiment_rng in rng.spawn(count):
-        rollouts.append(study.experiment(theta, experiment_rng, observer=observer))
+        rollouts.append(own.experiment(theta, experiment_rng, observer=observer))
         if len(rollouts) >= before_stop and not all(map(study.passes, rollouts)):
             break
     return tuple(rollouts)

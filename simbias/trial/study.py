@@ -222,9 +222,10 @@ class Study:
 
         return AskTell(self.task.without_targets, run)
 
-    def designed_on(self, model: Model) -> Study:
-        """The study with the policy as it was designed on a model; others simulate and run that one, too."""
-        return self if model.policy is self.policy else replace(self, policy=model.policy)
+    def designed_on(self, model: Model | None) -> Study:
+        """The study with the policy as it was designed on a model, if on any; it is simulated and run, too."""
+        designed = self.policy if model is None else model.policy
+        return self if designed is self.policy else replace(self, policy=designed)
 
     def with_horizon(self, horizon: int) -> Study:
         """The study with another horizon in frames; its hardware is constructed again for it.

@@ -332,7 +332,7 @@ class Guessing(Method):
         for index in range(2):
             theta_rng, experiment_rng = rng.spawn(2)
             theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
-            made = experiment(study, theta, experiment_rng, observer, 2)
+            made = experiment(study, None, theta, experiment_rng, observer, 2)
             cost = np.max([rollout.cost for rollout in made])
             succeeded = np.bool_(index == 1)
             yield Iteration(index, theta, made, cost, succeeded, np.int64(2 * index + 2))  # type: ignore[arg-type]

@@ -49,7 +49,7 @@ class Guessing(Method):
             else:
                 theta_rng, experiment_rng = rng.spawn(2)
                 theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
-                made = experiment(study, theta, experiment_rng, observer, 2)
+                made = experiment(study, None, theta, experiment_rng, observer, 2)
             if self.breaks:
                 raise ZeroDivisionError("of nothing")
             cost = max(rollout.cost for rollout in made)

@@ -39,7 +39,7 @@ def simulated(study: Study, iteration: Iteration, experiments: Sequence[Rollout]
 
 def on_nominal(study: Study, iteration: Iteration, experiment: Rollout) -> NamedRollout:
     """An experiment of an iteration on the nominal model alone, from the same start."""
-    own = study if iteration.model is None else study.designed_on(iteration.model)
+    own = study.designed_on(iteration.model)
     rollout = own.simulate(experiment.parameters, None, experiment.states[0])
     return NamedRollout("nominal model alone", rollout, NOMINAL, ":")
 

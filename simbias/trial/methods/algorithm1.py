@@ -48,9 +48,7 @@ class Algorithm1(Method):
             if reset:
                 data, learned_from = study.no_data, []  # 7
             with clock("experiments"):
-                rollouts = experiment(
-                    study.designed_on(model), theta, hardware_rng, observer, self.experiments
-                )  # 9
+                rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments)  # 9
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))  # 10
             with clock("learning"):

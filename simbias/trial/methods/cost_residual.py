@@ -68,7 +68,7 @@ class CostResidual(Method):
             found, theta = Search(optimum, optimum.cost), optimum.parameters
             observer.designed(theta, model, found)
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, self.experiments, 1)
+                rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
             succeeded = all(map(study.passes, rollouts))
             record = iteration_record(index, theta, rollouts, succeeded, made, clock, model, found)

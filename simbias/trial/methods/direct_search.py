@@ -80,7 +80,7 @@ class DirectSearch(Method):
         for index in range(self.max_iterations):
             clock = Stopwatch()
             with clock("experiments"):
-                rollouts = experiment(study, theta, hardware_rng, observer, self.experiments, 1)
+                rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
             succeeded = all(map(study.passes, rollouts))
             record = iteration_record(index, theta, rollouts, succeeded, made, clock, model)

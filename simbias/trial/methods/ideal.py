@@ -53,6 +53,6 @@ class Ideal(Method):
         found, theta = Search(optimum, optimum.cost), optimum.parameters
         observer.designed(theta, model, found)
         with clock("experiments"):
-            rollouts = experiment(study, theta, hardware_rng, observer, self.experiments)
+            rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments)
         succeeded = all(map(study.passes, rollouts))
         yield iteration_record(0, theta, rollouts, succeeded, len(rollouts), clock, model, found)

@@ -51,9 +51,7 @@ class InaccurateModel(Method):
         best, least, direction, step = theta, np.inf, np.zeros_like(theta), self.step
         for index in range(self.max_iterations):
             with clock("experiments"):
-                rollouts = experiment(
-                    study.designed_on(model), theta, hardware_rng, observer, self.experiments, 1
-                )
+                rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
             succeeded = all(map(study.passes, rollouts))
             record = iteration_record(index, theta, rollouts, succeeded, made, clock, model, found)

@@ -94,7 +94,7 @@ class Lqr(Method):
             observer.designed(theta, model)
             with clock("experiments"):
                 passes = self.passes_of(index)
-                rollouts = experiment(study, theta, rng, observer, passes, self.experiments)
+                rollouts = experiment(study, model, theta, rng, observer, passes, self.experiments)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
             yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock, model)

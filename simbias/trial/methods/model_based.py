@@ -138,9 +138,7 @@ class ModelBased(Method):
             with clock("experiments"):
                 before_stop = 1 if self.stop_at_failure else self.experiments
                 passes = self.passes_of(index)
-                rollouts = experiment(
-                    study.designed_on(model), theta, hardware_rng, observer, passes, before_stop
-                )
+                rollouts = experiment(study, model, theta, hardware_rng, observer, passes, before_stop)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
             likelihoods: dict[str, float] = {}

@@ -72,9 +72,7 @@ class MultiFidelity(Method):
                     observer.designed(theta, model)
                     middle = None  # it has said what it knows
             with clock("experiments"):
-                rollouts = experiment(
-                    study.designed_on(model), theta, hardware_rng, observer, self.experiments, 1
-                )
+                rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             experiments += rollouts
             succeeded = all(map(study.passes, rollouts))
             with clock("learning"):

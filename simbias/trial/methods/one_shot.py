@@ -46,7 +46,7 @@ class OneShot(Method):
                 found = search(study, model, search_rng, observer)
             theta, simulation = found.optimum.parameters, model
             with clock("experiments"):
-                rollouts = experiment(study.designed_on(model), theta, hardware_rng, observer, count)
+                rollouts = experiment(study, model, theta, hardware_rng, observer, count)
             made += count
             succeeded = all(map(study.passes, rollouts))
             with clock("learning"):

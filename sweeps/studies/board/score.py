@@ -255,7 +255,7 @@ def main() -> None:
     arguments = parser.parse_args()
     trial = simbias.load_trial(arguments.trial)
     last = trial.iterations[-1]
-    study = trial.study if last.model is None else trial.study.designed_on(last.model)
+    study = trial.study.designed_on(last.model)
     policy, task, theta = study.policy, study.task, last.parameters
     joint = DRIVEN.index(arguments.robot)
     Path(f"con_{arguments.name}.py").write_text(controller_file(policy, task, theta, joint, arguments.name))
