@@ -223,7 +223,7 @@ class Study:
         return AskTell(self.task.without_targets, run)
 
     def designed_on(self, model: Model | None) -> Study:
-        """The study with the policy as it was designed on a model, if on any; it is simulated and run, too."""
+        """The study with the policy as it was designed on a model, if on one; it is simulated and run so."""
         designed = self.policy if model is None else model.policy
         return self if designed is self.policy else replace(self, policy=designed)
 
