@@ -17,7 +17,10 @@ pytestmark = pytest.mark.slow
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 PICTURES = {"1_first_steps": 3, "2_results": 4, "3_own_component": 0, "4_a_lab": 0, "5_from_mjcf": 1}
-SHORTER = {"horizon: 200 ": "horizon: 60 ", "preset=pole tracking": "preset=pole method.max_iterations=2 tracking"}
+SHORTER = {
+    "horizon: 200 ": "horizon: 60 ",
+    "preset=pole tracking": "preset=pole method.max_iterations=2 tracking",
+}
 SECONDS = 300  # a cell, on a busy machine
 
 
