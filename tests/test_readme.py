@@ -63,7 +63,8 @@ def shortened(command: str) -> list[str]:
     arguments = [own.get(word, word) for word in arguments]
     if str(OWN_CONF) in arguments:
         groups = sorted(folder.name for folder in OWN_CONF.iterdir() if folder.is_dir())
-        return [*arguments, *(f"{group}=point_mass" for group in groups), "method.max_iterations=1"]
+        few = [] if "check" in arguments else ["optimizer.max_evaluations=20", "method.max_iterations=1"]
+        return [*arguments, *(f"{group}=point_mass" for group in groups), *few]
     if {"identify", "excite"} & set(arguments):
         return [
             *arguments,

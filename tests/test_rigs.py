@@ -22,7 +22,7 @@ from simbias.simulation.open_loop import plain
 STUDY = ROOT / "sweeps" / "studies" / "rigs"
 ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
 FRAMES = 300  # of 5 ms
-QUICK = ["identification.starts=4", "identification.rounds=1", "identification.evaluations=6"]
+QUICK = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=6"]
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None) -> Cal
 
     rig = quick("simple_pendulum")
     monkeypatch.setattr(loading, "declared", lambda: {"simple_pendulum": rig})
-    monkeypatch.setattr(horizons, "HORIZONS", (0.1, 0.5))
+    monkeypatch.setattr(horizons, "HORIZONS", (0.1,))
     zeros = dict.fromkeys(rig["test"], 0.0) | dict(zip(rig["development"], ZEROS, strict=True))
     for name, made in zip(zeros, recordings(list(zeros.values())), strict=True):
         file = tmp_path / "torque_limited_simple_pendulum" / rig["folder"] / name
@@ -90,11 +90,11 @@ def test_the_study_learns_from_one_and_from_several(study: Callable[..., pd.Data
     """
     found = study("--ways", "nominal", "lab", "identified")
     assert (found.groupby(["number", "way"])["learned"].nunique() == 3).all()  # test recordings are no cases
-    ratios = found[found["seconds"] == 0.1].groupby(["number", "way"])["ratio"].mean()
+    ratios = found.groupby(["number", "way"])["ratio"].mean()
     assert ratios["one", "lab"] == ratios["several", "lab"] == 1.0
     assert ratios["one", "identified"] < 0.7 * ratios["one", "nominal"]
     assert ratios["one", "identified and zeros"] < ratios["one", "identified"]
-    assert "| simple_pendulum | 0.5 s |" in Path("table.md").read_text()
+    assert "| simple_pendulum | 0.1 s |" in Path("table.md").read_text()
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def test_what_is_learned_of_gaps_predicts_other_experiments(
 ) -> None:
     """A motor of 40% is a parameter of the model: what is identified predicts best."""
     monkeypatch.setattr(open_loop, "of_bias", lambda *_: SimpleNamespace(kernel=None))  # each is used once
-    quick = ["identification.starts=4", "identification.rounds=1", "identification.evaluations=4"]
+    quick = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=3"]
     gaps = few_gaps(["motor_gain: 0.4"], ["motor 40%"])
     arguments = ["--seeds", "1", "--cells", "motor 40", "task.horizon=600", *quick, *gaps]
     printed = study("gaps_predicted", "predicted.csv", *arguments)

@@ -14,9 +14,9 @@ QUICK = ["evaluation=nominal_start", "optimizer.max_evaluations=3000"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["acrobot_swingup", "pendubot_swingup"])
-def test_a_search_swings_the_model_up(preset: str, request: pytest.FixtureRequest) -> None:
-    study = simbias.load([f"preset={preset}", *QUICK])
+def test_a_search_swings_the_model_up(request: pytest.FixtureRequest) -> None:
+    """An acrobot; a pendubot is the same code, driven at the other joint, and easier."""
+    study = simbias.load(["preset=acrobot_swingup", *QUICK])
     found = search(study, study.first_model(), np.random.default_rng(0), Observer())
     request.getfixturevalue("uncompiled")  # for one rollout, and by another loop than the search's
     rollout = study.simulate(found.optimum.parameters)

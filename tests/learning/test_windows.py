@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from in_numpy import predict_in_numpy
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
@@ -60,7 +61,12 @@ def task(time_step: float = 0.02) -> Any:
     return SimpleNamespace(time_step=time_step)
 
 
-@pytest.mark.slow
+@pytest.fixture(autouse=True)
+def _in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions: `test_window_gp.py` holds compiled ones to them."""
+    predict_in_numpy(monkeypatch)
+
+
 def test_sensitivities_are_those_of_differences() -> None:
     """With a memory, and more windows than are differentiated together."""
     nominal, Z = Oscillator(), points(3)

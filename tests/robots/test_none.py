@@ -36,6 +36,7 @@ def test_positions_without_rates_of_their_own_are_refused() -> None:
         NoNominal(task, kinematics=True)
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_a_first_search_without_a_model_says_that_no_policy_changes_the_cost() -> None:
     """It ends with its first generation; the policy is a random one, another for another seed."""
     study = simbias.load([*SCRATCH, "task.horizon=50", "optimizer.explorations=4", "optimizer.population=4"])

@@ -45,6 +45,7 @@ def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() ->
     np.testing.assert_allclose(predicted, made.states[1:], atol=2e-3)
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_a_biped_stands_by_contact_under_stiff_joints_and_falls_without_torque() -> None:
     """As the model and as the hardware; its plate moves meanwhile."""
     study = simbias.load(["preset=biped", "tracking=none"])

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from in_numpy import CartPole, Feedback
+from interpreted import interpreted
 from scipy.interpolate import CubicSpline
 
 import simbias
@@ -353,6 +354,7 @@ def test_what_thetas_alone_decide_is_computed_once(cartpole: Study, policy: type
     assert "expm1" not in part.kernel.function.__code__.co_names
 
 
+@pytest.mark.slow
 def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
     """All of it but the declared task, in two scenarios in lockstep."""
     task = cartpole.task
@@ -372,9 +374,11 @@ def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
         np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-9, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_a_traced_model_predicts_recordings_as_the_plain_one(cartpole: Study) -> None:
     nominal = CartPole(cartpole.task, VALUES)
     windows = Windows.of([cartpole.simulate(np.ones(4))], 5, 5)
     scenarios = [PredictionModel(nominal), PredictionModel(nominal.with_parameters(1.2 * VALUES))]
-    np.testing.assert_allclose(predict(scenarios, windows), plain(scenarios, windows), rtol=1e-9, atol=1e-12)
+    with interpreted():
+        made = predict(scenarios, windows)
+    np.testing.assert_allclose(made, plain(scenarios, windows), rtol=1e-9, atol=1e-12)

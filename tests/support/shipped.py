@@ -39,7 +39,7 @@ SHORT: dict[str, dict[str, Any]] = {  # at most
     "policy": {"knots": 11},
     "evaluation": {"seconds": 0.02, "rollouts": 3},
     "optimizer": {"max_evaluations": 5, "explorations": 5},
-    "identification": {"starts": 2, "rounds": 1, "evaluations": 2},
+    "identification": {"starts": 1, "rounds": 1, "evaluations": 1},
     "method": {
         "max_iterations": 1,
         "retry_search": 0,

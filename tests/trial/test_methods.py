@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT
+from in_numpy import predict_in_numpy
 from point_mass import InTheWind
 
 import simbias
@@ -87,6 +88,7 @@ def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
 @pytest.mark.parametrize(
     "method", [Algorithm1(2), ModelBased(2), Lqr()], ids=lambda each: type(each).__name__
 )
+@pytest.mark.usefixtures("uncompiled")
 def test_methods_that_ship_pass(point_mass: Study, method: Method) -> None:
     study = replace(point_mass, policy=OutputFeedback(point_mass.task), method=method)
     assert [verdict.problem for verdict in verdicts(study, ["method"])] == [""]
@@ -107,6 +109,7 @@ def test_lqr_of_the_nominal_model_is_one_design(point_mass: Study) -> None:
     assert only.model.nominal is study.nominal
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study) -> None:
     """Where nothing can be identified, each design is the first one."""
     method = Lqr(input_weight=1000.0, identified=True, max_iterations=2)
@@ -123,8 +126,12 @@ def test_lqr_needs_a_policy_that_imitates_it(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_lqr_of_the_identified_model_is_designed_again(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("uncompiled")
+def test_lqr_of_the_identified_model_is_designed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Until it balances two poles by a motor that is weaker than its model's; read back, all is as it was."""
+    predict_in_numpy(monkeypatch)
     study = simbias.load(["preset=double_cartpole", "method=lqr", "method.identified=true", "tracking=none"])
     first, again = (run_trial(study, tmp_path / study.hash) for _ in range(2))
     assert first.outcome is Outcome.SUCCEEDED
