@@ -16,7 +16,7 @@ from mlflow_ui import CHROMIUM, browse, serve, visit
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect
 from processes import wait_for
-from sweeping import run
+from sweeping import QUICK, run
 
 FOLDER = os.environ.get("SCREENSHOTS")
 if FOLDER:
@@ -25,7 +25,7 @@ if FOLDER:
     AXES = ("hardware.noise.torque_variance", "hardware.inertia_error", "bias")
     CHARTED = re.compile("gp #0$")
 else:
-    SWEEP = ["+sweep=smoke", "task.horizon=2000", "engine=sequential"]
+    SWEEP = ["+sweep=smoke", *QUICK, "cost.max_cost=1e-3", "engine=sequential"]  # two iterations each
     NAME, TRIALS = "sweep smoke", 4
     AXES = ("hardware.inertia_error",)
     CHARTED = re.compile("#0$")
