@@ -15,7 +15,7 @@ from simbias.search.optimizer.ilqr import Shooting
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
 
-SHORT = ["task.horizon=200", "task.hold=1.0", "policy.knots=101", "identification=none", "tracking=none"]
+SHORT = ["task.horizon=100", "task.hold=0.5", "policy.knots=51", "identification=none", "tracking=none"]
 
 
 @pytest.fixture(
