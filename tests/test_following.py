@@ -30,6 +30,7 @@ def distances(study: Study, states: Array) -> Array:
     return np.linalg.norm(study.task.error(states, study.task.time_step * np.arange(len(states))), axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
     """It begins at rest, and its policy follows on the model; on the hardware not as well."""

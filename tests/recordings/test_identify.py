@@ -28,7 +28,6 @@ from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.trial.study import Study
 
-
 QUICKER = ["identification.starts=2", "identification.rounds=1"]
 
 
