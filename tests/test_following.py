@@ -15,7 +15,7 @@ from simbias.search.optimizer.ilqr import Shooting
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
 
-SHORT = ["task.horizon=200", "task.hold=1.0", "policy.knots=101", "identification=none", "tracking=none"]
+SHORT = ["task.horizon=100", "task.hold=0.5", "policy.knots=51", "identification=none", "tracking=none"]
 
 
 @pytest.fixture(
@@ -30,6 +30,7 @@ def distances(study: Study, states: Array) -> Array:
     return np.linalg.norm(study.task.error(states, study.task.time_step * np.arange(len(states))), axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
     """It begins at rest, and its policy follows on the model; on the hardware not as well."""

@@ -181,6 +181,7 @@ def test_a_residual_that_hurts_is_left_out(
     assert pushed(-0.01).bias is None
 
 
+@pytest.mark.slow
 def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
     """Each rig can be composed without its recordings, and coordinates give the lab's values back."""
     from loading import declared, load

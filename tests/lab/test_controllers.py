@@ -241,7 +241,7 @@ def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
 
 
 @given(st.text(max_size=60), st.sampled_from(["", "*/", "\\", "\n", '"""', "??/", "/*", "\u2028", "\r"]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
     """The Python module is the same but for its first string, the header but for its comments."""
     task, plain = PointMass(), PointMass()

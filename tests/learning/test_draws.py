@@ -161,6 +161,7 @@ def test_periodic_biases_are_the_same_after_a_turn() -> None:
     assert np.abs(np.subtract(*(off.predict(x)[0] for x in (UPRIGHT_TO_HANGING, turned)))).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
     """Compiled, each with a function of its own; the same numbers of the same generator, and NumPy's."""
     study = pendulum("sparse_gp_learned", "task.horizon=60", "evaluation.rollouts=3")
@@ -177,6 +178,7 @@ def test_scenarios_with_drawn_functions_follow_the_generator() -> None:
     assert np.ptp(each) > 1e-6
 
 
+@pytest.mark.slow
 def test_a_drawn_rollout_is_the_plain_one() -> None:
     study = pendulum("sparse_gp_learned", "task.horizon=60")
     draw = study.bias.fit(swings()).draw(np.random.default_rng(3))

@@ -28,6 +28,8 @@ from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.trial.study import Study
 
+QUICKER = ["identification.starts=2", "identification.rounds=1"]
+
 
 @pytest.fixture(scope="module")
 def study() -> Study:
@@ -244,7 +246,7 @@ def test_the_command_tells_and_writes(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_csv(robot[1]["one"], tmp_path / "one.csv")
-    arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICK[1:]]
+    arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICKER]
     assert main(arguments) == 0
     out = capsys.readouterr().out
     assert re.search(r"^friction_1 +N m .* yes$", out, re.MULTILINE)
@@ -280,7 +282,7 @@ def test_a_trial_is_started_from_recordings(
     columns = ["hardware.columns={" + COLUMNS + "}", f"hardware.folder={here}"]
     short = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1", "bias=none"]
     kept = ["tracking=folders", "tracking.pictures=false"]
-    arguments = ["identify", str(here), "preset=double_pendulum", *QUICK[1:], *columns, *short, *kept]
+    arguments = ["identify", str(here), "preset=double_pendulum", *QUICKER, *columns, *short, *kept]
     assert main([*arguments, "--attach"]) in (0, 1)
     assert "the identified model errs 0." in capsys.readouterr().out
     (folder,) = (tmp_path / "trials").iterdir()

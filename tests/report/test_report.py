@@ -50,6 +50,7 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path) -> None:
     (file,) = write_report(trial)

@@ -120,6 +120,7 @@ def test_an_image_moves_and_is_tinted(tmp_path: Path) -> None:
     assert picture.get_alpha() < 1
 
 
+@pytest.mark.slow
 def test_without_opengl_a_stick_figure_is_drawn() -> None:
     """As on a machine that has no such device; it is said once."""
     code = """

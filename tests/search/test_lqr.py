@@ -147,6 +147,7 @@ def held(study: Study, nominal: Nominal, theta: Array) -> int:
     return sum(rollout.failure is None for rollout in rollouts)
 
 
+@pytest.mark.slow
 def test_dry_friction_is_no_damping_to_count_on(uncompiled: None) -> None:
     """Regulators of the acrobot that were designed for it as it sticks fall, simulated with that friction."""
     study = simbias.load(["preset=acrobot", "bias=none", "tracking=none"])

@@ -25,6 +25,7 @@ def made_up(starts: dict[str, list[str]]) -> SweptTrials:
     return SweptTrials(expand(["+sweep=gaps"]), pd.DataFrame([*rows, raised]), lambda _: None)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_shares_are_of_all_starts() -> None:
     picture = LastPolicies().draw(made_up(STARTS), ())
     assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
@@ -34,6 +35,7 @@ def test_shares_are_of_all_starts() -> None:
     assert "in 0 of 2 cells" in picture.caption
 
 
+@pytest.mark.slow
 def test_every_trial_is_a_dot_that_no_other_hides() -> None:
     """On the left by its experiments, on the right by its share; a row of the axes for each cell."""
     alike = {"slope 0.02 rad": ["1111"] * 10}

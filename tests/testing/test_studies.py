@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from conftest import OWN_CONF, POINT_MASS
 from pendulum import pendulum
 
@@ -38,6 +39,7 @@ def problems(study: Study, group: str) -> list[str]:
     return [verdict.problem for verdict in verdicts(study, {group}) if verdict.problem]
 
 
+@pytest.mark.slow
 def test_what_rests_without_inputs_is_warmed_up() -> None:
     """A hanging pendulum: nothing errs, so there is nothing to whiten by."""
     study = pendulum("identification=posterior", "bias=window_gp")

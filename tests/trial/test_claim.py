@@ -66,7 +66,7 @@ def test_claims_are_wrong_at_most_as_often_as_they_say() -> None:
     method = ModelBased(max_iterations=10, confidence=0.8, stop_at_failure=True)
     short = ["tracking=none", "bias=none", "optimizer.max_evaluations=2", "task.horizon=2"]
     study = replace(simbias.load([*POINT_MASS, *short], OWN_CONF), method=method, hardware=Fickle(0.78, 2))
-    wrong = [run_trial(replace(study, seed=seed)).summary.claimed_share > 0.78 for seed in range(60)]
+    wrong = [run_trial(replace(study, seed=seed)).summary.claimed_share > 0.78 for seed in range(40)]
     assert np.mean(wrong) < ERROR + 2 * np.sqrt(ERROR * (1 - ERROR) / len(wrong))
 
 

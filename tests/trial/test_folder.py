@@ -268,6 +268,7 @@ def test_another_platform_is_said_and_kept(
     assert [record.summary.platforms for record in records] == 2 * [(here, "another")]
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_nothing(
     short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

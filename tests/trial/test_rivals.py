@@ -53,6 +53,7 @@ def test_each_keeps_the_contract_and_is_resumed(point_mass: Study, name: str) ->
         assert not verdict.problem
 
 
+@pytest.mark.slow
 def test_ideal_holds_what_the_model_does_not(point_mass: Study) -> None:
     """Its policy is searched in the wind, and no experiment is spent on that."""
     record = run_trial(replace(point_mass, method=Ideal(rollouts=2)))
@@ -120,6 +121,7 @@ def test_simulators_of_rising_fidelity_end_at_the_top(point_mass: Study) -> None
     assert not np.array_equal(only.parameters, only.search.optimum.parameters)
 
 
+@pytest.mark.slow
 def test_what_the_top_says_corrects_the_bottom(point_mass: Study) -> None:
     study = replace(point_mass, bias=GaussianProcess(point_mass.task))
     method = MultiFidelity(wind(point_mass), {"wind": -2.0}, rollouts=2, max_iterations=3)
