@@ -105,6 +105,7 @@ def test_every_shipped_option_builds() -> None:
             assert isinstance(getattr(study, group), get_type_hints(Study)[group]), (group, chosen)
 
 
+@pytest.mark.slow
 def test_every_preset_builds() -> None:
     for option in options()["preset"]:
         assert build(compose([f"preset={option}"])).choices["preset"] == option

@@ -166,6 +166,7 @@ def test_figures_leave_pyplot_alone() -> None:
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_a_drawing_of_ones_own(of_point_mass) -> None:
     """Without one, there are no snapshots."""
 
