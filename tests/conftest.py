@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import copy
 import gc
 import os
 import re
@@ -81,27 +80,6 @@ def _one_thread() -> Iterator[None]:
     """Linear algebra on one thread, as in a trial: its threads wait for each other in a busy loop."""
     with threadpool_limits(1, user_api="blas"):
         yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _read_once() -> None:
-    """Let Hydra read the file of an option again only where it has changed: that took a third of its time."""
-    from hydra._internal.sources_registry import SourcesRegistry
-    from hydra.core.plugins import Plugins
-
-    Plugins.instance()  # which registers the source of files
-    source = SourcesRegistry.instance().resolve("file")
-    load, kept = source.load_config, dict[tuple[Any, ...], Any]()
-
-    def load_config(self: Any, config_path: str) -> Any:
-        file = Path(self.path) / self._normalize_file_name(config_path)
-        about = file.stat()
-        key = (self.path, self.provider, config_path, about.st_mtime_ns, about.st_size, about.st_ino)
-        if key not in kept:
-            kept[key] = load(self, config_path=config_path)
-        return copy.deepcopy(kept[key])
-
-    source.load_config = load_config
 
 
 @pytest.fixture(scope="session", autouse=True)

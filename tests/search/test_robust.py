@@ -192,9 +192,9 @@ def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> No
     tester = simbias.load([*options, "evaluation=fresh_randomization", "evaluation.rollouts=60"])
     unmet = tester.evaluation.objective(tester.first_model(), tester.cost, np.random.default_rng(5))
     held = {}
-    for name, seeds in (("nominal_start", range(3)), ("fresh_randomization", [1])):
+    for name in ("nominal_start", "fresh_randomization"):
         study, fell = simbias.load([*options, f"evaluation={name}"]), []
-        for seed in seeds:
+        for seed in range(3):
             made = search(study, study.first_model(), np.random.default_rng(seed), Observer())
             runs = [each.simulator.rollout(made.optimum.parameters, each.start) for each in unmet.scenarios]
             fell += [run.failed_at is not None for run in runs]
