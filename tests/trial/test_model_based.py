@@ -13,6 +13,7 @@ from point_mass import Distance, PointMass, WithoutWind
 from scripted import FRAMES, ScriptedHardware
 from scripted import scripted as run_scripted
 
+import simbias
 from simbias.core import Evaluation, Model
 from simbias.core.errors import ConfigError
 from simbias.core.records import Iteration, Rollout
@@ -263,3 +264,6 @@ def test_random_experiments_need_limits(point_mass: Study) -> None:
     study = replace(point_mass, task=task, method=ModelBased(random_experiments=1))
     with pytest.raises(ConfigError, match=r"^method.random_experiments: force has no limit"):
         study.method.check(study)
+    reacher = simbias.load(["preset=reacher", "tracking=none"])
+    with pytest.raises(ConfigError, match=r"^method.random_experiments: a task with targets can have none"):
+        study.method.check(reacher)

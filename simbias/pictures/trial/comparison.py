@@ -61,8 +61,8 @@ def has_samples(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
     """Whether its policy's bias was learned: from D before it, or from random experiments."""
     if iteration.index == 0:
         return iteration.total_experiments > len(iteration.experiments)
-    earlier = [each.learning for each in iterations if each.index < iteration.index]
-    return any(len(learning.data) > 0 for learning in earlier[-1:] if learning is not None)
+    before = [each.learning for each in iterations if each.index == iteration.index - 1]
+    return any(learning is not None and len(learning.data) > 0 for learning in before)
 
 
 def learned_before(iterations: Sequence[Iteration], iteration: Iteration) -> bool:
@@ -113,10 +113,10 @@ def policy_words(iteration: Iteration) -> str:
     return f"Policy after {counted(before, 'hardware experiment')}"
 
 
-def simulation_words(study: Study, model: Model, has_samples: bool) -> str:
-    """A simulation, whose bias was learned if it has samples."""
-    learns = has_samples and study.choices["bias"] != "none"
-    bias = f" + learned bias ({study.choices['bias']})" if learns else ""
+def simulation_words(study: Study, model: Model, learned: bool) -> str:
+    """A simulation, and whether its bias was learned."""
+    corrected = learned and study.choices["bias"] != "none"
+    bias = f" + learned bias ({study.choices['bias']})" if corrected else ""
     return f"simulation: {'identified' if model.nominal.estimates else 'nominal'} model{bias}"
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from simbias.core import Task
 from simbias.core.errors import ConfigError
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout
@@ -106,11 +107,8 @@ class ModelBased(Method):
         """Refuse a policy that follows no planned trajectory, and random inputs without limits."""
         if self.trajectories:
             follower(study.policy)
-        largest = np.max(np.abs(study.task.input_bounds), axis=0)
-        unlimited = [each.name for each, u in zip(study.task.inputs, largest, strict=True) if u == np.inf]
-        if self.random_experiments and (unlimited or study.task.targets):
-            problem = f"{unlimited[0]} has no limit" if unlimited else "no task with targets has any"
-            raise ConfigError("method.random_experiments", problem)
+        if self.random_experiments:
+            _check_random_inputs(study.task)
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration."""
@@ -155,3 +153,12 @@ class ModelBased(Method):
             yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)
             if succeeded:
                 return
+
+
+def _check_random_inputs(task: Task) -> None:
+    """Refuse a task whose inputs cannot be drawn at their limits and played without feedback."""
+    if task.targets:
+        raise ConfigError("method.random_experiments", "a task with targets can have none")
+    for each, largest in zip(task.inputs, np.max(np.abs(task.input_bounds), axis=0).tolist(), strict=True):
+        if largest == np.inf:
+            raise ConfigError("method.random_experiments", f"{each.name} has no limit")
