@@ -107,7 +107,7 @@ class Variations:
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
         self._folders = [] if config_dir is None else [Path(config_dir)]
         self._allowed = prefixes(self._folders, allow)
-        self._read = [resource_folder("conf"), resource_folder("sweeps"), *map(Path.resolve, self._folders)]
+        self._read = [resource_folder("conf"), *map(Path.resolve, self._folders)]
 
     def composition(self, settings: Mapping[str, Any]) -> Composition:
         """The composition with options (`bias`), values (`bias.d`) and new values (`+hardware.noise.x`) set.
@@ -149,7 +149,7 @@ class Variations:
         groups = by_hydra(tuple(split.structure)).choices if settings else {}
         options = [f"{key}={value}" for key, value in settings.items() if key in groups]
         whole = by_hydra((*split.structure, *options))
-        config = whole.config.copy()
+        config = whole.config
         values = split.values | {key: value for key, value in settings.items() if key not in groups}
         for key, value in values.items():
             set_value(config, key, value)

@@ -32,7 +32,8 @@ def safety(config: Any) -> Safety:
     ConfigError
         If a value has the wrong type or range.
     """
-    found: Safety = validate(split(config)[1], FIELDS, HARDWARE).get("safety", NO_LIMITS)
+    _, own = split(config)
+    found: Safety = validate(own, FIELDS, HARDWARE).get("safety", NO_LIMITS) if own else NO_LIMITS
     return found
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -100,13 +101,17 @@ def _loaded(file: Path, time: int, size: int) -> Any:
 
 
 def state(folders: Sequence[Path]) -> frozenset[tuple[str, int, int]]:
-    """Name, time and size of every YAML file in these folders: another state, another composition."""
-    return frozenset(entry for folder in folders for entry in _files(folder))
+    """Name, time and size of every shipped sweep and of every YAML file in these folders and below them.
+
+    Another state, another composition. What lies in hidden folders, as environments are, is passed over.
+    """
+    walks = [*map(os.walk, folders), islice(os.walk(resource_folder("sweeps")), 1)]
+    return frozenset(entry for walk in walks for entry in _files(walk))
 
 
-def _files(folder: Path) -> Iterator[tuple[str, int, int]]:
-    """The YAML files in a folder and below it, but for hidden folders, as environments are."""
-    for root, inner, names in os.walk(folder):
+def _files(walk: Iterator[tuple[str, list[str], list[str]]]) -> Iterator[tuple[str, int, int]]:
+    """The YAML files of a walk."""
+    for root, inner, names in walk:
         inner[:] = [name for name in inner if not name.startswith(".")]
         for name in names:
             if name.endswith(".yaml"):
