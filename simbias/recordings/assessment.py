@@ -18,6 +18,7 @@ from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.findings import Finding, findings
 from simbias.recordings.horizons import Prediction, overall, predictions
 from simbias.recordings.parts import Part, others, parts
+from simbias.recordings.reach import Reach, beyond
 from simbias.trial.study import Study
 
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
@@ -64,6 +65,17 @@ class Assessment:
     def ratios(self) -> dict[str, float]:
         """Error over the nominal model's, by the name of each part."""
         return {part.name: overall(self.predictions, i) for i, part in enumerate(self.judged)}
+
+    @cached_property
+    def reaches(self) -> dict[str, list[Reach]]:
+        """How far each part, by its name, reaches beyond what its model was learned from."""
+        everything = [rollout for part in self.parts for rollout in part.rollouts]
+        return {
+            part.name: beyond(
+                self.task, part.rollouts, everything if self.held_out else others(self.parts, i)
+            )
+            for i, part in enumerate(self.judged)
+        }
 
     @property
     def better(self) -> bool:
@@ -126,6 +138,7 @@ def assess(
         models = [model.elsewhere() for model in models]
     else:  # parts of one recording, which are alike in what it has of its own
         models = [model.of_recording(0) for model in models]
+    learned = [(model.elsewhere(), others(all_parts, i)) for i, model in enumerate(alone)] if kept else []
     return Assessment(
         study.task,
         study.nominal,
@@ -135,7 +148,7 @@ def assess(
         kept,
         models,
         findings(identified, alone, by_window),
-        predictions(study.task, study.nominal, models, [part.rollouts for part in judged]),
+        predictions(study.task, study.nominal, models, [part.rollouts for part in judged], learned),
     )
 
 

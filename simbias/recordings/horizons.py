@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -32,6 +33,7 @@ class Prediction:
     nominal: tuple[Array, ...]  # of each part (w, n)
     identified: tuple[Array, ...]  # by models that were not fitted to the part
     spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
+    known: Known | None = None  # what regions are estimated from; None: of each part, the other parts
 
     @property
     def windows(self) -> int:
@@ -49,26 +51,51 @@ class Prediction:
         return ratio(self.identified[part], self.nominal[part])
 
     def coverage(self) -> float:
-        """Share of a part's errors in the 90% region that those of the other parts span; nan if too few.
+        """Share of a part's errors in the 90% region that known ones span; nan if these are too few.
 
         Regions are wider where small differences grow (`regions`).
         """
         held: list[Flags] = []
         for i, own in enumerate(self.identified):
-            rest = [j for j in range(len(self.identified)) if j != i]
-            known, spreads = (
-                np.concatenate([each[j] for j in rest] or [each[i][:0]])
-                for each in (self.identified, self.spreads)
-            )
-            if len(own) and len(known) >= FEWEST * own.shape[1] and np.isfinite(known).all():
-                held.append(inside(own, regions(self.spreads[i], known, spreads)))
+            known = self.known or self._others(i)
+            if len(own) and known.enough:
+                held.append(inside(own, regions(self.spreads[i], known.errors, known.spreads)))
         return float(np.mean(np.concatenate(held))) if held else np.nan
+
+    def _others(self, index: int) -> Known:
+        """What is known by all parts but one."""
+        rest = [j for j in range(len(self.identified)) if j != index]
+        errors, spreads = (
+            np.concatenate([each[j] for j in rest] or [each[index][:0]])
+            for each in (self.identified, self.spreads)
+        )
+        return Known(errors, spreads)
+
+
+class Known(NamedTuple):
+    """Errors of predictions by models that were not fitted to what they predict."""
+
+    errors: Array  # (v, n)
+    spreads: Array  # (v, n, n) of these predictions
+
+    @property
+    def enough(self) -> bool:
+        """Whether a region can be estimated from them."""
+        return len(self.errors) >= FEWEST * self.errors.shape[1] and bool(np.isfinite(self.errors).all())
 
 
 def predictions(
-    task: Task, nominal: Nominal, identified: Sequence[Nominal], parts: Sequence[Sequence[Rollout]]
+    task: Task,
+    nominal: Nominal,
+    identified: Sequence[Nominal],
+    parts: Sequence[Sequence[Rollout]],
+    learned: Sequence[tuple[Nominal, Sequence[Rollout]]] = (),
 ) -> list[Prediction]:
-    """Predictions of each part by the nominal and by the part's identified model, as far as parts last."""
+    """Predictions of each part by the nominal and by the part's identified model, as far as parts last.
+
+    Regions are estimated from the errors of `learned` models on rollouts that each was not fitted to; without
+    these, from those on the other parts.
+    """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
     frames = {seconds: task.frames(seconds) for seconds in HORIZONS}
     return [
@@ -77,10 +104,20 @@ def predictions(
             tuple(errors(nominal, part, k) for part in parts),
             tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
             tuple(spread(model, part, k) for model, part in zip(identified, parts, strict=True)),
+            _known(learned, k) if learned else None,
         )
         for seconds, k in frames.items()
         if k <= longest and k > frames.get(_before(seconds), 0)
     ]
+
+
+def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:
+    """What is known of predictions this number of frames ahead by models, of rollouts beside each."""
+    wrong, spreads = (
+        np.concatenate([of(model, rollouts, frames) for model, rollouts in learned])
+        for of in (errors, spread)
+    )
+    return Known(wrong, spreads)
 
 
 def errors(

@@ -91,6 +91,18 @@ def undetermined_lines(assessment: Assessment) -> Iterator[str]:
         yield f"{direction} (keeps {100 * share:.0f}% of the prior's deviation)"
 
 
+def reach_lines(assessment: Assessment) -> Iterator[str]:
+    """A line for each part that reaches beyond what its model was learned from."""
+    for name, reaches in assessment.reaches.items():
+        told = [
+            f"{each.name} from {each.range[0]:.3g} to {each.range[1]:.3g} {each.unit}, learned from "
+            f"{each.learned[0]:.3g} to {each.learned[1]:.3g} ({100 * each.share:.0f}% of frames beyond)"
+            for each in reaches
+        ]
+        if told:
+            yield f"{name}: {'; '.join(told)}. Do not count on its 90% regions"
+
+
 def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:
     """Sentences about the trajectory to record next, and the parameters it should narrow."""
     before = np.sqrt(np.diag(assessment.identified.covariance))

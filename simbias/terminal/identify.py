@@ -106,6 +106,8 @@ def tell(console: Console, assessment: Assessment, excitation: Excitation | None
     for line in words.undetermined_lines(assessment):
         say(console, f"Not determined: {line}")
     table(console, words.error_names(assessment), list(words.error_rows(assessment)))
+    for line in words.reach_lines(assessment):
+        say(console, f"Beyond what was learned from: {line}")
     for line in words.advice(assessment, excitation):
         say(console, f"Next: {line}")
     say(console, words.verdict(assessment))

@@ -1,4 +1,4 @@
-"""Hydra reads our options by `simbias.config.option_files`: what it composes is what it composes by itself."""
+"""What Hydra composes of options that are read once is what it composes by itself."""
 
 from __future__ import annotations
 
