@@ -1,26 +1,31 @@
-"""Score the last policy of a trial of a swing-up as RealAIGym's boards of simulations do (version 2).
+"""Score the last policy of a trial of a swing-up as RealAIGym's boards of simulations do (versions 2 and 3).
 
     python sweeps/studies/board/score.py pendubot TRIAL NAME [--seed 0]
 
-TRIAL is the folder of a trial of `preset=pendubot_swingup` (or `acrobot`), whose control period is a whole
-number of their 2 ms. It writes `con_NAME.py`, a controller that their scripts take, and prints its
-performance, on their plant without friction, and its robustness: 722 runs with changed models, noise, slow or
-late motors, late measurements, and pushes, each held against the goal in its last state.
+TRIAL is the folder of a trial of `preset=pendubot_board` or `acrobot_board`, or another one of these robots'
+swing-ups whose control period is a whole number of their 2 ms. It writes `con_NAME.py`, a controller that
+their scripts take, and prints, on their plant without friction,
+
+- performance (version 2);
+- robustness (version 2): 722 runs with changed models, noise, slow or late motors, late measurements, and
+  pushes, each held against the goal in its last state;
+- uptime (version 3): the share of a minute that the tip is up, while a PID takes the robot elsewhere 15
+  times, by the seeds of these; there is no torque of the policy's at the passive joint.
 
 Their plant, its integration, the order of what happens in a step, and the scores are written anew here after
-github.com/dfki-ric-underactuated-lab/double_pendulum. Uptime (version 3) is not scored: these policies are
-searched from rest.
+github.com/dfki-ric-underactuated-lab/double_pendulum.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
-from rollouts import Runs
+from rollouts import HEIGHT, Runs, height
 
 import simbias
 from simbias.core import Policy, Task
@@ -35,6 +40,10 @@ LENGTHS, GEAR, GRAVITY = (0.2, 0.3), 6.0, 9.81
 TYPICAL = {"time": 20.0, "energy": 60.0, "torque": 20.0, "smoothness": 0.1, "velocity": 400.0}
 NEAR = np.array([0.35, 0.35, 1.0, 1.0])  # of the goal, in the last state
 LEVELS, REPETITIONS, PUSHED = 21, 10, 50
+MINUTE, RESETS, RESET = 60.0, 15, 0.2  # s, of which each takes so long
+SEEDS = range(10)  # of the resets
+GAINS = (10.0, 0.1, 1.0)  # of their PID, which counts each step as 1 ms
+PID_STEP = 0.001
 PLANT = {  # design C.1 without friction; inertias about joints
     "m_1": 0.5234602302310271,
     "m_2": 0.6255677234174437,
@@ -72,7 +81,7 @@ class Learned(AbstractController):
     def get_control_output_(self, x, t=None):
         if t >= self._until - 1e-9:
             self._torque = float(self._controller([x[0] - np.pi, x[1], x[2], x[3]])[0])
-            self._until += TIME_STEP
+            self._until = t + TIME_STEP  # not asked during a reset, it does not make up for it
         return np.array({output})
 
 
@@ -125,7 +134,10 @@ def _pushes(joint: int, rng: np.random.Generator) -> tuple[tuple[float, float, f
     return tuple(zip(middles, rng.uniform(0.05, 0.1, 3), sizes + 0.5 * np.sign(sizes), strict=True))
 
 
-Law = Callable[[Array, float], Array]  # torques (lanes,) after measured states (lanes, 4), once in each step
+class Law(Protocol):
+    """Torques (lanes,) after measured states (lanes, 4); who is not `asked` keeps the one before."""
+
+    def __call__(self, x: Array, t: float, asked: Flags | bool = True) -> Array: ...
 
 
 def simulate(law: Law, each: list[Scenario], joint: int, rng: np.random.Generator) -> Runs:
@@ -202,6 +214,48 @@ def robustness(law: Law, joint: int, seed: int) -> dict[str, float]:
     return rates | {"robustness": float(np.mean(list(rates.values())))}
 
 
+def uptime(law: Law, joint: int, seeds: Sequence[int]) -> Array:
+    """Shares (lanes,) of a minute that the tip is up, by the seed of the resets."""
+    drawn = [_resets(seed) for seed in seeds]
+    goals, begins = np.stack([each[0] for each in drawn]), np.stack([each[1] for each in drawn])
+    lanes, steps = len(drawn), round(MINUTE / STEP)
+    plant = {name: np.full(lanes, value) for name, value in PLANT.items()}
+    x, up, resets = np.zeros((lanes, 4)), np.zeros(lanes), np.zeros(lanes, int)
+    error, before, total, seen = (np.zeros((lanes, 2)) for _ in range(4))
+    left = np.zeros(lanes, int)  # steps of a reset
+    for k in range(steps):
+        begin = (left == 0) & (k * STEP >= begins[np.arange(lanes), resets])
+        resets, left = resets + begin, np.where(begin, round(RESET / STEP) + 1, left)
+        held = (left > 0)[:, None]
+        error = goals[np.arange(lanes), np.maximum(resets, 1) - 1] - x[:, :2]
+        total, seen = total + held * error, seen + held
+        rate = np.where(seen > 2, (error - before) / PID_STEP, 0.0)
+        pid = np.clip(GAINS[0] * error + GAINS[1] * PID_STEP * total + GAINS[2] * rate, -LIMIT, LIMIT)
+        before = np.where(held, error, before)
+        own = np.zeros((lanes, 2))
+        own[:, joint] = law(x, k * STEP, left == 0)
+        x = _stepped(x, np.clip(np.where(held, pid + _weight(x), own), -LIMIT, LIMIT), plant)
+        left = np.maximum(left - 1, 0)
+        up += height(x) > HEIGHT
+    return up * STEP / MINUTE
+
+
+def _resets(seed: int) -> tuple[Array, Array]:
+    """Angles (15, 2) that the PID is to reach, and when it begins (16,), as their scripts draw them."""
+    rng = np.random.RandomState(seed)
+    angles = rng.uniform(0.0, 2 * np.pi, (10 * RESETS + 1, 4)) - np.pi
+    between = MINUTE / (RESETS + 1)
+    begins = np.linspace(between, MINUTE - between, RESETS) + 2.0 * (rng.rand(RESETS) - 0.5)
+    return angles[:RESETS, :2], np.append(begins, np.inf)
+
+
+def _weight(x: Array) -> Array:
+    """Torques (lanes, 2) that hold the plant at rest where it is."""
+    second = GRAVITY * PLANT["m_2"] * PLANT["r_2"] * np.sin(x[:, 0] + x[:, 1])
+    first = GRAVITY * (PLANT["m_1"] * PLANT["r_1"] + PLANT["m_2"] * LENGTHS[0]) * np.sin(x[:, 0])
+    return np.column_stack([first + second, second])
+
+
 def succeeds(runs: Runs) -> Flags:
     """Which lanes end near the goal."""
     x = runs.states[-1]
@@ -215,21 +269,24 @@ class Asked:
 
     def __init__(self, policy: Policy, task: Task, theta: Array) -> None:
         self._policy, self._task, self._theta = policy, task, theta
-        self._every = round(task.time_step / STEP)
-        if abs(self._every * STEP - task.time_step) > 1e-9:
+        if abs(round(task.time_step / STEP) * STEP - task.time_step) > 1e-9:
             raise ValueError(
                 f"the trial's time step is {task.time_step:g} s; it has to be a multiple of {STEP:g} s"
             )
 
-    def __call__(self, x: Array, t: float) -> Array:
+    def __call__(self, x: Array, t: float, asked: Flags | bool = True) -> Array:
         """Torques (lanes,) after states (lanes, 4), whose first angle is 0 where it hangs."""
-        k = round(t / STEP)
-        if k == 0:
-            self._state = np.zeros((len(x), self._policy.state_size))
-        if k % self._every == 0:
+        if t == 0.0:
+            lanes = len(x)
+            self._state = np.zeros((lanes, self._policy.state_size))
+            self._torque, self._until = np.zeros(lanes), np.zeros(lanes)
+        due = asked & (t >= self._until - 1e-9)
+        if due.any():
             shifted = x - np.array([np.pi, 0.0, 0.0, 0.0])
-            u, self._state = self._policy.act(self._theta, shifted, t, self._state)
-            self._torque = u[:, 0]
+            u, state = self._policy.act(self._theta, shifted, t, self._state)
+            self._state = np.where(due[:, None], state, self._state)
+            self._torque = np.where(due, u[:, 0], self._torque)
+            self._until = np.where(due, t + self._task.time_step, self._until)
         return self._torque
 
 
@@ -262,6 +319,8 @@ def main() -> None:
     law = Asked(policy, task, theta)
     print(f"performance {performance(law, joint):.3f}")
     print(", ".join(f"{kind} {rate:.3f}" for kind, rate in robustness(law, joint, arguments.seed).items()))
+    shares = uptime(law, joint, SEEDS)
+    print(f"uptime {shares.mean():.3f} ({shares.min():.3f} to {shares.max():.3f})")
 
 
 if __name__ == "__main__":
