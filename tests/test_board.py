@@ -205,3 +205,26 @@ def test_robustness_counts_kinds_of_runs(monkeypatch: pytest.MonkeyPatch) -> Non
     runs = score.simulate(lambda x, t: 1.0 + x[:, 0], [late], 0, np.random.default_rng(0))
     assert runs.states[-2, 0, 0] > 0.0
     np.testing.assert_array_equal(runs.commands[2:-1, 0, 0], 1.0 + runs.states[:-3, 0, 0])
+
+
+def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reset holds a robot where it is: nobody is asked, and nothing is up."""
+    import score
+
+    asked: list[Any] = []
+    plant = {name: np.full(1, value) for name, value in score.PLANT.items()}
+    x = np.random.default_rng(0).uniform(-3.0, 3.0, (1, 4)) * np.array([1.0, 1.0, 0.0, 0.0])
+    still = score._derivative(x, score._weight(x), plant)
+    np.testing.assert_allclose(still, 0.0, atol=1e-9)
+
+    def nothing(x: Any, t: float, own: Any = True) -> Any:
+        asked.append(own)
+        return np.zeros(len(x))
+
+    monkeypatch.setattr(score, "MINUTE", 2.0)
+    monkeypatch.setattr(score, "_resets", lambda seed: (np.full((15, 2), seed), np.array([1.0, np.inf])))
+    shares = score.uptime(nothing, 0, [0, 0])
+    assert shares.tolist() == [0.0, 0.0]  # held where it hangs
+    held = [k for k, own in enumerate(asked) if not own.all()]
+    assert held == list(range(500, 500 + len(held)))
+    assert len(held) == 101  # as their scripts: until their clock exceeds 0.2 s
