@@ -85,47 +85,76 @@ class Declared(Task):
         sensors: SensorFile | None = None,
         targets: Named[State] | None = None,
     ) -> None:
-        robot, inputs, failure = dict(states), dict(inputs), dict(failure or {})
-        for name, some in (("states", robot), ("inputs", inputs)):
+        for name, some in (("states", states), ("inputs", inputs)):
             if not some:
                 raise ValueError(f"{name} is empty: there has to be one at least")
-        self.time_step = time_step
-        self.horizon = horizon
-        for name in set(robot) & set(dict(targets or {})):
-            raise ValueError(f"targets.{name}: a state has this name")
-        states = {**robot, **dict(targets or {})}
-        self.states = tuple(
-            Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
-        )
-        self.targets = self.states[len(robot) :]
-        self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
-        self._input_bounds = lower, upper = _bounds(inputs)
-        self.input_limit = np.maximum(-lower, upper)
-        self._starts = Starts(states, starts)
-        self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
+        self.time_step, self.horizon = time_step, horizon
         self.criteria, self.outputs = (), ()  # what a robot's file is held against has none yet
+        self._set_states(dict(states), dict(targets or {}), starts)
+        self._set_inputs(dict(inputs))
         self._sensors = None if sensors is None else Sensors(self.without_targets, sensors)
         self._known: dict[str, Any] = {
-            "variables": (*states, *(self._sensors.names if self._sensors else ())),
+            "variables": (
+                *(each.name for each in self.states),
+                *(self._sensors.names if self._sensors else ()),
+            ),
             "constants": dict(constants or {}),
             "where": dict(where or {}),
         }
-        given = dict(outputs or {}) or {name: Output(name, state.unit) for name, state in states.items()}
-        self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
-        self.criteria = tuple(_criterion(name, each, tuple(robot)) for name, each in failure.items())
-        self._measure = self.expressions(
-            {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
-        )
-        self._check_failures()
-        self._output = self.expressions({name: output.value for name, output in given.items()})
+        self._set_outputs(dict(outputs or {}))
+        self._set_failures(dict(failure or {}))
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
-        self.pushes = tuple(_push(name, each, tuple(inputs)) for name, each in dict(pushes or {}).items())
+        names = tuple(each.name for each in self.inputs)
+        self.pushes = tuple(_push(name, each, names) for name, each in dict(pushes or {}).items())
         self._figure = None if figure is None else Figure(self.without_targets, figure)
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
         ]
-        self.drawing = _parts(self._figure) if self._figure else dict(drawing or {})
+        self._set_drawing(dict(drawing or {}))
+
+    def _set_states(
+        self, robot: dict[str, State], targets: dict[str, State], starts: list[list[float]] | None
+    ) -> None:
+        """Set the states, the last of which are targets, and where they start."""
+        for name in set(robot) & set(targets):
+            raise ValueError(f"targets.{name}: a state has this name")
+        states = {**robot, **targets}
+        self.states = tuple(
+            Quantity(name, state.unit, state.kind, state.wraps) for name, state in states.items()
+        )
+        self.targets = self.states[len(robot) :]
+        self._starts = Starts(states, starts)
+        self.start_mean, self.start_deviation = self._starts.mean, self._starts.deviation
+
+    def _set_inputs(self, inputs: dict[str, Input]) -> None:
+        """Set the inputs and their limits."""
+        self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
+        self._input_bounds = lower, upper = _bounds(inputs)
+        self.input_limit = np.maximum(-lower, upper)
+
+    def _set_outputs(self, outputs: dict[str, Output]) -> None:
+        """Set what a policy feeds back."""
+        given = outputs or {state.name: Output(state.name, state.unit) for state in self.states}
+        self.outputs = tuple(Quantity(name, output.unit) for name, output in given.items())
+        self._output = self.expressions({name: output.value for name, output in given.items()})
+
+    def _set_failures(self, failure: dict[str, Failure]) -> None:
+        """Set the failure criteria; refuse those that depend on targets, of which a robot knows nothing."""
+        names = tuple(each.name for each in self.states[: len(self.states) - len(self.targets)])
+        self.criteria = tuple(_criterion(name, each, names) for name, each in failure.items())
+        self._measure = self.expressions(
+            {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
+        )
+        x = self.start_mean.copy()
+        x[len(x) - len(self.targets) :] = np.nan
+        for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
+            if np.isnan(measure):
+                raise ValueError(f"failure.{criterion.name}: a robot's failure cannot depend on targets")
+
+    def _set_drawing(self, drawing: dict[str, Part]) -> None:
+        """Set what is drawn: a figure's parts, or those that are declared."""
+        self.drawing = _parts(self._figure) if self._figure else drawing
         self._points = self.expressions(
             {
                 f"drawing.{name}.{index}.{axis}": expression
@@ -134,14 +163,6 @@ class Declared(Task):
                 for axis, expression in zip("xy", point, strict=True)
             }
         )
-
-    def _check_failures(self) -> None:
-        """Refuse failures that depend on targets, of which a robot knows nothing."""
-        x = self.start_mean.copy()
-        x[len(x) - len(self.targets) :] = np.nan
-        for criterion, measure in zip(self.criteria, self.measure(x) if self.targets else (), strict=False):
-            if np.isnan(measure):
-                raise ValueError(f"failure.{criterion.name}: a robot's failure cannot depend on targets")
 
     def _set_goal(self, goal: Mapping[str, str], file: str | None) -> None:
         """Set the goal's quantities and their reference."""
