@@ -109,7 +109,7 @@ def test_expressions_mean_what_they_say(a: float, b: float) -> None:
     texts = {
         "sum": "1 + 2 * a - b / 3",
         "power": "-a**2 + b**3 - (a - b)**4",
-        "functions": "sin(a) * cos(b) + abs(a) + sqrt(b**2) + atan2(a, 2 + b)",
+        "functions": "sin(a) * cos(b) + abs(a) + sqrt(b**2) + atan2(a, 2 + b) + exp(-a / 2)",
         "extremes": "min(a, b, 1.5) - max(-a, b)",
         "names": "twice + c * pi",
     }
@@ -117,7 +117,7 @@ def test_expressions_mean_what_they_say(a: float, b: float) -> None:
     expected = [
         1 + 2 * a - b / 3,
         -(a**2) + b**3 - (a - b) ** 4,
-        np.sin(a) * np.cos(b) + abs(a) + abs(b) + np.arctan2(a, 2 + b),
+        np.sin(a) * np.cos(b) + abs(a) + abs(b) + np.arctan2(a, 2 + b) + np.exp(-a / 2),
         min(a, b, 1.5) - max(-a, b),
         2 * a + 0.5 * np.pi,
     ]

@@ -30,7 +30,7 @@ def _as_text(value: Any) -> Any:
 Expression = Annotated[str, BeforeValidator(_as_text), Field(min_length=1, max_length=LENGTH)]
 
 CONSTANTS = {"pi": math.pi}
-OF_ONE: Mapping[str, Callable] = {"abs": np.abs, "sqrt": np.sqrt, "sin": np.sin, "cos": np.cos}
+OF_ONE: Mapping[str, Callable] = {"abs": np.abs, "sqrt": np.sqrt, "exp": np.exp, "sin": np.sin, "cos": np.cos}
 OF_TWO: Mapping[str, Callable] = {"atan2": np.arctan2}
 OF_MANY: Mapping[str, Callable] = {"min": np.minimum, "max": np.maximum}
 OPERATORS: Mapping[type, Callable] = {
