@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import pickle
+from copy import deepcopy
 from functools import cache, lru_cache
 from typing import Any
 
@@ -30,7 +30,7 @@ class OptionFiles(_Files):
     def load_config(self, config_path: str) -> ConfigResult:
         """The content of a file, which Hydra changes as it composes; read again once the file has changed."""
         about = os.stat(os.path.join(self.path, f"{config_path.removesuffix('.yaml')}.yaml"))
-        return pickle.loads(_read(self.provider, self.path, config_path, about.st_mtime_ns, about.st_size))
+        return deepcopy(_read(self.provider, self.path, config_path, about.st_mtime_ns, about.st_size))
 
 
 class ShippedOptions(SearchPathPlugin):
@@ -44,9 +44,10 @@ class ShippedOptions(SearchPathPlugin):
 
 
 @lru_cache(maxsize=1000)
-def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> bytes:
-    """A file's content as Hydra reads it, to be copied: faster than a deep copy."""
-    return pickle.dumps(_Files(provider, f"file://{folder}").load_config(config_path))
+def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> ConfigResult:
+    """A file's content as Hydra reads it, to be copied."""
+    read: ConfigResult = _Files(provider, f"file://{folder}").load_config(config_path)
+    return read
 
 
 @cache

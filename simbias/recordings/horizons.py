@@ -63,7 +63,7 @@ class Prediction:
         return float(np.mean(np.concatenate(held))) if held else np.nan
 
     def _others(self, index: int) -> Known:
-        """What is known by all parts but one."""
+        """Errors on all parts but one."""
         rest = [j for j in range(len(self.identified)) if j != index]
         errors, spreads = (
             np.concatenate([each[j] for j in rest] or [each[index][:0]])
@@ -112,7 +112,7 @@ def predictions(
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:
-    """What is known of predictions this number of frames ahead by models, of rollouts beside each."""
+    """Errors of models this number of frames ahead, each on the rollouts beside it."""
     wrong, spreads = (
         np.concatenate([of(model, rollouts, frames) for model, rollouts in learned])
         for of in (errors, spread)
