@@ -34,7 +34,7 @@ def _parts(assessment: Assessment, excitation: Excitation | None) -> Iterator[st
     yield heading("Errors of predictions that no model was fitted to")
     yield table(words.error_names(assessment), words.error_rows(assessment))
     if outside := list(words.reach_lines(assessment)):
-        yield paragraph("Some of what is predicted reaches beyond what its model was learned from:")
+        yield paragraph("Some predictions extrapolate beyond the data that their model was learned from:")
         yield items(outside)
     yield picture(plots.errors(assessment), "Root mean square errors by horizon")
     yield heading("What to record next")

@@ -221,7 +221,7 @@ def uptime(law: Law, joint: int, seeds: Sequence[int]) -> Array:
     lanes, steps = len(drawn), round(MINUTE / STEP)
     plant = {name: np.full(lanes, value) for name, value in PLANT.items()}
     x, up, resets = np.zeros((lanes, 4)), np.zeros(lanes), np.zeros(lanes, int)
-    error, before, total, seen = (np.zeros((lanes, 2)) for _ in range(4))
+    before, total, seen = (np.zeros((lanes, 2)) for _ in range(3))
     left = np.zeros(lanes, int)  # steps of a reset
     for k in range(steps):
         begin = (left == 0) & (k * STEP >= begins[np.arange(lanes), resets])
