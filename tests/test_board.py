@@ -214,7 +214,7 @@ def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) ->
     asked: list[Any] = []
     plant = {name: np.full(1, value) for name, value in score.PLANT.items()}
     x = np.random.default_rng(0).uniform(-3.0, 3.0, (1, 4)) * np.array([1.0, 1.0, 0.0, 0.0])
-    still = score._derivative(x, score._weight(x), plant)
+    still = score._derivative(x, score._weight(x, plant), plant)
     np.testing.assert_allclose(still, 0.0, atol=1e-9)
 
     def nothing(x: Any, t: float, own: Any = True) -> Any:

@@ -95,13 +95,13 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each part that reaches beyond what its model was learned from."""
     for name, reaches in assessment.reaches.items():
         told = [
-            f"{each.name} goes from {each.range[0]:.3g} to {each.range[1]:.3g} {each.unit}, but the model was "
-            f"learned from {each.learned[0]:.3g} to {each.learned[1]:.3g} ({100 * each.share:.0f}% of the frames "
-            "are outside)"
+            f"{each.name} goes from {each.range[0]:.3g} to {each.range[1]:.3g} {each.unit}, but the model "
+            f"was learned from {each.learned[0]:.3g} to {each.learned[1]:.3g} "
+            f"({100 * each.share:.0f}% of the frames are outside)"
             for each in reaches
         ]
         if told:
-            yield f"in {name}, {'; '.join(told)}. Do not rely on the 90% regions there"
+            yield f"In {name}, {'; '.join(told)}. Do not rely on the 90% regions there."
 
 
 def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:

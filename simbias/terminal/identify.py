@@ -107,7 +107,7 @@ def tell(console: Console, assessment: Assessment, excitation: Excitation | None
         say(console, f"Not determined: {line}")
     table(console, words.error_names(assessment), list(words.error_rows(assessment)))
     for line in words.reach_lines(assessment):
-        say(console, f"Extrapolation: {line}.")
+        say(console, f"Extrapolation: {line}")
     for line in words.advice(assessment, excitation):
         say(console, f"Next: {line}")
     say(console, words.verdict(assessment))

@@ -178,19 +178,25 @@ def _stepped(x: Array, u: Array, plant: dict[str, Array]) -> Array:
 
 def _derivative(x: Array, u: Array, p: dict[str, Array]) -> Array:
     """Velocities and accelerations (lanes, 4) at states x (lanes, 4) under torques u (lanes, 2)."""
-    q_1, q_2, v_1, v_2 = x.T
-    h, sin_12 = p["m_2"] * LENGTHS[0] * p["r_2"], np.sin(q_1 + q_2)
+    _, q_2, v_1, v_2 = x.T
+    h, weight = p["m_2"] * LENGTHS[0] * p["r_2"], _weight(x, p)
     c, s = h * np.cos(q_2), h * np.sin(q_2)
     m_11 = p["I_1"] + p["I_2"] + p["m_2"] * LENGTHS[0] ** 2 + 2.0 * c + (GEAR**2 + 1.0) * p["rotor"]
     m_12, m_22 = p["I_2"] + c - GEAR * p["rotor"], p["I_2"] + GEAR**2 * p["rotor"]
-    g_1, g_2 = GRAVITY * (p["m_1"] * p["r_1"] + p["m_2"] * LENGTHS[0]), GRAVITY * p["m_2"] * p["r_2"]
-    f_1 = u[:, 0] + s * v_2 * (2.0 * v_1 + v_2) - g_1 * np.sin(q_1) - g_2 * sin_12
+    f_1 = u[:, 0] + s * v_2 * (2.0 * v_1 + v_2) - weight[:, 0]
     f_1 = f_1 - p["b_1"] * v_1 - p["c_1"] * np.arctan(100.0 * v_1)
-    f_2 = u[:, 1] - s * v_1**2 - g_2 * sin_12 - p["b_2"] * v_2 - p["c_2"] * np.arctan(100.0 * v_2)
+    f_2 = u[:, 1] - s * v_1**2 - weight[:, 1] - p["b_2"] * v_2 - p["c_2"] * np.arctan(100.0 * v_2)
     determinant = m_11 * m_22 - m_12**2
     return np.column_stack(
         [v_1, v_2, (m_22 * f_1 - m_12 * f_2) / determinant, (m_11 * f_2 - m_12 * f_1) / determinant]
     )
+
+
+def _weight(x: Array, p: dict[str, Array]) -> Array:
+    """Torques (lanes, 2) that hold the plant at rest at states x (lanes, 4)."""
+    second = GRAVITY * p["m_2"] * p["r_2"] * np.sin(x[:, 0] + x[:, 1])
+    first = GRAVITY * (p["m_1"] * p["r_1"] + p["m_2"] * LENGTHS[0]) * np.sin(x[:, 0])
+    return np.column_stack([first + second, second])
 
 
 def performance(law: Law, joint: int) -> float:
@@ -234,7 +240,7 @@ def uptime(law: Law, joint: int, seeds: Sequence[int]) -> Array:
         before = np.where(held, error, before)
         own = np.zeros((lanes, 2))
         own[:, joint] = law(x, k * STEP, left == 0)
-        x = _stepped(x, np.clip(np.where(held, pid + _weight(x), own), -LIMIT, LIMIT), plant)
+        x = _stepped(x, np.clip(np.where(held, pid + _weight(x, plant), own), -LIMIT, LIMIT), plant)
         left = np.maximum(left - 1, 0)
         up += height(x) > HEIGHT
     return up * STEP / MINUTE
@@ -247,13 +253,6 @@ def _resets(seed: int) -> tuple[Array, Array]:
     between = MINUTE / (RESETS + 1)
     begins = np.linspace(between, MINUTE - between, RESETS) + 2.0 * (rng.rand(RESETS) - 0.5)
     return angles[:RESETS, :2], np.append(begins, np.inf)
-
-
-def _weight(x: Array) -> Array:
-    """Torques (lanes, 2) that hold the plant at rest where it is."""
-    second = GRAVITY * PLANT["m_2"] * PLANT["r_2"] * np.sin(x[:, 0] + x[:, 1])
-    first = GRAVITY * (PLANT["m_1"] * PLANT["r_1"] + PLANT["m_2"] * LENGTHS[0]) * np.sin(x[:, 0])
-    return np.column_stack([first + second, second])
 
 
 def succeeds(runs: Runs) -> Flags:
