@@ -40,7 +40,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
         for file in (Path(path) for path, *_ in files):
             if file.is_relative_to(config_dir):
                 check_ends(file)
-        overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'file://{config_dir}')}]"]
+        overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
     values = {each.key_or_group: each.value() for each in parsed(overrides)}  # the last of each
     if isinstance(sweep := values.get("sweep"), str):
         register_sweep(sweep, config_dir, grid)

@@ -20,7 +20,7 @@ _Files: Any = next(each for each in _SOURCES if each.scheme() == "file")
 
 
 class OptionFiles(_Files):
-    """A folder of YAML files."""
+    """A folder of options: the shipped ones, or a user's."""
 
     @staticmethod
     def scheme() -> str:
