@@ -1,13 +1,17 @@
-"""Parts of a declared task as its YAML says them: inputs, outputs, failures, pushes, drawings; names."""
+"""Parts of a declared task as its YAML says them, and the records that become of them."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, Field
 
+from simbias.core import Criterion, Push
 from simbias.core.ranges import Coordinate, Force, NonNegative, Seconds
+from simbias.core.records import Array
 from simbias.robots.declared.starts import Range
 from simbias.simulation.compiler import Expression
 
@@ -78,3 +82,39 @@ def _names(values: dict[str, _Value]) -> dict[str, _Value]:
 
 
 Named = Annotated[dict[str, _Value], AfterValidator(_names), AfterValidator(_in_order)]
+
+
+def measure_of(name: str, failure: Failure) -> str:
+    """The expression whose value is above the criterion's limit where x fails."""
+    if (failure.above is None) == (failure.below is None):
+        raise ValueError(f"{name}: one of above and below is to be given")
+    return failure.value if failure.below is None else f"-({failure.value})"
+
+
+def push_of(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
+    """Pushes on an input of these."""
+    if name not in inputs:
+        raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
+    amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
+    for key, (least, most) in (("amplitude", amplitude), ("seconds", seconds)):
+        if not 0 <= least <= most:
+            raise ValueError(f"pushes.{name}.{key} is [{least:g}, {most:g}], not from less to more")
+    return Push(inputs.index(name), pulses.count, amplitude, seconds)
+
+
+def bounds_of(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
+    """Lower and upper limits (m,) of the inputs."""
+    upper = np.array([each.limit for each in inputs.values()])
+    lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
+    for name, least, most in zip(inputs, lower.tolist(), upper.tolist(), strict=True):
+        if not least < most:
+            raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
+    return lower, upper
+
+
+def criterion_of(name: str, failure: Failure, states: Collection[str]) -> Criterion:
+    """The failure criterion; a limit of |state| also bounds the state by itself."""
+    limit = failure.above if failure.above is not None else -(failure.below or 0.0)
+    value = failure.value.replace(" ", "")
+    bounds = {state: limit for state in states if value == f"abs({state})"}
+    return Criterion(name, failure.words or name.replace("_", " "), limit, failure.unit, bounds)

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from simbias.core import Criterion, Push, Quantity, Task
+from simbias.core import Quantity, Task
 from simbias.core.files import ConfigFile
 from simbias.core.ranges import Coordinate, Frames, Seconds, TimeStep
 from simbias.core.records import Array
-from simbias.robots.declared.declarations import Failure, Input, Named, Output, Part, Pulses
+from simbias.robots.declared.declarations import (
+    Failure,
+    Input,
+    Named,
+    Output,
+    Part,
+    Pulses,
+    bounds_of,
+    criterion_of,
+    measure_of,
+    push_of,
+)
 from simbias.robots.declared.goal import Reference, Success, check_within, success_names
 from simbias.robots.declared.starts import Starts, State
 from simbias.robots.mujoco.figure import Figure, FigureFile
@@ -106,7 +117,7 @@ class Declared(Task):
         self._set_goal(dict(goal or {}), reference)
         self._set_success(dict(success or {}), hold)
         names = tuple(each.name for each in self.inputs)
-        self.pushes = tuple(_push(name, each, names) for name, each in dict(pushes or {}).items())
+        self.pushes = tuple(push_of(name, each, names) for name, each in dict(pushes or {}).items())
         self._figure = None if figure is None else Figure(self.without_targets, figure)
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
@@ -130,7 +141,7 @@ class Declared(Task):
     def _set_inputs(self, inputs: dict[str, Input]) -> None:
         """Set the inputs and their limits."""
         self.inputs = tuple(Quantity(name, each.unit, each.kind) for name, each in inputs.items())
-        self._input_bounds = lower, upper = _bounds(inputs)
+        self._input_bounds = lower, upper = bounds_of(inputs)
         self.input_limit = np.maximum(-lower, upper)
 
     def _set_outputs(self, outputs: dict[str, Output]) -> None:
@@ -142,9 +153,9 @@ class Declared(Task):
     def _set_failures(self, failure: dict[str, Failure]) -> None:
         """Set the failure criteria; refuse those that depend on targets, of which a robot knows nothing."""
         names = tuple(each.name for each in self.states[: len(self.states) - len(self.targets)])
-        self.criteria = tuple(_criterion(name, each, names) for name, each in failure.items())
+        self.criteria = tuple(criterion_of(name, each, names) for name, each in failure.items())
         self._measure = self.expressions(
-            {name: _measure(f"failure.{name}", each) for name, each in failure.items()}
+            {name: measure_of(f"failure.{name}", each) for name, each in failure.items()}
         )
         x = self.start_mean.copy()
         x[len(x) - len(self.targets) :] = np.nan
@@ -197,9 +208,9 @@ class Declared(Task):
                 f"hold is {hold:g} s, and an episode {self.horizon * self.time_step:g} s: none can succeed"
             )
         names = success_names(self._known["variables"], self._goals)
-        texts = {f"success.{name}": _measure(f"success.{name}", each) for name, each in success.items()}
+        texts = {f"success.{name}": measure_of(f"success.{name}", each) for name, each in success.items()}
         measures = Expressions(texts, **{**self._known, "variables": names})
-        criteria = [_criterion(name, each, ()) for name, each in success.items()]
+        criteria = [criterion_of(name, each, ()) for name, each in success.items()]
         self._success = Success(criteria, measures, self.frames(hold) + 1)
 
     @property
@@ -280,39 +291,3 @@ class Declared(Task):
 def _parts(figure: Figure) -> dict[str, Part]:
     """The parts of a figure, whose points it knows itself."""
     return {name: Part([], thickness) for name, thickness in figure.thickness.items()}
-
-
-def _measure(name: str, failure: Failure) -> str:
-    """The expression whose value is above the criterion's limit where x fails."""
-    if (failure.above is None) == (failure.below is None):
-        raise ValueError(f"{name}: one of above and below is to be given")
-    return failure.value if failure.below is None else f"-({failure.value})"
-
-
-def _push(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
-    """Pushes on an input of these."""
-    if name not in inputs:
-        raise ValueError(f"pushes: no input is called {name}; there is {', '.join(inputs)}")
-    amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
-    for key, (least, most) in (("amplitude", amplitude), ("seconds", seconds)):
-        if not 0 <= least <= most:
-            raise ValueError(f"pushes.{name}.{key} is [{least:g}, {most:g}], not from less to more")
-    return Push(inputs.index(name), pulses.count, amplitude, seconds)
-
-
-def _bounds(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
-    """Lower and upper limits (m,) of the inputs."""
-    upper = np.array([each.limit for each in inputs.values()])
-    lower = np.array([-each.limit if each.lower is None else each.lower for each in inputs.values()])
-    for name, least, most in zip(inputs, lower.tolist(), upper.tolist(), strict=True):
-        if not least < most:
-            raise ValueError(f"inputs.{name}: lower is {least:g}, not below the limit {most:g}")
-    return lower, upper
-
-
-def _criterion(name: str, failure: Failure, states: Collection[str]) -> Criterion:
-    """The failure criterion; a limit of |state| also bounds the state by itself."""
-    limit = failure.above if failure.above is not None else -(failure.below or 0.0)
-    value = failure.value.replace(" ", "")
-    bounds = {state: limit for state in states if value == f"abs({state})"}
-    return Criterion(name, failure.words or name.replace("_", " "), limit, failure.unit, bounds)
