@@ -14,8 +14,9 @@ from scipy.optimize import check_grad
 
 import simbias
 from simbias.core.records import Array, Transitions
+from simbias.learning.bias import likelihood
 from simbias.learning.bias.covariance import Hyperparameters
-from simbias.learning.bias.likelihood import LEAST_NOISE, Learning, learn, log_marginal_likelihood
+from simbias.learning.bias.likelihood import LEAST_NOISE, REACH, Learning, learn, log_marginal_likelihood
 from simbias.trial.study import Study
 
 if TYPE_CHECKING:
@@ -168,3 +169,21 @@ def test_it_is_deterministic_and_noise_stays_resolvable(study: Study) -> None:
         mean, _ = bias.fit(Transitions(data.inputs[:80], data.residuals[:80])).predict(data.inputs[80:])
         errors.append(np.sqrt(np.mean((mean - data.residuals[80:]) ** 2)))
     assert errors[1] < errors[0] / 2
+
+
+def test_no_line_search_leaves_what_the_priors_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Length scales of 1e-8 make distances rounding, and the covariance no covariance."""
+    tried: list[Array] = []
+
+    def recorded(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
+        tried.append(theta)
+        return log_marginal_likelihood(theta, x, y)
+
+    monkeypatch.setattr(likelihood, "log_marginal_likelihood", recorded)
+    for seed in (167, 283):  # whose searches went to 22 and 42 without bounds
+        rng = np.random.default_rng(seed)
+        x = np.cumsum(rng.normal(size=(60, 3)), axis=0)
+        x[:, 1] = np.repeat(rng.choice([-10.0, 10.0], 12), 5)  # an input at its limits
+        y = np.cumsum(rng.normal(size=(60, 2)), axis=0) * 0.05 + np.sin(3 * x[:, :1])
+        learn(medians(3), Transitions(x, y), Learning())
+    assert 5.0 < np.abs(np.array(tried)).max() <= REACH + 4.0  # the medians are within 4

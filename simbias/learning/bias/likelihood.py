@@ -12,6 +12,7 @@ from simbias.core.records import Array, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, correlation, output_scale
 
 LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
+REACH = 10.0  # deviations of the priors; beyond, where a line search may try, distances may be all rounding
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,10 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
     bounds = Bounds(np.where(kept, centre, lower), np.where(kept, centre, np.inf))
 
     def loss(theta: Array) -> tuple[float, Array]:
-        log_likelihood, gradient = log_marginal_likelihood(theta, x, y)
+        reached = np.clip(theta, centre - REACH * deviation, centre + REACH * deviation)
+        log_likelihood, gradient = log_marginal_likelihood(reached, x, y)
         z = (theta - centre) * precision
-        return float(0.5 * z @ z) - log_likelihood, z * precision - gradient
+        return float(0.5 * z @ z) - log_likelihood, z * precision - np.where(reached == theta, gradient, 0.0)
 
     mode = np.exp(minimize(loss, centre, jac=True, method="L-BFGS-B", bounds=bounds).x)
     *length_scale, signal_variance, noise_ratio = mode
