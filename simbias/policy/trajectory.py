@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Law, Nominal, Policy, Task, wrapped
-from simbias.core.ranges import Positive
+from simbias.core.ranges import NonNegative, Positive
 from simbias.core.records import Array
 from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
@@ -43,11 +43,14 @@ class Trajectory(Policy):
         It is planned as joints slide, and the inputs compensate for the dry friction that they can overcome,
         by the planned velocities. That of other joints is met near rest by gains L_t beside, of deviations so
         small that L_t (x - x_t) is below a tenth of the limits, where it is cut off.
+    resting
+        Seconds at the end of the horizon that the plan leaves for rest: by then it is at the goal.
 
     Raises
     ------
     ValueError
-        If the task has targets: each would take a plan of its own.
+        If the task has targets: each would take a plan of its own; or `resting` leaves nothing of the
+        horizon.
     """
 
     def __init__(
@@ -60,12 +63,16 @@ class Trajectory(Policy):
         observer_gain: ObserverGain = 0.5,
         noise: Variances = QUIET,
         sliding: bool = False,
+        resting: NonNegative = 0.0,
     ) -> None:
         if task.targets:
             raise ValueError("follows one plan; this task's targets ask for another one at each start")
-        self._task, self._knots, self.sliding = task, knots, sliding
+        duration = task.horizon * task.time_step
+        if resting > duration - task.time_step:
+            raise ValueError(f"resting: expected less than the horizon's {duration:g} s, got {resting:g} s")
+        self._task, self._knots, self.sliding, self.resting = task, knots, sliding, resting
         self._n, self._m = len(task.states), len(task.inputs)
-        self._spacing = task.horizon * task.time_step / (knots - 1)
+        self._spacing = duration / (knots - 1)
         self._observer = OBSERVERS[observer](task, nominal, noise)
         self._gains = np.full(len(self._observer.bounds[0]), observer_gain)
         self.state_size = self._observer.size

@@ -112,6 +112,34 @@ def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
     assert (ends[1][:2] < 0.5 * ends[0][:2]).all()
 
 
+NEAR = ["preset=cartpole_trajectory", *(f"{group}=pendulum_swingup" for group in ("task", "cost"))]
+NEAR += ["nominal=pendulum", "hardware=pendulum", "identification=none", "tracking=none", "policy.knots=101"]
+NEAR += ["task.states.angle.mean=0.3", "task.horizon=100"]  # 2 s, from a lean that the motor overcomes
+
+
+def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(uncompiled: None) -> None:
+    ends = []
+    for resting in (0.0, 1.0):
+        study = simbias.load([*NEAR, f"policy.resting={resting}"])
+        theta = next(trajectory_candidates(study.first_model(), 1))
+        assert study.simulate(theta, start=study.task.start_mean).failed_at is None
+        ends.append(theta.reshape(101, -1))
+    plan, rests = ends
+    assert np.abs(plan[50, :2]).max() > 1e-4  # on its way
+    np.testing.assert_allclose(rests[50:, :3], 0.0, atol=1e-9)
+    assert (rests[50:, 3:] == rests[-1, 3:]).all()
+    assert (rests[40, 3:] != rests[-1, 3:]).all()
+    assert np.abs(study.simulate(theta, start=study.task.start_mean).states[50:, 0]).max() < 0.05
+
+
+def test_a_rest_that_cannot_be_is_one_line() -> None:
+    with pytest.raises(ConfigError, match=r"resting: expected less than the horizon's 2 s, got 2 s"):
+        simbias.load([*NEAR, "policy.resting=2.0"])
+    moving = simbias.load(["preset=arm_eight", "tracking=none", "policy.resting=0.5"])
+    with pytest.raises(ConfigError, match=r"^policy\.resting: the task's goal moves"):
+        next(trajectory_candidates(moving.first_model(), 1))
+
+
 def test_without_a_policy_that_follows_it_is_one_line(cartpole: Study) -> None:
     other = simbias.load(["preset=cartpole", "tracking=none"])
     with pytest.raises(ConfigError, match="OutputFeedback follows no trajectory; policy=trajectory does"):

@@ -69,18 +69,29 @@ def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None 
     Raises
     ------
     ConfigError
-        If the policy follows no trajectory, or the model fails with any of the inputs.
+        If the policy follows no trajectory, the model fails with any of the inputs, or the plan is to rest
+        at a goal that moves.
     """
     if not count:
         return
     policy = follower(model.policy)
-    shooting = Shooting(model, weights, policy.sliding)
+    shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
     plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
     found = [plan for plan in plans if plan is not None]
     if not found:
         raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
     best = min(found, key=lambda plan: plan.cost)
     yield from shooting.following(best, policy, GAIN_WEIGHTS)
+
+
+def _shortened(model: Model, resting: float) -> Model:
+    """The model's task without the seconds at its end in which a plan rests."""
+    task = model.task
+    if not resting:
+        return model
+    if not np.array_equal(task.reference(0.0), task.reference(task.horizon * task.time_step)):
+        raise ConfigError("policy.resting", "the task's goal moves; a plan rests at one that does not")
+    return replace(model, task=task.with_horizon(task.horizon - task.frames(resting)))
 
 
 def follower(policy: Policy) -> Trajectory:
