@@ -11,6 +11,7 @@ from simbias.core.records import Array
 from simbias.pictures import NoPictureError, following
 from simbias.pictures.elements.style import HARDWARE
 from simbias.policy.trajectory import Trajectory
+from simbias.search.optimizer.following import Following
 from simbias.search.optimizer.ilqr import Shooting
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
@@ -39,7 +40,8 @@ def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
     assert plan is not None
     assert distances(robot, plan.states).max() < 0.02
     assert isinstance(robot.policy, Trajectory)
-    (theta,) = shooting.following(plan, robot.policy, [10.0])
+    policies = Following(robot.first_model(), robot.cost.goal_weights).policies(plan, robot.policy, [10.0])
+    (theta,) = policies
     rollout = robot.simulate(theta)
     assert distances(robot, rollout.states).max() < 0.02
     seconds = robot.task.horizon * robot.task.time_step

@@ -11,7 +11,8 @@ from scipy.linalg import solve_discrete_are
 import simbias
 from simbias.core.errors import ConfigError
 from simbias.policy.trajectory import Trajectory
-from simbias.search.optimizer.ilqr import STIFFER, Shooting, trajectory_candidates
+from simbias.search.optimizer.following import STIFFER, Following
+from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import linearization
@@ -61,7 +62,7 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
     assert cartpole.task.succeeds(plan.states)
     assert np.abs(plan.inputs).max() <= cartpole.task.input_limit
     assert isinstance(cartpole.policy, Trajectory)
-    (theta,) = shooting.following(plan, cartpole.policy, [10.0])
+    (theta,) = Following(model).policies(plan, cartpole.policy, [10.0])
     monkeypatch.setattr(CompiledSimulator, "of", lambda *_: None)  # for a few rollouts
     for seed in range(3):
         start = cartpole.task.draw_start(np.random.default_rng(seed))
@@ -73,31 +74,31 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
 ELBOW, SHOULDER = {"friction_2": 0.12}, {"friction_1": 0.0127}  # N m, of arctan: pi/2 times as much
 
 
-def rubbing(**friction: float) -> Shooting:
-    """Trajectories of an acrobot whose joints rub, planned as they slide."""
+def rubbing(**friction: float) -> Following:
+    """What follows plans of an acrobot whose joints rub, planned as they slide."""
     study = simbias.load(["preset=acrobot_trajectory", "tracking=none", "task.horizon=200"])
     nominal = study.nominal
     names = [each.name for each in nominal.parameters]
     values = np.array([friction.get(each.name, each.value) for each in nominal.parameters])
     assert set(friction) <= set(names)
-    return Shooting(study.model(None, nominal.with_parameters(values)), None, sliding=True)
+    return Following(study.model(None, nominal.with_parameters(values)), None, sliding=True)
 
 
 def test_inputs_overcome_the_friction_of_their_own_joint() -> None:
-    shooting, rng = rubbing(**ELBOW), np.random.default_rng(0)
+    following, rng = rubbing(**ELBOW), np.random.default_rng(0)
     x, u = rng.normal(0.0, [1.0, 1.0, 3.0, 3.0], (20, 4)), rng.uniform(-3.0, 3.0, (20, 1))
-    asked = u + shooting._compensation(x, u, 0)
-    np.testing.assert_allclose(shooting._nominal.step(x, asked), shooting._sliding.step(x, u), atol=2e-3)
-    assert np.abs(shooting._nominal.step(x, u) - shooting._sliding.step(x, u)).max() > 0.05
+    asked = u + following._compensation(x, u, 0)
+    np.testing.assert_allclose(following._nominal.step(x, asked), following._sliding.step(x, u), atol=2e-3)
+    assert np.abs(following._nominal.step(x, u) - following._sliding.step(x, u)).max() > 0.05
 
 
 def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
     """They bring an acrobot nearer to rest than a regulator of sliding joints does."""
     zero, u_0 = np.zeros(4), np.zeros(1)
     assert not rubbing(**ELBOW)._for_friction(zero, u_0, 100.0).any()
-    shooting = rubbing(**ELBOW, **SHOULDER)
-    beside = shooting._for_friction(zero, u_0, 100.0)
-    A, B = linearization(shooting._sliding, zero, u_0, np.array([6.0]))
+    following = rubbing(**ELBOW, **SHOULDER)
+    beside = following._for_friction(zero, u_0, 100.0)
+    A, B = linearization(following._sliding, zero, u_0, np.array([6.0]))
     R = 100.0 * np.array([[6.0**-2]])
     S = solve_discrete_are(A, B, np.eye(4), R)
     soft = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
@@ -106,7 +107,7 @@ def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
     for small in (0.0, 0.6):
         x, path = np.array([0.01, 0.0, 0.0, 0.0]), []
         for _ in range(1200):
-            x = shooting._nominal.step(x, np.clip(-soft @ x - np.clip(beside @ x, -small, small), -6.0, 6.0))
+            x = following._nominal.step(x, np.clip(-soft @ x - np.clip(beside @ x, -small, small), -6.0, 6.0))
             path.append(x)
         ends.append(np.abs(path[-300:]).max(axis=0))
     assert (ends[1][:2] < 0.5 * ends[0][:2]).all()

@@ -1,0 +1,149 @@
+"""The policy that follows a plan: feedforward, and gains of deviations that vary in time.
+
+Gains are of states alone: what the state does not show has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from simbias.core import GoalWeights, Model, wrapped
+from simbias.core.records import Array
+from simbias.policy.trajectory import Trajectory
+from simbias.search.lqr import rest
+from simbias.search.optimizer.plan import Plan, Slopes, goal_along, moves
+from simbias.search.optimizer.riccati import regulator, solved
+from simbias.simulation.linearization import linearization
+
+STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
+ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
+BISECTIONS = 30
+STAYS = 0.25  # s, for which it has to be
+AT_REST = 0.5  # of each state, in its unit, within which a plan is as good as at rest
+SETTLED = 1000  # frames, after which the gains of a rest are those of an infinite horizon
+
+
+class Following:
+    """Policies that follow plans of a model, as it is or as its joints slide.
+
+    Deviations weigh what the cost says of the goal's errors or, if it is not quadratic, 1 in each state's
+    unit.
+    """
+
+    def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
+        self._task, self._n, self._m = model.task, len(model.task.states), len(model.task.inputs)
+        self._slopes = Slopes(model)
+        self._sliding, self._nominal = self._slopes.sliding, model.nominal
+        self._model = replace(model, nominal=self._sliding) if sliding else model
+        self._off_goal = None if weights is None else weights.errors  # (g,)
+
+    def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
+        """Parameters (p,) of the policy that follows a plan, for each weight of inputs at their limits.
+
+        A goal about all states, where it does not move, is a rest: the last knot is there, its gains those of
+        an infinite horizon.
+
+        Of a plan as joints slide, inputs compensate for the friction along it, and there are gains for small
+        deviations from rest, which count on the friction of joints that no input moves.
+        """
+        ahead, task = policy.frames_ahead, self._task
+        slopes = self._slopes.at_once if ahead else self._slopes.of_model
+        M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states)
+        x, u, final, settled = (
+            plan.states,
+            np.concatenate([plan.inputs, plan.inputs[-1:]]),
+            None,
+            len(plan.states),
+        )
+        goal = goal_along(task)
+        if task.goals == task.states and not moves(goal):
+            x_rest, u_rest = rest(self._model, goal[-1])
+            x_rest = x[-1] - wrapped(x[-1] - x_rest, task.states)
+            final = slopes(np.tile(x_rest, (2, 1)), u_rest[None])
+            x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
+            settled = self._settled(x, x_rest)
+            if policy.sliding and settled < len(x):  # its last frames may leave again
+                stays = task.frames(STAYS)
+                x[-stays:], u[-stays:] = x_rest, u_rest
+        if policy.sliding:
+            u = u + self._compensation(x, u, ahead)
+        frames = policy.times / task.time_step
+        for weight in input_weights:
+            gains, beside = self._gains(M, Q, weight, final), np.zeros((len(x), self._m, self._n))
+            if policy.sliding and settled < len(x):
+                beside[settled:] = self._for_friction(x_rest, u_rest, weight)
+            K, K_0 = (_at(frames + ahead, each.reshape(len(x), -1)) for each in (gains, beside))
+            yield policy.following(_at(frames + ahead, x), _at(frames, u), K, K_0)
+
+    def gains(self, states: Array, inputs: Array, weight: float) -> Array:
+        """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) that begin and end anywhere."""
+        return self._gains(self._slopes.of_model(states, inputs), self._state_weights(states), weight, None)
+
+    def _settled(self, x: Array, x_rest: Array) -> int:
+        """The first frame of `STAYS` in a row near rest, of states x (T+1, n); T+1 if there is none."""
+        near = np.abs(x - x_rest).max(axis=-1) <= AT_REST
+        stays = self._task.frames(STAYS)
+        whole = np.convolve(near, np.ones(stays), "valid") == stays
+        return int(np.argmax(whole)) if whole.any() else len(x)
+
+    def _for_friction(self, x: Array, u: Array, weight: float) -> Array:
+        """Further gains (m, n) at a rest x (n,) under u (m,), for the dry friction of some joints.
+
+        At small velocities it is damping, the more the smaller they are, until no input moves the joints
+        against it: gains grow without bound as it comes near to that. As much of it is counted on as lets
+        them grow `STIFFER` times; none along the inputs' own effect, as an input overcomes that at once.
+        """
+        n, limit = self._n, self._task.input_limit
+        sliding, B = linearization(self._sliding, x, u, limit)
+        friction = linearization(self._nominal, x, u, limit)[0] - sliding
+        others = friction - B @ np.linalg.lstsq(B, friction, rcond=None)[0]
+        friction[:, np.linalg.norm(others, axis=0) <= ALONG * np.linalg.norm(friction, axis=0)] = 0.0
+        R = weight * np.diag(limit**-2.0)
+
+        def regulated(share: float) -> Array:
+            A = sliding + share * friction
+            S = solve_discrete_are(A, B, np.eye(n), R)
+            K: Array = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
+            return K
+
+        soft, share, above = regulated(0.0), 0.0, float(friction.any())
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (share + above)
+            K = regulated(middle)  # beyond, gains have the other sign
+            fits = np.linalg.norm(K) < STIFFER * np.linalg.norm(soft) and np.sum(K * soft) > 0.0
+            share, above = (middle, above) if fits else (share, middle)
+        return regulated(share) - soft
+
+    def _state_weights(self, states: Array) -> Array:
+        """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
+        if self._off_goal is None:
+            return np.tile(np.eye(self._n), (len(states), 1, 1))
+        G = self._slopes.of_goal(states)
+        return np.einsum("g,tgi,tgj->tij", self._off_goal, G, G)
+
+    def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:
+        """K_t (T+1, m, n) of the time-varying regulator along M, which ends with that of the rest."""
+        hidden = 0, M.shape[1] - self._n
+        Q = np.pad(Q, ((0, 0), hidden, hidden))
+        R, V = weight * np.diag(self._task.input_limit**-2.0), Q[-1]
+        settled = np.empty((0, self._m, len(V)))
+        if final is not None:
+            _, settled, V = solved(regulator(np.repeat(final, SETTLED, axis=0), V, R, V), self._n)
+        _, K, _ = solved(regulator(M, Q[:-1], R, V), self._n)
+        return np.concatenate([K, settled[:1] if len(settled) else K[-1:]])[..., : self._n]
+
+    def _compensation(self, states: Array, inputs: Array, ahead: int) -> Array:
+        """Further inputs (T+1, m) that overcome dry friction at states (T+1, n) some frames later."""
+        x = states[np.minimum(np.arange(len(states)) + ahead, len(states) - 1)]
+        lost = self._sliding.step(x, inputs) - self._nominal.step(x, inputs)
+        _, B = linearization(self._sliding, x, inputs, self._task.input_limit)
+        return (np.linalg.pinv(B) @ lost[..., None])[..., 0]
+
+
+def _at(frames: Array, rows: Array) -> Array:
+    """Rows (T+1, c) at frames (K,), linear between them."""
+    return np.stack([np.interp(frames, np.arange(len(rows)), column) for column in rows.T], axis=-1)
