@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 import zipfile
@@ -16,6 +17,7 @@ import yaml
 from conftest import ROOT
 
 import simbias
+from simbias.core.errors import ConfigError
 
 STUDIES = ROOT / "sweeps" / "studies"
 BOARD = yaml.safe_load((STUDIES / "board" / "board.yaml").read_text())
@@ -25,7 +27,16 @@ BOARD = yaml.safe_load((STUDIES / "board" / "board.yaml").read_text())
 def modules(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("rigs", "board"):
         monkeypatch.syspath_prepend(STUDIES / name)
-    for name in ("controllers", "rollouts", "tables", "weights", "loading", "learned", "score"):
+    for name in (
+        "controllers",
+        "rollouts",
+        "tables",
+        "weights",
+        "loading",
+        "learned",
+        "score",
+        "their_simulator",
+    ):
         monkeypatch.delitem(sys.modules, name, raising=False)
 
 
@@ -228,3 +239,39 @@ def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) ->
     held = [k for k, own in enumerate(asked) if not own.all()]
     assert held == list(range(500, 500 + len(held)))
     assert len(held) == 101  # as their scripts: until their clock exceeds 0.2 s
+
+
+THEIRS = ["preset=pendubot_trajectory", "hardware=their_simulator", "tracking=none"]
+
+
+def test_a_checkout_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    conf, checkout = STUDIES / "board" / "conf", f"hardware.checkout={tmp_path}"
+    with pytest.raises(ConfigError, match=rf"checkout: {tmp_path} has no src/python/double_pendulum"):
+        simbias.load([*THEIRS, checkout], conf)
+    with pytest.raises(ConfigError, match=r"task\.time_step: expected a multiple of 0\.001 s, got 0\.0055 s"):
+        simbias.load([*THEIRS, checkout, "task.time_step=0.0055"], conf)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("DOUBLE_PENDULUM" not in os.environ, reason="DOUBLE_PENDULUM names no checkout of theirs")
+def test_their_simulator_and_our_model_agree() -> None:
+    """With the lab's parameters; friction is steep at rest, and their steps are shorter."""
+    import their_simulator
+
+    study = simbias.load(["preset=pendubot_trajectory", "tracking=none", "nominal.sub_step=0.0005"])
+    theirs, joint = their_simulator._simulator(Path(os.environ["DOUBLE_PENDULUM"]), "first", 0.0)
+    x = np.array([np.pi, 0.1, 0.0, 0.0])
+    theirs.set_state(0.0, x + their_simulator.HANGING)
+    theirs.record_data(0.0, x + their_simulator.HANGING)
+    running = their_simulator._Running(study.task, theirs, joint, 5)
+    plant = theirs.plant
+    names = ("mass_1", "mass_2", "centre_1", "centre_2", "inertia_1", "inertia_2", "damping_1", "damping_2")
+    names += ("friction_1", "friction_2", "rotor_inertia")
+    assert tuple(each.name for each in study.nominal.parameters) == names
+    values = [*plant.m, *plant.com, *plant.I, *plant.b, *plant.coulomb_fric, plant.Ir]
+    ours = study.nominal.with_parameters(np.array(values))
+    for k in range(100):
+        u = np.array([3.0 * np.sin(0.1 * k)])
+        running.step(u)
+        x = ours.step(x, u)
+    np.testing.assert_allclose(running.state(), x, atol=2e-3)
