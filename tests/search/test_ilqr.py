@@ -11,6 +11,7 @@ from scipy.linalg import solve_discrete_are
 import simbias
 from simbias.core.errors import ConfigError
 from simbias.policy.trajectory import Trajectory
+from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
 from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
@@ -118,7 +119,11 @@ NEAR += ["nominal=pendulum", "hardware=pendulum", "identification=none", "tracki
 NEAR += ["task.states.angle.mean=0.3", "task.horizon=100"]  # 2 s, from a lean that the motor overcomes
 
 
-def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(uncompiled: None) -> None:
+@pytest.mark.slow
+def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
+    uncompiled: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ilqr, "ITERATIONS", 15)
     ends = []
     for resting in (0.0, 1.0):
         study = simbias.load([*NEAR, f"policy.resting={resting}"])
