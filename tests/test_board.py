@@ -27,17 +27,8 @@ BOARD = yaml.safe_load((STUDIES / "board" / "board.yaml").read_text())
 def modules(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("rigs", "board"):
         monkeypatch.syspath_prepend(STUDIES / name)
-    for name in (
-        "controllers",
-        "rollouts",
-        "tables",
-        "weights",
-        "loading",
-        "learned",
-        "score",
-        "their_simulator",
-    ):
-        monkeypatch.delitem(sys.modules, name, raising=False)
+        for file in (STUDIES / name).glob("[!_]*.py"):
+            monkeypatch.delitem(sys.modules, file.stem, raising=False)
 
 
 def test_weights_are_read_without_running_what_a_file_says(tmp_path: Path) -> None:
@@ -261,9 +252,7 @@ def test_their_simulator_and_our_model_agree() -> None:
     study = simbias.load(["preset=pendubot_trajectory", "tracking=none", "nominal.sub_step=0.0005"])
     theirs, joint = their_simulator._simulator(Path(os.environ["DOUBLE_PENDULUM"]), "first", 0.0)
     x = np.array([np.pi, 0.1, 0.0, 0.0])
-    theirs.set_state(0.0, x + their_simulator.HANGING)
-    theirs.record_data(0.0, x + their_simulator.HANGING)
-    running = their_simulator._Running(study.task, theirs, joint, 5)
+    running = their_simulator._Running(study.task, theirs, joint, 5, x)
     plant = theirs.plant
     names = ("mass_1", "mass_2", "centre_1", "centre_2", "inertia_1", "inertia_2", "damping_1", "damping_2")
     names += ("friction_1", "friction_2", "rotor_inertia")

@@ -20,6 +20,7 @@ EvaluationCount = Annotated[int, Field(gt=0, le=10**9)]
 Steps = Annotated[int, Field(gt=0, le=10**15)]  # of simulation
 Population = Annotated[int, Field(ge=2, le=10_000)]
 Workers = Annotated[int, Field(gt=0, le=1000)]
+DelayFrames = Annotated[int, Field(ge=0, le=1000)]
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 
 # What has a unit.

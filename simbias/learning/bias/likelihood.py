@@ -48,8 +48,10 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
     lower = np.append(np.full(len(centre) - 1, -np.inf), np.log(LEAST_NOISE))
     bounds = Bounds(np.where(kept, centre, lower), np.where(kept, centre, np.inf))
 
+    nearest, farthest = centre - REACH * deviation, centre + REACH * deviation
+
     def loss(theta: Array) -> tuple[float, Array]:
-        reached = np.clip(theta, centre - REACH * deviation, centre + REACH * deviation)
+        reached = np.clip(theta, nearest, farthest)
         log_likelihood, gradient = log_marginal_likelihood(reached, x, y)
         z = (theta - centre) * precision
         return float(0.5 * z @ z) - log_likelihood, z * precision - np.where(reached == theta, gradient, 0.0)

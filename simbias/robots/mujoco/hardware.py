@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, final
+from typing import final
 
 import numpy as np
-from pydantic import Field
 
 from simbias.core import Hardware, HardwareError, Policy, Task
 from simbias.core.files import ConfigFile
+from simbias.core.ranges import DelayFrames
 from simbias.core.records import Array, Rollout
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.parameters import Factors, Values, changes, mujoco
 from simbias.simulation.control_loop import Record, Robot, experiment
 from simbias.simulation.noise import QUIET, Noise, Variances
-
-Delay = Annotated[int, Field(ge=0, le=1000)]
 
 
 @final
@@ -45,7 +43,7 @@ class Mujoco(Hardware):
         actuators: list[str] | None = None,
         values: Values | None = None,
         factors: Factors | None = None,
-        delay: Delay = 0,
+        delay: DelayFrames = 0,
         noise: Variances = QUIET,
         record: Record = "true_state",
     ) -> None:

@@ -36,9 +36,9 @@ class Following:
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         self._task, self._n, self._m = model.task, len(model.task.states), len(model.task.inputs)
-        self._slopes = Slopes(model)
-        self._sliding, self._nominal = self._slopes.sliding, model.nominal
-        self._model = replace(model, nominal=self._sliding) if sliding else model
+        self.slopes = Slopes(model)
+        self._sliding, self._nominal = self.slopes.sliding, model.nominal
+        self.model = replace(model, nominal=self._sliding) if sliding else model
         self._off_goal = None if weights is None else weights.errors  # (g,)
 
     def policies(self, plan: Plan, policy: Trajectory, input_weights: Sequence[float]) -> Iterator[Array]:
@@ -51,17 +51,13 @@ class Following:
         deviations from rest, which count on the friction of joints that no input moves.
         """
         ahead, task = policy.frames_ahead, self._task
-        slopes = self._slopes.at_once if ahead else self._slopes.of_model
+        slopes = self.slopes.at_once if ahead else self.slopes.of_model
         M, Q = slopes(plan.states, plan.inputs), self._state_weights(plan.states)
-        x, u, final, settled = (
-            plan.states,
-            np.concatenate([plan.inputs, plan.inputs[-1:]]),
-            None,
-            len(plan.states),
-        )
+        x, u = plan.states, np.concatenate([plan.inputs, plan.inputs[-1:]])
+        final, settled = None, len(x)
         goal = goal_along(task)
         if task.goals == task.states and not moves(goal):
-            x_rest, u_rest = rest(self._model, goal[-1])
+            x_rest, u_rest = rest(self.model, goal[-1])
             x_rest = x[-1] - wrapped(x[-1] - x_rest, task.states)
             final = slopes(np.tile(x_rest, (2, 1)), u_rest[None])
             x, u = np.concatenate([x[:-1], [x_rest]]), np.concatenate([u[:-1], [u_rest]])
@@ -81,7 +77,7 @@ class Following:
 
     def gains(self, states: Array, inputs: Array, weight: float) -> Array:
         """K_t (T+1, m, n) along states (T+1, n) and inputs (T, m) that begin and end anywhere."""
-        return self._gains(self._slopes.of_model(states, inputs), self._state_weights(states), weight, None)
+        return self._gains(self.slopes.of_model(states, inputs), self._state_weights(states), weight, None)
 
     def _settled(self, x: Array, x_rest: Array) -> int:
         """The first frame of `STAYS` in a row near rest, of states x (T+1, n); T+1 if there is none."""
@@ -122,7 +118,7 @@ class Following:
         """Weights (T+1, n, n) of deviations from states (T+1, n), for gains."""
         if self._off_goal is None:
             return np.tile(np.eye(self._n), (len(states), 1, 1))
-        G = self._slopes.of_goal(states)
+        G = self.slopes.of_goal(states)
         return np.einsum("g,tgi,tgj->tij", self._off_goal, G, G)
 
     def _gains(self, M: Array, Q: Array, weight: float, final: Array | None) -> Array:

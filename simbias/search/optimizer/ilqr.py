@@ -19,7 +19,7 @@ from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.following import Following
-from simbias.search.optimizer.plan import Plan, Slopes, goal_along, moves
+from simbias.search.optimizer.plan import Plan, goal_along, moves
 from simbias.search.optimizer.riccati import Quadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 
@@ -57,14 +57,13 @@ def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None 
     if not count:
         return
     policy = follower(model.policy)
-    model = _shortened(model, policy.resting)
-    shooting = Shooting(model, weights, policy.sliding)
+    shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
     plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
     found = [plan for plan in plans if plan is not None]
     if not found:
         raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
     best = min(found, key=lambda plan: plan.cost)
-    yield from Following(model, weights, policy.sliding).policies(best, policy, GAIN_WEIGHTS)
+    yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
 
 
 def _shortened(model: Model, resting: float) -> Model:
@@ -102,12 +101,12 @@ class Shooting:
 
     def __init__(self, model: Model, weights: GoalWeights | None = None, sliding: bool = False) -> None:
         task = model.task
-        self._slopes, self._following = Slopes(model), Following(model, weights, sliding)
-        self._frictionless, self._task = replace(model, nominal=self._slopes.sliding), task
+        self.following = Following(model, weights, sliding)
+        self._slopes, self._task = self.following.slopes, task
+        self._frictionless = replace(model, nominal=self._slopes.sliding)
         self._n, self._m, self._T = len(task.states), len(task.inputs), task.horizon
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
-        planned = self._frictionless if sliding else model
-        self._simulator = simulator(replace(planned, policy=self._every_frame))
+        self._simulator = simulator(replace(self.following.model, policy=self._every_frame))
         self._goal = goal_along(task)  # (T+1, g)
         self._moves = moves(self._goal)
         weights = weights or default_weights(task)
@@ -142,7 +141,7 @@ class Shooting:
         """The start, or the rest that is nearest to it, held by a soft regulator."""
         x, u = rest(self._frictionless, self._task.start_mean)
         states, inputs = np.tile(x, (self._T + 1, 1)), np.tile(u, (self._T, 1))
-        K = self._following.gains(states, inputs, GAIN_WEIGHTS[-1])
+        K = self.following.gains(states, inputs, GAIN_WEIGHTS[-1])
         return self._best(states, inputs[None], K[:-1])
 
     def _improved(self, plan: Plan, damping: float) -> Plan | None:

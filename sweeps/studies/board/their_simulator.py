@@ -22,6 +22,7 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Hardware, HardwareError, Policy, Task
+from simbias.core.ranges import DelayFrames
 from simbias.core.records import Array, Rollout
 from simbias.simulation.control_loop import Record, Robot, experiment
 from simbias.simulation.noise import QUIET, Noise, Variances
@@ -30,7 +31,6 @@ STEP, LIMIT = 0.001, 6.0  # s, N m
 HANGING = np.array([np.pi, 0.0, 0.0, 0.0])  # theirs is 0 where the task's first angle is half a turn
 PARAMETERS = "data/system_identification/identified_parameters/design_C.1/model_1.0/model_parameters.yml"
 Response = Annotated[float, Field(gt=0.0, le=2.0)]
-Delay = Annotated[int, Field(ge=0, le=1000)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -67,7 +67,7 @@ class TheirSimulator(Hardware):
         checkout: str,
         driven: Literal["first", "second"],
         response: Response = 1.0,
-        delay: Delay = 0,
+        delay: DelayFrames = 0,
         compensated: Share = 0.0,
         noise: Variances = QUIET,
         record: Record = "true_state",
@@ -87,17 +87,17 @@ class TheirSimulator(Hardware):
         simulator.reset()
         simulator.set_measurement_parameters(delay=self._delay, delay_mode="posvel")
         simulator.set_motor_parameters(u_responsiveness=self._response)
-        simulator.set_state(0.0, start + HANGING)
-        simulator.record_data(0.0, start + HANGING)
-        robot = _Running(self._task, simulator, self._joint, self._steps)
+        robot = _Running(self._task, simulator, self._joint, self._steps, start)
         return experiment(self._task, robot, policy, theta, self._noise.draw(rng), self._record)
 
 
 class _Running(Robot):
-    """An experiment under way."""
+    """An experiment under way, from a start (4,)."""
 
-    def __init__(self, task: Task, simulator: Any, joint: int, steps: int) -> None:
+    def __init__(self, task: Task, simulator: Any, joint: int, steps: int, start: Array) -> None:
         self._task, self._simulator, self._joint, self._steps = task, simulator, joint, steps
+        simulator.set_state(0.0, start + HANGING)
+        simulator.record_data(0.0, start + HANGING)
 
     def state(self) -> Array:
         """The state (4,)."""
