@@ -41,12 +41,13 @@ def search(
     `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
     before. The best one is returned, with the evaluations of all. Each first evaluates the last policies
     (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the best of
-    some trajectories (`simbias.search.optimizer.ilqr`).
+    some trajectories (`simbias.search.optimizer.ilqr`) of the model, or without its bias if it has none.
     """
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model
-    planned = trajectory_candidates(model, trajectories, study.cost.goal_weights)
+    models = model, replace(model, bias=study.bias.fit(study.no_data))
+    planned = trajectory_candidates(models, trajectories, study.cost.goal_weights)
     designs = lqr.lqr_candidates(model, lqr_candidates), planned
     candidates: Iterator[Array] = chain(last, *designs)
     while not searches or (searches[-1][1] > target and len(searches) <= retries):

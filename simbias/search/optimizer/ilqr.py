@@ -8,7 +8,7 @@ with a knot in every frame, so that limits, delays and failures are the model's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,30 +40,35 @@ PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs 
 SEED = 0  # of these inputs: the same model has the same trajectories
 
 
-def trajectory_candidates(model: Model, count: int, weights: GoalWeights | None = None) -> Iterator[Array]:
+def trajectory_candidates(
+    models: Sequence[Model], count: int, weights: GoalWeights | None = None
+) -> Iterator[Array]:
     """Policies (p,) that follow the best of `count` trajectories, one for each weight of the inputs.
 
-    A trajectory costs what the weights say, those of a cost that is quadratic about the goal; else there are
-    weights of its own. Trajectories to a goal that rests begin with different random inputs, those to a goal
-    that moves at rest. They are planned once the first policy is asked for, which a search that is replayed
-    does not do.
+    The trajectories are of the first of the models that has any: a correction learned from few experiments
+    may make a model fail whatever its inputs. A trajectory costs what the weights say, those of a cost that
+    is quadratic about the goal; else there are weights of its own. Trajectories to a goal that rests begin
+    with different random inputs, those to a goal that moves at rest. They are planned once the first policy
+    is asked for, which a search that is replayed does not do.
 
     Raises
     ------
     ConfigError
-        If the policy follows no trajectory, the model fails with any of the inputs, or the plan is to rest
+        If the policy follows no trajectory, all models fail with any of the inputs, or the plan is to rest
         at a goal that moves.
     """
     if not count:
         return
-    policy = follower(model.policy)
-    shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
-    plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
-    found = [plan for plan in plans if plan is not None]
-    if not found:
-        raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
-    best = min(found, key=lambda plan: plan.cost)
-    yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
+    policy = follower(models[0].policy)
+    for model in models:
+        shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
+        plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
+        found = [plan for plan in plans if plan is not None]
+        if found:
+            best = min(found, key=lambda plan: plan.cost)
+            yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
+            return
+    raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
 
 
 def _shortened(model: Model, resting: float) -> Model:
