@@ -59,7 +59,7 @@ def trajectory_candidates(
     """
     if not count:
         return
-    policy = follower(models[0].policy)
+    policy = follower(models[0].task, models[0].policy)
     for model in models:
         shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
         plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
@@ -74,24 +74,22 @@ def trajectory_candidates(
 def _shortened(model: Model, resting: float) -> Model:
     """The model's task without the seconds at its end in which a plan rests."""
     task = model.task
-    if not resting:
-        return model
-    if moves(goal_along(task)):
-        raise ConfigError("policy.resting", "the task's goal moves; a plan rests at one that does not")
-    return replace(model, task=task.with_horizon(task.horizon - task.frames(resting)))
+    return replace(model, task=task.with_horizon(task.horizon - task.frames(resting))) if resting else model
 
 
-def follower(policy: Policy) -> Trajectory:
+def follower(task: Task, policy: Policy) -> Trajectory:
     """The policy, which follows trajectories.
 
     Raises
     ------
     ConfigError
-        If it does not.
+        If it does not, or if its plan is to rest at a goal that moves.
     """
     if not isinstance(policy, Trajectory):
         problem = f"{type(policy).__name__} follows no trajectory; policy=trajectory does"
         raise ConfigError("method.trajectories", problem)
+    if policy.resting and moves(goal_along(task)):
+        raise ConfigError("policy.resting", "the task's goal moves; a plan rests at one that does not")
     return policy
 
 

@@ -104,9 +104,9 @@ class ModelBased(Method):
         return passes_for(self.confidence, policy, least)
 
     def check(self, study: Study) -> None:
-        """Refuse a policy that follows no planned trajectory, and random inputs without limits."""
+        """Refuse a policy that follows no plan of the task, and random inputs without limits."""
         if self.trajectories:
-            follower(study.policy)
+            follower(study.task, study.policy)
         if self.random_experiments:
             _check_random_inputs(study.task)
 
