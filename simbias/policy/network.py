@@ -9,9 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from simbias.core import Nominal, Policy, Task
+from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
 from simbias.policy.networks import NETWORKS, Kind
-from simbias.policy.observer import OBSERVERS, ObserverKind
+from simbias.policy.observer import OBSERVERS, LookAhead, ObserverKind
 from simbias.simulation.noise import QUIET, Variances
 
 Units = Annotated[int, Field(ge=1, le=200)]
@@ -39,6 +40,9 @@ class Network(Policy):
     noise
         Variances of what is measured, by name (`simbias.simulation.noise.Noise`), which the Kalman filter
         reckons with.
+    latency
+        Time in s by which measurements are late, or inputs, as far as is known: the network acts on the state
+        that the nominal model predicts from the inputs that were sent since.
     """
 
     def __init__(
@@ -51,11 +55,14 @@ class Network(Policy):
         errors: bool = False,
         observer: ObserverKind = "none",
         noise: Variances = QUIET,
+        latency: NonNegative = 0.0,
     ) -> None:
         self._task, self._errors = task, errors
         q = len(task.outputs) + errors * len(task.goals)
         self._network = NETWORKS[kind](q, len(task.inputs), units, bound)
         self._observer = OBSERVERS[observer](task.without_targets, nominal, noise)
+        if latency:
+            self._observer = LookAhead(task.without_targets, nominal, self._observer, latency)
         self._n = len(task.without_targets.states)
         parts = (self._network.bounds, self._observer.bounds)
         lower, upper = (np.concatenate(each) for each in zip(*parts, strict=True))

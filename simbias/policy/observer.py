@@ -208,6 +208,43 @@ class KalmanFilter(Observer):
         return estimate
 
 
+class LookAhead(Observer):
+    """What another observer estimates, carried on by the time in s by which measurements are late.
+
+    x + (latency / dt) (f'(x, u) - x), where u is the mean of the inputs that were sent in this time: one step
+    of the nominal model as declared, however late they are.
+    """
+
+    def __init__(self, task: Task, nominal: Nominal, observer: Observer, latency: float) -> None:
+        super().__init__(task, nominal)
+        self._observer, self.bounds = observer, observer.bounds
+        self._latency, self._inputs = latency, task.frames(latency)
+        self.size = observer.size + self._inputs * len(task.inputs)
+
+    def designed_on(self, nominal: Nominal) -> LookAhead:
+        """The other observer being that of this model."""
+        own = self._observer.designed_on(nominal)
+        return self if own is self._observer else LookAhead(self._task, self._nominal, own, self._latency)
+
+    def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
+        """The other observer's estimate, of when it was measured."""
+        return self._observer.estimate(gains, x, t, kept[..., : self._observer.size])
+
+    def keep(self, x: Array, estimate: Array, u: Array, kept: Array) -> Array:
+        """The other observer's state, and the inputs that were sent, the oldest first."""
+        own, sent = kept[..., : self._observer.size], kept[..., self._observer.size :]
+        own = self._observer.keep(x, estimate, u, own)
+        return np.concatenate([own, sent[..., len(self._task.inputs) :], u], axis=-1)
+
+    def ahead(self, estimate: Array, kept: Array) -> Array:
+        """The state (..., n) that the next input will meet."""
+        m, sent = len(self._task.inputs), kept[..., self._observer.size :]
+        u = sum((sent[..., i * m : (i + 1) * m] for i in range(self._inputs)), 0.0 * sent[..., :m])
+        ahead = self._observer.ahead(estimate, kept[..., : self._observer.size])
+        moved = self._nominal.step(ahead, u / self._inputs) - ahead
+        return ahead + self._latency / self._task.time_step * moved
+
+
 OBSERVERS: dict[ObserverKind, type[Observer]] = {
     "none": Measured,
     "filter": RateFilter,

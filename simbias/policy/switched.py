@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Policy, Task
-from simbias.core.ranges import Positive
+from simbias.core.ranges import NonNegative, Positive
 from simbias.core.records import Array
 from simbias.policy.network import Bound, Network, Units
 from simbias.policy.networks import Kind
@@ -29,7 +29,7 @@ class Switched(Policy):
 
     Parameters
     ----------
-    kind, units, bound, observer, noise
+    kind, units, bound, observer, noise, latency
         Of the network (`Network`). With a Kalman filter, the regulator is that of the identified model, too.
     input_weight
         Weight of the squared inputs at their limits, that of the squared error of a state by one unit
@@ -54,11 +54,12 @@ class Switched(Policy):
         input_weight: Positive = 10.0,
         hysteresis: Positive = 2.0,
         noise: Variances = QUIET,
+        latency: NonNegative = 0.0,
     ) -> None:
         if task.goals != task.states:
             raise ValueError("the task's goal has to be about all states, in their order")
         self._task, self._hysteresis, self._input_weight = task, hysteresis, input_weight
-        self._swing_up = Network(task, nominal, kind, units, bound, observer=observer, noise=noise)
+        self._swing_up = Network(task, nominal, kind, units, bound, False, observer, noise, latency)
         self._K, self._S = _regulator(task, nominal, input_weight)
         lower, upper = self._swing_up.bounds
         self.bounds = np.append(lower, LEVELS[0]), np.append(upper, LEVELS[1])
