@@ -213,10 +213,18 @@ class LookAhead(Observer):
 
     x + (latency / dt) (f'(x, u) - x), where u is the mean of the inputs that were sent in this time: one step
     of the nominal model as declared, however late they are.
+
+    Raises
+    ------
+    ValueError
+        If they are later than 20 frames.
     """
 
     def __init__(self, task: Task, nominal: Nominal, observer: Observer, latency: float) -> None:
         super().__init__(task, nominal)
+        most = MOST_AHEAD * task.time_step
+        if latency > most:
+            raise ValueError(f"latency: expected at most {MOST_AHEAD} frames, {most:g} s, got {latency:g} s")
         self._observer, self.bounds = observer, observer.bounds
         self._latency, self._inputs = latency, task.frames(latency)
         self.size = observer.size + self._inputs * len(task.inputs)
