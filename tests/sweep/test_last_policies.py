@@ -8,13 +8,19 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.last_policies import LastPolicies
-from simbias.sweep.grid import expand
+from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.picture import Picture
 
-STARTS = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "1111"]}
+pytestmark = pytest.mark.slow
 
 
-def made_up(starts: dict[str, list[str]]) -> SweptTrials:
-    """A sweep of which so many trials have ended, and one more that raised."""
+@pytest.fixture(scope="module")
+def sweep() -> Sweep:
+    return expand(["+sweep=gaps"])
+
+
+def drawn(sweep: Sweep, starts: dict[str, list[str]]) -> Picture:
+    """The figure of a sweep of which so many trials have ended, and one more that raised."""
     rows = [
         {"gap": gap, "repetition": i, "outcome": "succeeded" if i else "not succeeded", "experiments": 4 + i}
         | {"test_episodes": text}
@@ -22,32 +28,25 @@ def made_up(starts: dict[str, list[str]]) -> SweptTrials:
         for i, text in enumerate(texts)
     ]
     raised = {"gap": "lag 20 ms", "repetition": 0, "outcome": "error", "experiments": 1, "test_episodes": ""}
-    return SweptTrials(expand(["+sweep=gaps"]), pd.DataFrame([*rows, raised]), lambda _: None)  # type: ignore[arg-type]
+    return LastPolicies().draw(SweptTrials(sweep, pd.DataFrame([*rows, raised]), lambda _: None), ())  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
-def test_shares_are_of_all_starts() -> None:
-    picture = LastPolicies().draw(made_up(STARTS), ())
+def test_shares_are_of_all_starts(sweep: Sweep) -> None:
+    picture = drawn(sweep, {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "1111"]})
     assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
-    assert "of 4 test episodes" in picture.caption
-    assert "2/4 [15%, 85%] trials end" in picture.caption
-    assert "in 0 of 2 cells" in picture.caption
+    for words in ("of 4 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells"):
+        assert words in picture.caption
+    with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
+        drawn(sweep, {"slope 0.02 rad": ["", ""]})
 
 
-@pytest.mark.slow
-def test_every_trial_is_a_dot_that_no_other_hides() -> None:
+def test_every_trial_is_a_dot_that_no_other_hides(sweep: Sweep) -> None:
     """On the left by its experiments, on the right by its share; a row of the axes for each cell."""
-    alike = {"slope 0.02 rad": ["1111"] * 10}
-    figure = LastPolicies().draw(made_up(alike), ()).figure
+    figure = drawn(sweep, {"slope 0.02 rad": ["1111"] * 10}).figure
     FigureCanvasAgg(figure).draw()
     left, right = figure.axes
     assert len(left.get_yticklabels()) == 24
     dots = [tuple(at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
     assert len(set(dots)) == 10
     assert all(abs(height) < 0.5 for _, height in dots)
-
-
-def test_without_tries_there_is_nothing_to_draw() -> None:
-    with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
-        LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())
