@@ -6,8 +6,7 @@ import pickle
 from typing import get_type_hints
 
 import pytest
-from conftest import OWN_CONF, POINT_MASS
-from shipped import GROUPS, overrides, shipped
+from shipped import GROUPS, NEEDED, overrides, shipped
 
 import simbias
 from simbias.config import ConfigError, compose, options
@@ -18,8 +17,6 @@ from simbias.config.hydra_config import overridden
 from simbias.trial.study import Study
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
-OF_STUDIES = [(group, option) for group, option in COMPONENTS if group not in ("engine", "tracking")]
-
 PROVIDED = {"task", "nominal", "hardware_from"}  # to constructors, by whoever builds a study
 
 BAD = {  # by override: its key, and what is said of it
@@ -93,22 +90,18 @@ def test_config_dir_must_exist() -> None:
 
 
 @pytest.mark.slow
-def test_every_shipped_option_builds() -> None:
+def test_every_shipped_option_and_preset_builds() -> None:
     """Options of other groups are built where they go through their contracts: `tests/testing`."""
     together: dict[tuple[str, ...], list[str]] = {}
-    for group, option in OF_STUDIES:
-        if group not in GROUPS:
+    for option in options()["preset"]:
+        together[(f"preset={option}", *NEEDED.get(f"preset={option}", []))] = []
+    for group, option in COMPONENTS:
+        if group not in (*GROUPS, "engine", "tracking"):
             together.setdefault(tuple(overrides(group, option)), []).append(group)
     for chosen, groups in together.items():
         study = build(compose(chosen))
         for group in groups:
             assert isinstance(getattr(study, group), get_type_hints(Study)[group]), (group, chosen)
-
-
-@pytest.mark.slow
-def test_every_preset_builds() -> None:
-    for option in options()["preset"]:
-        assert build(compose([f"preset={option}"])).choices["preset"] == option
 
 
 def test_presets_combine() -> None:
@@ -117,10 +110,7 @@ def test_presets_combine() -> None:
     choices = [combined.choices[group] for group in ("preset", "hardware", "optimizer", "bias")]
     assert choices == ["cartpole,robust", "cartpole", "hybrid_from_candidates", "none"]
     assert combined.hash == compose(["preset=[robust,cartpole]", "bias=none"]).hash
-
-
-def test_the_papers_method_is_had_on_any_robot() -> None:
-    default, other = compose(), compose(["preset=[acrobot,paper]"])
+    default, other = compose(), compose(["preset=[acrobot,paper]"])  # the paper's method is had on any robot
     method = ("identification", "bias", "evaluation", "optimizer", "method")
     assert [other.choices[group] for group in method] == [default.choices[group] for group in method]
     assert other.choices["hardware"] == "acrobot"
@@ -133,11 +123,6 @@ def test_yaml_keys_are_the_constructors_arguments() -> None:
         config, _ = split(shipped(group, option))
         component = component_class(config, group)
         assert set(config) - {"_target_"} == set(constructor_parameters(component)) - PROVIDED, option
-
-
-def test_own_components_come_from_a_config_dir() -> None:
-    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
-    assert type(study.nominal).__module__ == "point_mass"
 
 
 def test_defaults_are_table_1() -> None:

@@ -21,7 +21,7 @@ from simbias.trial.observer import Observer, Observers
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
 
 FILES = ("mlflow.db", "mlartifacts", "trials")
 

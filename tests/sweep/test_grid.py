@@ -76,7 +76,9 @@ def test_trials_are_what_composing_their_overrides_gives() -> None:
         {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
         {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
     ):
-        assert Variations().composition(chosen) == compose([f"{key}={value}" for key, value in chosen.items()])
+        assert Variations().composition(chosen) == compose(
+            [f"{key}={value}" for key, value in chosen.items()]
+        )
 
 
 @pytest.mark.slow

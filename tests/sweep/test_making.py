@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -108,12 +109,6 @@ def test_batches_are_run_once_and_kept(brief: Study, tmp_path: Path) -> None:
 def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the hardware among its experiments, and those of drawing; nothing is kept of what failed."""
 
-    def failing(error: Exception) -> Any:
-        def fail(*_: Any) -> None:
-            raise error
-
-        return fail
-
     broken, closed = HardwareError("a leg broke"), Waiting("the lab is closed until Monday")
     for owner, method, error, message in (
         (PymunkBongoboard, "run", broken, "hardware: a leg broke"),
@@ -124,7 +119,7 @@ def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytes
         store = Store(tmp_path / "sweep")
         figure = Tries(brief, int(owner is PymunkBongoboard))
         with monkeypatch.context() as patch:
-            patch.setattr(owner, method, failing(error))
+            patch.setattr(owner, method, Mock(side_effect=error))
             with pytest.raises(FigureError) as raised:
                 make(figure, store, FigureObserver(), tmp_path)
         assert str(raised.value) == f"tries: {message}"
@@ -135,16 +130,15 @@ def test_outcomes_travel_as_text() -> None:
     outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "speed"), (True, False))
     text = outcomes.as_json()
     assert Outcomes.from_json(text) == outcomes
-    for bad in (*(text[:length] for length in range(len(text))), '{"costs": [1.0], "frames": [17]}', "3"):
+    for bad in ("", text[:20], text[:-1], '{"costs": [1.0], "frames": [17]}', "3"):
         with pytest.raises(ValueError, match=r"not the outcomes|line 1"):
             Outcomes.from_json(bad)
 
 
-def test_hardware_without_starts_has_no_grid_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hardware_without_starts_has_no_grid_of_them(brief: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = expand(["+sweep=fig7"])
     x, y = Range("alpha_w", -0.1, 0.1, 2), Range("alpha_b", -0.1, 0.1, 2)
-    label = "learned with noise"
-    figure = SuccessRates(simbias.load().task, sweep.cells, x, y, 1, label)
+    figure = SuccessRates(brief.task, sweep.cells, x, y, 1, "learned with noise")
     monkeypatch.setattr(PymunkBongoboard, "sets_start", False)
     with pytest.raises(FigureError, match="pymunk begins where it stands"):
         figure.experiments(SweptTrials(sweep, pd.DataFrame(), lambda _: None))

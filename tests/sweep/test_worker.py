@@ -21,7 +21,7 @@ from simbias.trial.folder import OUTCOME, TrialFolder
 from simbias.trial.run import Outcome
 
 SHORT = [
-    *("task.horizon=400", "optimizer.max_evaluations=30", "method.max_iterations=2", "tracking=none"),
+    *("task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=2", "tracking=none"),
     "cost.max_cost=1e-3",  # never reached
 ]
 SCRIPT = """
@@ -128,7 +128,9 @@ def with_bias(plan: Plan, target: str) -> Plan:
     return plan._replace(composition=replace(plan.composition, config=config))
 
 
-def test_a_trial_that_cannot_begin_is_a_result_too(plan: Plan, tmp_path: Path) -> None:
+def test_a_trial_that_cannot_begin_is_a_result_too(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     summary = run_plan(with_bias(plan, "simbias.learning.bias.gp.Nothing")).summary
     assert (summary.outcome, summary.experiments) == (Outcome.ERROR, 0)
     assert summary.reason.startswith("ConfigError: bias._target_: cannot import")
@@ -137,10 +139,6 @@ def test_a_trial_that_cannot_begin_is_a_result_too(plan: Plan, tmp_path: Path) -
     assert summary.outcome is Outcome.ERROR
     assert "cannot be written" in summary.reason
 
-
-def test_a_component_that_ends_the_process_as_it_is_built_ends_its_trial_only(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def leave(*_: object, task: object) -> None:
         raise SystemExit("no licence")
 

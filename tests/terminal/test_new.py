@@ -9,7 +9,6 @@ from sweeping import simbias
 
 from simbias.__main__ import main
 from simbias.core.commands import BAD_INPUT
-from simbias.terminal.new import TEMPLATE
 
 
 @pytest.mark.slow
@@ -73,7 +72,3 @@ def test_a_name_that_does_not_do_is_bad_input(
         with pytest.raises(SystemExit, match=str(BAD_INPUT)):
             main(["new", *names])
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
-
-
-def test_the_template_is_shipped() -> None:
-    assert (TEMPLATE / "my_robot.py").is_file()
