@@ -13,7 +13,6 @@ from simbias.config import ConfigError, compose, options
 from simbias.config.build import build
 from simbias.config.components import component_class, constructor_parameters
 from simbias.config.conditions import split
-from simbias.config.hydra_config import overridden
 from simbias.trial.study import Study
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
@@ -21,25 +20,17 @@ PROVIDED = {"task", "nominal", "hardware_from"}  # to constructors, by whoever b
 
 BAD = {  # by override: its key, and what is said of it
     "bias.d=abc": ("bias.d", "must be a valid number"),
-    "bias.d=true": ("bias.d", "must be a number, got true"),
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than 0, got -1"),
-    "bias.d=nan": ("bias.d", "must be a finite number"),
     "bias.dd=1": ("bias.dd", "no such key"),
-    "+bias.dd=1": ("bias.dd", "no such key"),
     "bias.length_scale=[1,2]": ("bias", "length_scale has 2 values; the task has 7"),
     "optimizer=unknown": ("optimizer=unknown", "no such option; optimizer has "),
-    "+sweep=unknown": ("sweep=unknown", "no such option; sweep has ablation, "),
     "nosuch=1": ("nosuch", "no such key"),
     "+nosuch=1": ("nosuch", "no such group"),
     "~bias": ("bias", "missing"),
-    "bias": ("bias", "missing EQUAL"),
     "bias.d=[1": ("bias.d=[1", "cannot be parsed (no viable alternative at input '[1'); quotes keep"),
-    "bias.d=a=b": ("bias.d=a=b", "cannot be parsed (mismatched input '=' expecting <EOF>); quotes keep"),
-    "bias.d='a": ("bias.d='a", "cannot be parsed; quotes keep"),
     "seed=???": ("seed", "Missing mandatory value"),
     "seed=-1": ("seed", "must be greater than or equal to 0, got -1"),
-    "seed=1.5": ("seed", "must be a valid integer"),
     "seed=${nosuch}": ("seed", "Interpolation key 'nosuch' not found"),
     "bias._target_=simbias.cost.quadratic.Quadratic": ("bias._target_", "is not a Bias"),
     "bias._target_=simbias.no.such.Class": ("bias._target_", "cannot import 'simbias.no.such.Class'"),
@@ -51,6 +42,7 @@ BAD = {  # by override: its key, and what is said of it
     "cost.state_weights=[1]": ("cost", "state_weights has 1 values; the task has 6"),
     "+samples.limits.size=1": ("samples", "limits names no criterion of the task: size"),
     "optimizer.algorithm=GN_NONE": ("optimizer", ""),
+    f"seed={'{a: ' * 300}1{'}' * 300}": ("seed=", ""),
 }
 
 
@@ -61,25 +53,6 @@ def test_bad_override() -> None:
         assert error.value.key.startswith(key), override
         assert problem in error.value.problem, override
         assert "\n" not in str(error.value)
-
-
-def test_an_override_that_is_too_deep_is_one_line() -> None:
-    for use in (compose, overridden):
-        with pytest.raises(ConfigError, match="seed=") as error:
-            use([f"seed={'{a: ' * 300}1{'}' * 300}"])  # type: ignore[operator]
-        assert "\n" not in str(error.value)
-
-
-def test_values_are_merged_as_hydra_does() -> None:
-    """Which composes those that force a key."""
-    for values in (
-        ["bias.d=0.3", "seed=2", "bias.d=0.4"],
-        ["hardware.noise={torque_variance: 0.1}", "task.horizon=7"],
-        ["cost.state_weights=[1,1,1,1,1,1]", "bias=none"],
-        ["seed=${optimizer.max_evaluations}", "optimizer.algorithm='a b'", "bias=none"],
-    ):
-        forced = [value if value == "bias=none" else f"++{value}" for value in values]
-        assert compose(values).config == compose(forced).config
 
 
 def test_config_dir_must_exist() -> None:

@@ -30,7 +30,6 @@ BROKEN: dict[str, Callable[[Path], object]] = {
     "code": lambda path: path.write_text("a: !!python/object/apply:os.getcwd []"),
     "cycle": lambda path: path.write_text("defaults: [cycle]\nsweep: {trials: 1, axes: {}}"),
     "unknown": lambda path: path.write_text(f"defaults: [{'x' * 300}]"),
-    **({"pipe": os.mkfifo} if hasattr(os, "mkfifo") else {}),
 }
 
 
@@ -109,6 +108,16 @@ def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
         compose([], tmp_path)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")
+def test_a_pipe_in_place_of_a_config_is_named(tmp_path: Path) -> None:
+    for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
+        (tmp_path / group).mkdir()
+        os.mkfifo(file := tmp_path / group / "mine.yaml")
+        with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: is no file"):
+            compose([use], tmp_path)
+        file.unlink()
+
+
 def test_an_error_that_cannot_speak_is_one_line() -> None:
     class Mute(Exception):  # noqa: N818
         def __str__(self) -> str:
@@ -120,9 +129,15 @@ def test_an_error_that_cannot_speak_is_one_line() -> None:
 
 
 def test_compositions_are_hydras() -> None:
-    """Although options are read once."""
+    """Although options are read once, and values are merged without it."""
     option_files.register()
-    for overrides in ([], ["preset=[pendulum_swingup,scratch]"], ["bias=mean", "+hardware.noise.a=1"]):
+    for overrides in (
+        ["preset=[pendulum_swingup,scratch]"],
+        ["bias=mean", "+hardware.noise.a=1"],
+        ["bias.d=0.3", "seed=2", "bias.d=0.4"],
+        ["hardware.noise={torque_variance: 0.1}", "task.horizon=7"],
+        ["seed=${optimizer.max_evaluations}", "optimizer.algorithm='a b'"],
+    ):
         with hydra.initialize_config_dir(str(resource_folder("conf").resolve()), version_base="1.3"):
             by_hydra = hydra.compose("config", [*WITHOUT_JOBS, *overrides])
         assert compose(overrides).config == OmegaConf.to_container(by_hydra, resolve=True)

@@ -37,24 +37,21 @@ def on_another_disk(here: str, there: str) -> None:
 def test_workers_that_share_no_disk_get_and_send_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Of a trial that was stopped, and of one that was not begun."""
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     monkeypatch.chdir(here)
     sweep = ["+sweep=smoke", "sweep.trials=1", NO_FIGURES, *QUICK, *FOLDERS, "cost.max_cost=1e-3"]
     simbias.run_sweep([*sweep, "engine=sequential"])
     expected = trial_by_trial(here)
-    shutil.rmtree("trials")
+    stopped, not_begun = (here / "trials" / identity for identity in expected)
+    for file in (stopped / "outcome.json", *TrialFolder(stopped).steps()[3:]):
+        file.unlink()
+    shutil.rmtree(not_begun)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
         cluster.get_client().run(on_another_disk, str(here), str(there))
-        clustered = [*sweep, "engine=dask", f"engine.address={cluster.scheduler_address}"]
-        simbias.run_sweep(clustered)
-        assert trial_by_trial(here) == trial_by_trial(there) == expected
-        shutil.rmtree(there)
-        stopped = here / "trials" / next(iter(expected))
-        for file in (stopped / "outcome.json", *TrialFolder(stopped).steps()[3:]):
-            file.unlink()
-        simbias.run_sweep(clustered)
-    assert trial_by_trial(here) == expected
+        simbias.run_sweep([*sweep, "engine=dask", f"engine.address={cluster.scheduler_address}"])
+    assert trial_by_trial(here) == trial_by_trial(there) == expected
     assert len(TrialFolder(there / "trials" / stopped.name).attempts()) == 2  # the first of them from here
 
 

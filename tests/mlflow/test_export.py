@@ -92,8 +92,23 @@ def found_runs(client: MlflowClient, *search: str, **order: Any) -> list[Run]:
     return list(client.search_runs([experiment.experiment_id], *search, **order))
 
 
+def at(folder: Path, seed: int = 0) -> Path:
+    """The folder of a trial."""
+    return folder / "trials" / study(seed).hash
+
+
 def export(address: str, trials: Path) -> list[str]:
     return list(Mlflow(address, trials=str(trials)).export_all())
+
+
+def export_all(folder: Path) -> list[str]:
+    return export(uri(folder), folder / "trials")
+
+
+def exported_again(folder: Path) -> dict[str, dict[str, Any]]:
+    """The pages of a new store."""
+    export(uri(folder, "other.db"), folder / "trials")
+    return pages(uri(folder, "other.db"))
 
 
 def pages(address: str) -> dict[str, dict[str, Any]]:
@@ -126,9 +141,9 @@ def page(client: MlflowClient, run: Run) -> dict[str, Any]:
 
 
 def test_every_trial_has_its_page(folder: Path) -> None:
-    assert export(uri(folder), folder / "trials") == ["5 trials in no sweep"]
+    assert export_all(folder) == ["5 trials in no sweep"]
     found = pages(uri(folder))
-    finished, trial = found["0"], TrialFolder(folder / "trials" / study(0).hash)
+    finished, trial = found["0"], TrialFolder(at(folder, 0))
     ended = trial.summary()
     assert ended is not None
     assert [(each["status"], each["tags"].get("outcome")) for each in found.values()] == [
@@ -154,45 +169,44 @@ def test_every_trial_has_its_page(folder: Path) -> None:
 
 def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folder: Path) -> None:
     """Also where one run, or all files, are gone."""
-    export(uri(folder), folder / "trials")
+    export_all(folder)
     before = pages(uri(folder))
-    export(uri(folder), folder / "trials")
+    export_all(folder)
     assert pages(uri(folder)) == before
     client = MlflowClient(uri(folder))
     client.delete_run(found_runs(client)[0].info.run_id)
-    export(uri(folder), folder / "trials")
+    export_all(folder)
     assert pages(uri(folder)) == before
-    export(uri(folder, "other.db"), folder / "trials")
-    assert pages(uri(folder, "other.db")) == before
+    assert exported_again(folder) == before
 
 
 def test_a_trial_that_resumes_or_begins_again(folder: Path) -> None:
     """What was killed, waited, failed or was interrupted ends in its own run; one made again has another."""
-    export(uri(folder), folder / "trials")
+    export_all(folder)
     before = pages(uri(folder))
     for seed in range(1, 5):
-        run_trial(study(seed), folder / "trials" / study(seed).hash)
-    export(uri(folder), folder / "trials")
+        run_trial(study(seed), at(folder, seed))
+    export_all(folder)
     after = pages(uri(folder))
     assert {each["status"] for each in after.values()} == {"FINISHED"}
     assert [each["start"] for each in after.values()] == [each["start"] for each in before.values()]
     assert not any("error" in each["tags"] for each in after.values())
-    shutil.rmtree(folder / "trials" / study(0).hash)
-    run_trial(study(0), folder / "trials" / study(0).hash)
-    export(uri(folder), folder / "trials")
+    shutil.rmtree(at(folder, 0))
+    run_trial(study(0), at(folder, 0))
+    export_all(folder)
     assert len(found_runs(MlflowClient(uri(folder)))) == 6
 
 
 def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
     """The run before it says so; a new store has the new one alone."""
-    export(uri(folder), folder / "trials")
-    trial = TrialFolder(folder / "trials" / study(0).hash)
+    export_all(folder)
+    trial = TrialFolder(at(folder, 0))
     withdrawal = withdraw(trial.steps()[1], "a loose cable")
     client = MlflowClient(uri(folder))
     for status, resumes in (("KILLED", False), ("FINISHED", True)):
         if resumes:
             run_trial(study(0), trial.path)
-        export(uri(folder), folder / "trials")
+        export_all(folder)
         new, old = found_runs(client, "params.seed = '0'", order_by=["start_time DESC"])
         assert (new.info.status, old.info.status) == (status, "FINISHED")
         assert old.data.tags["outcome"] == "superseded"
@@ -217,8 +231,8 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
         def iterated(self, iteration: Iteration) -> None:
             seen.append(pages(uri(folder))["0"])
 
-    shown = store.export_trial(folder / "trials" / study().hash)
-    record = run_trial(study(), folder / "trials" / study().hash, Observers(shown, Looking()))
+    shown = store.export_trial(at(folder))
+    record = run_trial(study(), at(folder), Observers(shown, Looking()))
     for index, each in enumerate(seen):
         assert [step for step, *_ in each["metrics"]["experiments/total"]] == list(range(index + 1))
         assert each["status"] == "RUNNING"
@@ -229,27 +243,22 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
     live = pages(uri(folder))
     assert live["0"]["status"] == "FINISHED"
     assert f" -m simbias ui {study().hash} tracking.uri=" in shown.where
-    export(uri(folder, "other.db"), folder / "trials")
-    assert pages(uri(folder, "other.db")) == live
+    assert exported_again(folder) == live
 
 
 def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None:
-    record = run_trial(study(), folder / "trials" / study().hash)
-    export(uri(folder), folder / "trials")
+    record = run_trial(study(), at(folder))
+    export_all(folder)
     client = MlflowClient(uri(folder))
     (run,) = found_runs(client, "params.seed = '0'")
     experiment_id = run.info.experiment_id
-    for trial in (folder / "trials" / study().hash, run.info.run_id):
+    for trial in (at(folder), run.info.run_id):
         assert_equal(simbias.load_trial(trial, uri(folder), OWN_CONF), record)
     foreign = client.create_run(experiment_id).info.run_id
     sweep = client.create_run(experiment_id, tags={"hash": "abc", "sweep": "mine"}).info.run_id
     lost = client.create_run(experiment_id, tags={"hash": "abc"}).info.run_id
-    for name, message in {
-        "0" * 32: "no such run in sqlite:",
-        foreign: "is no run of simbias",
-        sweep: "is a sweep",
-        lost: "its files are not in the store",
-    }.items():
+    said = ("no such run in sqlite:", "is no run of simbias", "is a sweep", "its files are not in the store")
+    for name, message in zip(("0" * 32, foreign, sweep, lost), said, strict=True):
         with pytest.raises(ConfigError, match=f"^{name}: {message}"):
             simbias.load_trial(name, uri(folder))
     with pytest.raises(ConfigError, match=r"^tracking\.uri: .*no such store"):
@@ -260,8 +269,8 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
 def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (folder / "trials" / study(0).hash / TRIAL).write_text("{")
-    assert export(uri(folder), folder / "trials") == ["4 trials in no sweep"]
+    (at(folder, 0) / TRIAL).write_text("{")
+    assert export_all(folder) == ["4 trials in no sweep"]
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{study(0).hash}/{TRIAL}: cannot be read" in warning
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]
@@ -271,14 +280,12 @@ def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
 
 def test_many_and_long_parameters(folder: Path) -> None:
     shutil.rmtree(folder / "trials")
-    plain = study()
-    config = {**plain.config, "many": {f"p{i}": i for i in range(250)}, "a+b": "ü" * 7000}
-    composition = replace(plain.composition, config=config)  # type: ignore[type-var]
-    run_trial(replace(plain, composition=composition), folder / "trials" / "many")
-    export(uri(folder), folder / "trials")
+    config = {**study().config, "many": {f"p{i}": i for i in range(250)}, "a+b": "ü" * 7000}
+    composition = replace(study().composition, config=config)  # type: ignore[type-var]
+    run_trial(replace(study(), composition=composition), folder / "trials" / "many")
+    export_all(folder)
     (found,) = pages(uri(folder)).values()
-    assert found["params"]["many.p249"] == "249"
-    assert len(found["params"]["a_b"]) == 6000
+    assert (found["params"]["many.p249"], len(found["params"]["a_b"])) == ("249", 6000)
     assert found["files"]["config.yaml"].count("ü".encode()) == 7000
 
 
@@ -293,7 +300,7 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
         def fail(*_: Any, **__: Any) -> NoReturn:
             raise ConnectionError("gone")
 
-        trial = folder / "trials" / study(seed).hash
+        trial = at(folder, seed)
         shown = Mlflow(uri(folder)).export_trial(trial)
         with monkeypatch.context() as patch:
             patch.setattr(MlflowClient, name, fail)
@@ -304,8 +311,7 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
     assert [each.getMessage().count("gone. All is kept in ") for each in caplog.records] == [1] * len(failing)
     found = pages(uri(folder))
     assert [each["status"] for each in found.values()] == ["FINISHED"] * len(failing)
-    export(uri(folder, "other.db"), folder / "trials")
-    assert pages(uri(folder, "other.db")) == found
+    assert exported_again(folder) == found
 
 
 def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
@@ -343,6 +349,6 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     assert record.outcome.final
     assert len(record.iterations) > 1
     assert len(caplog.records) == 2
-    export(uri(folder, "other.db"), trials)
-    assert [each["status"] for each in pages(uri(folder, "other.db")).values()] == ["FINISHED"] * 2
-    assert found.items() <= pages(uri(folder, "other.db")).items()
+    again = exported_again(folder)
+    assert [each["status"] for each in again.values()] == ["FINISHED"] * 2
+    assert found.items() <= again.items()

@@ -125,18 +125,6 @@ def test_published_trials_are_those_that_the_sweep_would_run() -> None:
         assert list(zip(trials["hash"], trials["repetition"], trials["seed"], strict=True)) == planned
 
 
-@pytest.mark.slow
-def test_methods_of_a_cell_meet_the_same_starts() -> None:
-    """And in each cell others; the table of all cells holds a line for each method."""
-    sweep = swept("methods")
-    assert len(sweep.trials) == len({cell.composition.group_hash for cell in sweep.cells}) == 23
-    assert len({trial.seed for trial in sweep.trials}) == 1
-    trials = results.published(sweep)
-    assert set(trials.groupby("cell")["method"].nunique()) == {23}
-    assert set(trials.groupby("cell")["seed"].nunique()) == {1}
-    assert trials["seed"].nunique() == trials["cell"].nunique() == 11
-
-
 def test_cells_count_once_and_what_raised_counts_as_nothing(tmp_path: Path) -> None:
     """Worked out by hand: A is better in two cells of three, the third is equal."""
     rows = [

@@ -17,14 +17,11 @@ from sweeping import (
     NO_FIGURES,
     QUICK,
     content,
-    finish,
     run,
-    start,
     state,
     sweep_folder,
     table,
     trial_by_trial,
-    until_trials,
     write_sweep,
 )
 
@@ -67,18 +64,6 @@ def test_the_folder_tells_everything(folder: Path, capsys: pytest.CaptureFixture
     assert {file: file.read_bytes() for file in folder.rglob("*.*") if file.is_file()} == before
 
 
-def test_a_trial_of_its_own_is_that_of_the_sweep(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Run elsewhere it has the same content; beside the sweep, it is shown."""
-    assert main([*SMOKE, NO_FIGURES, "sweep.trials=1"]) == 0
-    swept = expand([*SMOKE, "sweep.trials=1"]).trials[1]
-    single = [*QUICK, *FOLDERS, "hardware.inertia_error=0.2", f"seed={swept.seed}"]
-    assert main([*single, "tracking.trials=elsewhere"]) == 0
-    assert content(folder / "elsewhere" / swept.hash) == content(folder / "trials" / swept.hash)
-    capsys.readouterr()
-    assert main(single) == 0
-    assert "in an earlier run of this command" in capsys.readouterr().out
-
-
 def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Cells and trials that are added run alone."""
     names: list[str] = []
@@ -95,8 +80,13 @@ def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.
     again = more[more["hash"].isin(few["hash"])].reset_index(drop=True)
     pd.testing.assert_frame_equal(again, few)
     assert capsys.readouterr().out == ""
-    full = simbias.load_trial(f"trials/{more['hash'][3]}")
-    assert full.summary.experiments == more["experiments"][3]
+    swept = simbias.load_trial(f"trials/{more['hash'][3]}")
+    assert swept.summary.experiments == more["experiments"][3]
+    single = [*QUICK, *FOLDERS, "hardware.inertia_error=0.2", f"seed={swept.study.seed}"]
+    for where, words in (("elsewhere", "Succeeded"), ("trials", "in an earlier run of this command")):
+        assert main([*single, f"tracking.trials={where}"]) == 0  # as a trial of its own
+        assert words in capsys.readouterr().out
+        assert content(folder / where / swept.study.hash) == content(folder / "trials" / swept.study.hash)
     with pytest.raises(ConfigError, match=r"^sweep: missing"):
         simbias.run_sweep(["bias=none"])
 
@@ -221,25 +211,6 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"simbias: {key}")
     assert not list(folder.iterdir())
-
-
-def test_parents_memory_is_flat(folder: Path) -> None:
-    """Of 8 trials more and their export to MLflow, whose experiments alone are 5 MiB."""
-    small = [*QUICK, "task.horizon=3000", "cost.max_cost=1e-3", "tracking.pictures=false"]
-    process = start("+sweep=smoke", "sweep.trials=6", *small, NO_FIGURES, folder=folder)
-    until_trials(process, 3)
-    before = memory(process.pid)
-    until_trials(process, 8)
-    more = memory(process.pid) - before
-    assert finish(process)[0] == 0
-    print(f"8 trials more take {more:.1f} MiB more")
-    assert more < 4
-
-
-def memory(pid: int) -> float:
-    """MiB of a process that are no file's."""
-    (kib,) = re.findall(r"^RssAnon:\s*(\d+) kB$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
-    return int(kib) / 1024
 
 
 IN_NUMPY = """
