@@ -138,6 +138,7 @@ def test_a_module_that_raises_is_one_line(project: Path) -> None:
         (CANCELLED, r"cannot import 'beside\.Mine' \(CancelledError: late\)$"),
         (CONSTRUCTOR.format("", EXITS), r"7$"),
         (CONSTRUCTOR.format("", CANCELLED.replace("\n", "; ")), r"late$"),
+        ("from simbias.core import Bias\nclass Mine(Bias): ...", r"Can't instantiate abstract class Mine"),
         (UNKNOWN, r"the annotations of Mine's constructor cannot be read \(NameError: name 'Unknown' "),
     ):
         (project / "beside.py").write_text(text)

@@ -74,9 +74,10 @@ def make(trials: Path) -> None:
 
 @pytest.fixture
 def folder(made: Path, new_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with these trials and a store in which nothing is."""
+    """A working folder with these trials and two stores in which nothing is."""
     shutil.copytree(made, tmp_path / "trials")
-    shutil.copy(new_store, tmp_path)
+    for name in ("mlflow.db", "other.db"):
+        shutil.copy(new_store, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -106,7 +107,7 @@ def export_all(folder: Path) -> list[str]:
 
 
 def exported_again(folder: Path) -> dict[str, dict[str, Any]]:
-    """The pages of a new store."""
+    """The pages of the other store."""
     export(uri(folder, "other.db"), folder / "trials")
     return pages(uri(folder, "other.db"))
 
@@ -140,9 +141,16 @@ def page(client: MlflowClient, run: Run) -> dict[str, Any]:
     }
 
 
-def test_every_trial_has_its_page(folder: Path) -> None:
+def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folder: Path) -> None:
+    """Every trial has its page, also where one run, or all files, were gone."""
     assert export_all(folder) == ["5 trials in no sweep"]
     found = pages(uri(folder))
+    export_all(folder)
+    assert pages(uri(folder)) == found
+    client = MlflowClient(uri(folder))
+    client.delete_run(found_runs(client)[0].info.run_id)
+    export_all(folder)
+    assert pages(uri(folder)) == found == exported_again(folder)
     finished, trial = found["0"], TrialFolder(at(folder, 0))
     ended = trial.summary()
     assert ended is not None
@@ -165,19 +173,6 @@ def test_every_trial_has_its_page(folder: Path) -> None:
     assert finished["metrics"]["experiments/total"] == totals
     seconds = [(0, int(1000 * ended.ended), ended.hardware_seconds)]
     assert finished["metrics"]["trial/hardware_seconds"] == seconds
-
-
-def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folder: Path) -> None:
-    """Also where one run, or all files, are gone."""
-    export_all(folder)
-    before = pages(uri(folder))
-    export_all(folder)
-    assert pages(uri(folder)) == before
-    client = MlflowClient(uri(folder))
-    client.delete_run(found_runs(client)[0].info.run_id)
-    export_all(folder)
-    assert pages(uri(folder)) == before
-    assert exported_again(folder) == before
 
 
 def test_a_trial_that_resumes_or_begins_again(folder: Path) -> None:
@@ -210,16 +205,13 @@ def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
         new, old = found_runs(client, "params.seed = '0'", order_by=["start_time DESC"])
         assert (new.info.status, old.info.status) == (status, "FINISHED")
         assert old.data.tags["outcome"] == "superseded"
-        assert (
-            f"[a new run](#/experiments/{new.info.experiment_id}/runs/{new.info.run_id}"
-            in old.data.tags[NOTE]
-        )
-        assert old.data.tags[NOTE].count("Superseded") == 1
+        note = old.data.tags[NOTE]
+        assert f"[a new run](#/experiments/{new.info.experiment_id}/runs/{new.info.run_id}" in note
+        assert note.count("Superseded") == 1
         assert f"**Withdrawn**: {withdrawal}." in new.data.tags[NOTE]
         page(client, new)
-    export(uri(folder, "other.db"), folder / "trials")
     client.delete_run(old.info.run_id)
-    assert pages(uri(folder, "other.db")) == pages(uri(folder))
+    assert exported_again(folder) == pages(uri(folder))
 
 
 def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
@@ -295,11 +287,11 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
     """At any call to it; the same exporter catches up."""
     shutil.rmtree(folder / "trials")
     failing = ("create_run", "log_artifacts", "log_batch", "set_terminated")
+
+    def fail(*_: Any, **__: Any) -> NoReturn:
+        raise ConnectionError("gone")
+
     for seed, name in enumerate(failing):
-
-        def fail(*_: Any, **__: Any) -> NoReturn:
-            raise ConnectionError("gone")
-
         trial = at(folder, seed)
         shown = Mlflow(uri(folder)).export_trial(trial)
         with monkeypatch.context() as patch:

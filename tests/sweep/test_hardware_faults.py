@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from faulty_hardware import LEFT, MENDED
-from sweeping import FOLDERS, run, write_sweep
+from sweeping import FOLDERS, run, state, sweep_folder, write_sweep
 
 from simbias.trial.folder import TrialFolder
 
@@ -51,11 +52,22 @@ def test_a_sweep_continues_whatever_its_hardware_does(tmp_path: Path) -> None:
         elif fault != "own words":
             assert line.startswith("HardwareError: Faulty.run: "), (fault, line)
             assert "expected" in line
-    assert out.count("(traceback in ") == len([*RAISED, *RETURNED])
+    raised = [*RAISED, *RETURNED, *DEADLY]
+    assert f"{len(raised)} trials raised an error" in out
+    assert out.count("(traceback in ") == len(raised) - len(DEADLY)
+    assert state(tmp_path)["verdict"] == "**Ended**, some trials with an error"
+    assert "1 raised" in state(tmp_path)["table"]
+    told = pd.read_csv(sweep_folder(tmp_path) / "trials.csv", keep_default_na=False)
+    told = told.set_index("hardware.fault")
+    assert set(told.index[told["outcome"] == "error"]) == set(raised)
+    assert told.loc["own words", "raised"] == "HardwareError: the battery is empty"
+    trace = tmp_path / "trials" / told.loc["no UTF-8", "hash"] / "error_0000.txt"
+    assert "in _raise" in trace.read_text()
     trials = [TrialFolder(file.parent) for file in (tmp_path / "trials").glob("*/trial.json")]
     assert (len(trials), sum(trial.ended for trial in trials)) == (len(FAULTS), len(FINE))
     assert sum((trial.path / "refused_0000.json").exists() for trial in trials) == len(RETURNED)
     (tmp_path / MENDED).touch()
     status, out, err = run(*command, "engine=sequential", folder=tmp_path)
     assert (status, err) == (0, ""), out + err
+    assert f"= {len(FAULTS)}, {len(FINE)} of them finished already" in out
     assert all(trial.ended for trial in trials)

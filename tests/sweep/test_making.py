@@ -95,15 +95,6 @@ def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytes
     assert {outcome.successes for outcome in store.kept} == {(True, True)}
 
 
-def test_outcomes_travel_as_text() -> None:
-    outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "speed"), (True, False))
-    text = outcomes.as_json()
-    assert Outcomes.from_json(text) == outcomes
-    for bad in ("", text[:20], text[:-1], '{"costs": [1.0], "frames": [17]}', "3"):
-        with pytest.raises(ValueError, match=r"not the outcomes|line 1"):
-            Outcomes.from_json(bad)
-
-
 def test_hardware_without_starts_has_no_grid_of_them(brief: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = expand(["+sweep=fig7"])
     x, y = Range("alpha_w", -0.1, 0.1, 2), Range("alpha_b", -0.1, 0.1, 2)

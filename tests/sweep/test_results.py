@@ -15,7 +15,6 @@ import pytest
 from conftest import ROOT
 from in_numpy import predict_in_numpy
 from paired import paired
-from published import held
 from shipped import shortened
 from side_by_side import side_by_side
 from sweeping import sweep_folder, table
@@ -78,7 +77,7 @@ def build_what_is_new(cell: Cell) -> None:
 def test_every_sweep_runs_shortened(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A trial of the last cell; it is read back, the table has a line for each cell, new figures are drawn."""
+    """A trial of the last cell: it is read back, the table has a line a cell, new figures are drawn."""
     monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
     predict_in_numpy(monkeypatch)
     whole = swept(f"{name}_test" if RESULTS / f"{name}_test" in PUBLISHED else name)  # which is read below
@@ -142,13 +141,6 @@ def test_cells_count_once_and_what_raised_counts_as_nothing(tmp_path: Path) -> N
     assert list(cells_compared.shortfalls(read, "A")) == []
     assert list(cells_compared.shortfalls(read, "B")) == ["one, A (88% > 19%)"]
     assert "| mean of 2 that B does not hold | 94% | 25% |" in cells_compared.report(read, "A", ["B"], "B")
-
-
-def test_what_last_policies_hold_is_counted() -> None:
-    """Of three: all starts and both minutes, nine in ten but no minute, half of them."""
-    rows = {"test_episodes": ["1" * 20, "1" * 18 + "00", "10" * 10], "long_success_rate": [1.0, 0.5, 1.0]}
-    (row,) = held(pd.DataFrame({"sweep": "mine", **rows}))
-    assert row == ["mine", "3", "80% [50%, 100%]", "2 of 3 (21% to 94%)", "2 of 3 (21% to 94%)"]
 
 
 @pytest.mark.slow

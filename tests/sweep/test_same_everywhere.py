@@ -28,7 +28,7 @@ SHORT = [
 TRIALS = [  # what learns, searches and samples differently
     ["optimizer=cma", "hardware.record=measured", "hardware.noise.angle_variance=1e-6"],
     [
-        *("preset=robust", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=3"),
+        *("preset=robust", "bias=gp", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=3"),
         *("evaluation.seconds=0.2", "identification.starts=2", "identification.rounds=1"),
     ],
 ]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -16,8 +16,10 @@ from sweeping import (
     FOLDERS,
     NO_FIGURES,
     QUICK,
+    client_of,
     content,
     run,
+    runs,
     state,
     sweep_folder,
     table,
@@ -91,24 +93,6 @@ def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.
         simbias.run_sweep(["bias=none"])
 
 
-def test_last_policies_are_tested_and_told(folder: Path) -> None:
-    tests = ["policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=0.4"]
-    measures = "+sweep.report.measures=[experiments,hardware_seconds,success_rate,reliable,long_success_rate]"
-    command = [*SMOKE, "sweep.trials=1", NO_FIGURES, *tests, measures]
-    trials = simbias.run_sweep(command)
-    assert set(trials["test_episodes"]) == {"111"}  # nobody falls within 0.2 s
-    assert list(trials["long_seconds"]) == pytest.approx([0.4] * 2)
-    first = simbias.load_trial(f"trials/{trials['hash'][0]}").iterations
-    frames = [rollout.frames for iteration in first for rollout in iteration.experiments]
-    assert trials["hardware_seconds"][0] == pytest.approx(0.001 * sum(frames))
-    assert "| 100% | 100% | 100% |" in state(folder)["table"]
-    assert "success_rate: mean share of 3 test episodes" in state(folder)["legend"]
-    for identity in trials["hash"]:
-        rows = pd.read_csv(folder / "trials" / identity / "test_episodes.csv")
-        assert list(rows["lasted_seconds"]) == pytest.approx([0.4, 0.2, 0.2])
-    pd.testing.assert_frame_equal(simbias.run_sweep(command), trials)
-
-
 def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def told() -> tuple[list[str], str]:
         """How far each cell is, and what is said of the sweep."""
@@ -143,50 +127,6 @@ def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
     assert line.endswith("; the trial is run again")
     assert trial_by_trial(folder) == before
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), trials.drop(columns="seconds"))
-
-
-RAISING = """
-from simbias.robots.bongoboard.pymunk import PymunkBongoboard
-
-class Hot(PymunkBongoboard):
-    def run(self, policy, theta, start, rng):
-        if start[0] > THRESHOLD:
-            raise RuntimeError("the motor is | hot")
-        return super().run(policy, theta, start, rng)
-"""
-
-
-def test_a_trial_that_raises(folder: Path) -> None:
-    """It is kept with its error, the others run; once the fault is mended, it resumes."""
-    conf = write_sweep(folder, "mine", "sweep: {trials: 4, figures: {}, axes: {bias: [gp, none]}}")
-    (conf / "hardware").mkdir()
-    (conf / "hardware" / "hot.yaml").write_text("_target_: hot.Hot\nnoise: {}\n")
-    module = folder / "hot.py"
-    command = ["--config-dir", "conf", "+sweep=mine", "hardware=hot", *QUICK, *FOLDERS]
-    module.write_text(RAISING.replace("THRESHOLD", "0.01"))
-    status, out, err = run(*command, folder=folder)
-    assert status == 1, out + err
-    trials = pd.read_csv(sweep_folder(folder) / "trials.csv")
-    raised = trials[trials["outcome"] == "error"]
-    assert len(trials) == 8
-    assert 0 < len(raised) < 8
-    assert state(folder)["verdict"] == "**Ended**, some trials with an error"
-    assert "raised" in state(folder)["table"]
-    assert f"{len(raised)} trials raised an error" in out
-    line = "HardwareError: Hot.run: expected a Rollout, got RuntimeError: the motor is | hot"
-    assert f"raised {line}" in out
-    assert raised["raised"].str.startswith(line).all()
-    for identity in raised["hash"]:
-        trace = (folder / "trials" / identity / "error_0000.txt").read_text()
-        assert 'raise RuntimeError("the motor is | hot")' in trace
-    module.write_text(RAISING.replace("THRESHOLD", "9.0"))
-    status, out, err = run(*command, "engine=sequential", folder=folder)
-    assert status == 0
-    assert re.fullmatch(
-        r"simbias: \d of \d finished trials ran on code that has changed .*\(hot\); .*\n", err
-    )
-    assert f"mine: 2 cells x 4 trials = 8, {8 - len(raised)} of them finished already" in out
-    assert len(trial_by_trial(folder)) == 8
 
 
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -252,3 +192,43 @@ def test_live_view_fills() -> None:
     console.all_ended()
     for words in ("4/4", "2/2   2.0", "/min"):
         assert words in out.getvalue()
+
+
+@pytest.fixture
+def store(folder: Path, new_store: Path) -> str:
+    """The override that names a store in the working folder."""
+    shutil.copy(new_store, folder)
+    return f"tracking.uri=sqlite:///{folder}/mlflow.db"
+
+
+def histories(folder: Path) -> dict[tuple[str, str], list[Any]]:
+    """Values of all metrics of all runs."""
+    client = client_of(folder)
+    found = [run for some in runs(folder) for run in some]
+    return {
+        (run.info.run_id, name): [(m.step, m.value) for m in client.get_metric_history(run.info.run_id, name)]
+        for run in found
+        for name in run.data.metrics
+    }
+
+
+def test_a_finished_sweep_started_again_adds_nothing_to_its_store(folder: Path, store: str) -> None:
+    command = ["+sweep=smoke", *QUICK, "engine=sequential", "tracking.pictures=false", store]
+    assert main(command) == 0
+    (parent,), trials = runs(folder)
+    assert parent.info.status == "FINISHED"
+    assert len(trials) == 4
+    assert parent.data.metrics["trials/succeeded"] == 4
+    before = histories(folder)
+    assert all(len(values) == len({step for step, _ in values}) for values in before.values())
+    assert main(command) == 0
+    assert histories(folder) == before
+    assert runs(folder)[0][0].info.end_time == parent.info.end_time
+
+
+def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
+    write_sweep(folder, "mine", "sweep: {trials: 1, axes: {bias: [none, gp]}}")
+    command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "hardware=manual", "engine=sequential", store]
+    for _ in range(2):
+        assert main(command) == 3
+        assert [run.info.status for run in runs(folder)[1]] == ["SCHEDULED"] * 2

@@ -92,16 +92,6 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_issue_example_swaps_components(line: Any) -> None:
-    status, out, _ = line(
-        *QUICK, "bias=none", "hardware.noise.torque_variance=0.1", "hardware.inertia_error=0.2",
-        "optimizer=nlopt_crs", "seed=3", "tracking=none",
-    )  # fmt: skip
-    assert status == 0
-    assert "bias none, optimizer nlopt_crs" in out
-    assert "seed 3" in out
-
-
 def test_own_components_run(line: Any) -> None:
     """Options may stand anywhere, also before a command, and `run` is the command that is meant."""
     own = ["--config-dir", str(OWN_CONF)]
