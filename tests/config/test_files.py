@@ -6,16 +6,20 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import hydra
 import pytest
+from omegaconf import OmegaConf
 
 import simbias
-from simbias.config import ConfigError, compose, sweeps
-from simbias.config.hydra_config import overridden
+from simbias.config import ConfigError, compose, option_files, sweeps
+from simbias.config.hydra_config import WITHOUT_JOBS, overridden
+from simbias.config.resources import resource_folder
 from simbias.core.errors import LONGEST_KEY
 from simbias.core.messages import LONGEST, quote, words
 from simbias.sweep.grid import expand
 
 LONGEST_LINE = LONGEST + LONGEST_KEY + 3
+ALIASES = "".join(f"b{i}: &b{i} [{','.join(9 * [f'*b{i - 1}'])}]\n" for i in range(1, 12))
 BROKEN: dict[str, Callable[[Path], object]] = {
     "folder": Path.mkdir,
     "dangling": lambda path: path.symlink_to("nowhere"),
@@ -59,11 +63,17 @@ def test_somebody_asks_for_one(conf: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_long_name_is_a_short_line() -> None:
+def test_what_is_no_name_or_a_long_one_is_a_short_line() -> None:
     for form in ("bias={}", "+sweep={}", "{}=1", "+{}=1", "bias=../{}", "bias.d={}", "bias.d=[{}"):
         with pytest.raises(ConfigError) as error:
             simbias.load([form.format(5000 * "x"), "tracking=none"])
         assert len(str(error.value)) < LONGEST_LINE
+    for override in ("bias=[1]", "bias=[null]", "bias=3", "+sweep=[inf]", "bias={a: 1}"):
+        with pytest.raises(ConfigError) as error:
+            simbias.load([override, "tracking=none"])
+        assert "\n" not in str(error.value)
+    with pytest.raises(ConfigError, match=r"^seed=9+ \.\.\. 9+: Exceeds the limit \(4300 digits\)"):
+        overridden([f"seed={'9' * 5000}"])
 
 
 @pytest.mark.slow
@@ -74,19 +84,10 @@ def test_a_folder_may_have_any_name(tmp_path: Path) -> None:
         assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
 
 
-def test_an_option_is_a_name() -> None:
-    for override in ("bias=[1]", "bias=[null]", "bias=3", "+sweep=[inf]", "bias={a: 1}"):
-        with pytest.raises(ConfigError) as error:
-            simbias.load([override, "tracking=none"])
-        assert "\n" not in str(error.value)
-
-
 def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
     """Compositions are kept; what they were read from may be edited meanwhile, as beside a notebook."""
-    for group, text in (
-        ("bias", "_target_: simbias.learning.bias.gp.GaussianProcess\nd: {}"),
-        ("sweeps", "a: {}"),
-    ):
+    texts = {"bias": "_target_: simbias.learning.bias.gp.GaussianProcess\nd: {}", "sweeps": "a: {}"}
+    for group, text in texts.items():
         (tmp_path / group).mkdir()
         for value in (1, 22):
             (tmp_path / group / "mine.yaml").write_text(text.format(value))
@@ -94,23 +95,17 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
             assert (config["bias"]["d"] if group == "bias" else config["a"]) == value
 
 
-def test_components_that_nobody_can_read_are_named(tmp_path: Path) -> None:
-    aliases = "".join(f"b{i}: &b{i} [{','.join(9 * [f'*b{i - 1}'])}]\n" for i in range(1, 12))
-    for text in ("a: [1", "3", f"b0: &b0 [{','.join(9 * '1')}]\n{aliases}"):
-        (tmp_path / "components.yaml").write_text(text)
-        with pytest.raises(ConfigError, match=r"components\.yaml"):
-            compose([], tmp_path)
-
-
 def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
-    aliases = "".join(f"b{i}: &b{i} [{','.join(9 * [f'*b{i - 1}'])}]\n" for i in range(1, 12))
     for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
         (tmp_path / group).mkdir()
-        (tmp_path / group / "mine.yaml").write_text(f"b0: &b0 [1]\n{aliases}")
+        (tmp_path / group / "mine.yaml").write_text(f"b0: &b0 [1]\n{ALIASES}")
         with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: its aliases stand for 8e\+10 values"):
             compose([use], tmp_path)
         (tmp_path / group / "mine.yaml").write_text("b0: &b0 [1]\nb1: [*b0, *b0]")
         assert compose([use], tmp_path)
+    (tmp_path / "components.yaml").write_text(f"b0: &b0 [{','.join(9 * '1')}]\n{ALIASES}")
+    with pytest.raises(ConfigError, match=r"components\.yaml"):
+        compose([], tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")
@@ -123,11 +118,6 @@ def test_a_pipe_in_place_of_a_config_is_named(tmp_path: Path) -> None:
         file.unlink()
 
 
-def test_a_number_with_too_many_digits_is_one_line() -> None:
-    with pytest.raises(ConfigError, match=r"^seed=9+ \.\.\. 9+: Exceeds the limit \(4300 digits\)"):
-        overridden([f"seed={'9' * 5000}"])
-
-
 def test_an_error_that_cannot_speak_is_one_line() -> None:
     class Mute(Exception):  # noqa: N818
         def __str__(self) -> str:
@@ -136,3 +126,18 @@ def test_an_error_that_cannot_speak_is_one_line() -> None:
     assert words(Mute()) == "(its message cannot be read)"
     assert words(ValueError()) == "ValueError"
     assert quote(10**5000) == "a value of type int"
+
+
+def test_compositions_are_hydras() -> None:
+    """Although options are read once, and values are merged without it."""
+    option_files.register()
+    for overrides in (
+        ["preset=[pendulum_swingup,scratch]"],
+        ["bias=mean", "+hardware.noise.a=1"],
+        ["bias.d=0.3", "seed=2", "bias.d=0.4"],
+        ["hardware.noise={torque_variance: 0.1}", "task.horizon=7"],
+        ["seed=${optimizer.max_evaluations}", "optimizer.algorithm='a b'"],
+    ):
+        with hydra.initialize_config_dir(str(resource_folder("conf").resolve()), version_base="1.3"):
+            by_hydra = hydra.compose("config", [*WITHOUT_JOBS, *overrides])
+        assert compose(overrides).config == OmegaConf.to_container(by_hydra, resolve=True)

@@ -71,33 +71,23 @@ def test_a_number_out_of_its_range_is_one_short_line() -> None:
         "task.time_step=1e-9",
         f"task.horizon={10**30}",
         "task.start.mean=[1e300,0,0,0,0,0]",
-        f"seed={'9' * 5000}",
-        "hardware.noise.torque_variance=1e300",
         "task.robot.leg_mass=1e300",
         f"seed={2**64}",
         f"bias.d={'9' * 5000}",
+        "optimizer.initial_deviation=5e-324",  # with which CMA-ES could not begin
     ):
         with pytest.raises(ConfigError) as error:
-            simbias.load([override, "tracking=none"])
+            simbias.load([override, "optimizer=cma", "tracking=none"])
         assert override.partition("=")[0] in str(error.value)
         assert "\n" not in str(error.value)
         assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
 
 
-def test_a_deviation_of_next_to_nothing_is_refused() -> None:
-    """CMA-ES could not begin with it."""
-    with pytest.raises(ConfigError, match=r"^optimizer\.initial_deviation: must be greater than"):
-        simbias.load(["optimizer=cma", "optimizer.initial_deviation=5e-324", "tracking=none"])
-
-
 def test_an_experiment_in_which_nothing_can_fail_is_refused() -> None:
-    """Every policy would succeed."""
+    """Every policy would succeed; so it would in a simulated rollout."""
     for override in ("task.time_step=1e-6", "task.horizon=9"):
         with pytest.raises(ConfigError, match=r"^task.*, in which nothing can fail; at least 0\.01 s"):
             rehearse(simbias.load([override, "tracking=none"]))
-
-
-def test_a_simulated_rollout_in_which_nothing_can_fail_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^evaluation\.seconds: must be greater than or equal to 0\.01"):
         simbias.load(["evaluation=domain_randomization_30s", "evaluation.seconds=1e-10", "tracking=none"])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -73,32 +72,23 @@ def test_a_package_of_ones_own_counts_its_version(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_finished_trial_says_that_its_code_has_changed(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["--config-dir", "conf", *SMALL]
-    assert main(command) == main(command) == 0
-    assert "has changed" not in capsys.readouterr().err
-    (trial,) = folder.glob("trials/*")
-    assert TrialFolder(trial).description()["code"].keys() == {"my_hardware", "my_gains"}
-    (folder / "my_gains.py").write_text("GAIN = 2.0\n")
-    assert main(command) == 0
-    line = "the trial is shown as it was; its code has changed since it began (my_gains)"
-    assert line in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_sweep_says_which_of_its_trials_ran_on_other_code(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_ran_on_other_code_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a finished trial, and of how many of a sweep."""
     write_sweep(folder, "mine", SWEEP)
-    command = ["--config-dir", "conf", "+sweep=mine", *SMALL, "engine=sequential"]
-    assert main(command) == main(command) == 0
+    trial = ["--config-dir", "conf", *SMALL]
+    sweep = [*trial, "+sweep=mine", "engine=sequential"]
+    assert main(trial) == 0
+    (described,) = folder.glob("trials/*")
+    assert TrialFolder(described).description()["code"].keys() == {"my_hardware", "my_gains"}
+    assert main(sweep) == main(sweep) == main(trial) == 0
     assert "has changed" not in capsys.readouterr().err
-    shutil.copy(folder / "unrelated.py", folder / "my_gains.py")
-    assert main(command) == 0
-    line = "2 of 2 finished trials ran on code that has changed since (my_gains)"
-    assert line in capsys.readouterr().err
+    (folder / "my_gains.py").write_text("GAIN = 2.0\n")
+    for command, line in (
+        (trial, "the trial is shown as it was; its code has changed since it began (my_gains)"),
+        (sweep, "2 of 2 finished trials ran on code that has changed since (my_gains)"),
+    ):
+        assert main(command) == 0
+        assert line in capsys.readouterr().err
 
 
 def test_what_is_sent_to_workers_are_files(folder: Path) -> None:

@@ -53,38 +53,32 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("override", "line"),
-    [
-        ("bias.reach=2", "bias.reach: is now bias.d"),
-        ("+bias.reach=2", "bias.reach: is now bias.d"),
-        ("bias=gaussian", "bias=gaussian: is now bias=gp"),
-        ("old_group.seed=3", "old_group.seed: is now optimizer.seed"),
-        ("+old_group.seed=3", "old_group.seed: is now optimizer.seed"),
-    ],
-)
-def test_on_the_command_line(folder: Path, override: str, line: str) -> None:
-    with pytest.raises(ConfigError) as error:
-        simbias.load([override, "tracking=none"])
-    assert str(error.value) == line
+def test_on_the_command_line(folder: Path) -> None:
+    for override, line in {
+        "bias.reach=2": "bias.reach: is now bias.d",
+        "+bias.reach=2": "bias.reach: is now bias.d",
+        "bias=gaussian": "bias=gaussian: is now bias=gp",
+        "old_group.seed=3": "old_group.seed: is now optimizer.seed",
+    }.items():
+        with pytest.raises(ConfigError) as error:
+            simbias.load([override, "tracking=none"])
+        assert str(error.value) == line
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "override", "line"),
-    [
-        ("preset/mine", "# @package _global_\nbias: {reach: 2}", "preset=mine", "bias.reach: is now bias.d"),
-        ("preset/mine", "# @package _global_\nold_group: {a: 2}", "preset=mine", "is now optimizer.a"),
-        ("preset/mine", "# @package _global_\ndefaults: [{override /bias: gaussian}]", "preset=mine", "=gp"),
-        ("preset/mine", "# @package _global_\ndefaults: [{override /old_group: a}]", "preset=mine", "optimi"),
-        ("sweeps/mine", "sweep: {trials: 1, axes: {bias.reach: [1, 2]}}", "+sweep=mine", "is now bias.d"),
-        ("sweeps/mine", "sweep: {trials: 1, axes: {bias: [gaussian]}}", "+sweep=mine", "is now bias=gp"),
-    ],
-)
-def test_in_a_file(folder: Path, file: str, text: str, override: str, line: str) -> None:
-    (folder / file).parent.mkdir()
-    (folder / f"{file}.yaml").write_text(text)
-    overrides = [override, "tracking=none"]
-    with pytest.raises(ConfigError) as error:
-        expand(overrides, folder) if "sweep" in override else simbias.load(overrides, folder)
-    assert line in str(error.value)
-    assert "\n" not in str(error.value)
+def test_in_a_file(folder: Path) -> None:
+    head = "# @package _global_\n"
+    for group, text, line in (
+        ("preset", f"{head}bias: {{reach: 2}}", "bias.reach: is now bias.d"),
+        ("preset", f"{head}old_group: {{a: 2}}", "is now optimizer.a"),
+        ("preset", f"{head}defaults: [{{override /bias: gaussian}}]", "=gp"),
+        ("preset", f"{head}defaults: [{{override /old_group: a}}]", "optimi"),
+        ("sweeps", "sweep: {trials: 1, axes: {bias.reach: [1, 2]}}", "is now bias.d"),
+        ("sweeps", "sweep: {trials: 1, axes: {bias: [gaussian]}}", "is now bias=gp"),
+    ):
+        (folder / group).mkdir(exist_ok=True)
+        (folder / group / "mine.yaml").write_text(text)
+        use, chosen = (simbias.load, "preset=mine") if group == "preset" else (expand, "+sweep=mine")
+        with pytest.raises(ConfigError) as error:
+            use([chosen, "tracking=none"], folder)  # type: ignore[operator]
+        assert line in str(error.value)
+        assert "\n" not in str(error.value)

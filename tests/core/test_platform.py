@@ -16,17 +16,6 @@ from simbias.core import platform as machine
 from simbias.trial.folder import TrialFolder
 
 GENERIC = {"NUMBA_CPU_NAME": "generic", "OPENBLAS_CORETYPE": "Prescott"}
-SWEEP = ["+sweep=smoke", NO_FIGURES, "sweep.trials=1", "engine=sequential", *QUICK]
-
-
-def kept(folder: Path) -> list[str]:
-    """Overrides that keep trials in a folder."""
-    return [*FOLDERS, f"tracking.trials={folder}"]
-
-
-def platforms(folder: Path) -> list[tuple[str, ...]]:
-    """The platforms of each trial in a folder."""
-    return [tuple(TrialFolder(file.parent).platforms()) for file in folder.glob("*/trial.json")]
 
 
 def test_a_platform_tells_what_makes_the_last_bits() -> None:
@@ -47,40 +36,19 @@ def test_a_platform_tells_what_makes_the_last_bits() -> None:
 def test_a_sweep_that_mixes_platforms_says_so_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert main([*SWEEP, *kept(tmp_path)]) == 0
+    sweep = ["+sweep=smoke", NO_FIGURES, "engine=sequential", *QUICK, *FOLDERS, f"tracking.trials={tmp_path}"]
+    assert main([*sweep, "sweep.trials=1"]) == 0
     assert caplog.messages == []
     here = machine.kind()
     monkeypatch.setattr(machine, "kind", lambda: "another")
-    assert main([*SWEEP, "sweep.trials=2", *kept(tmp_path)]) == 0
+    assert main([*sweep, "sweep.trials=2"]) == 0
     (line,) = caplog.messages
     assert line == (
         "simbias: trials of this sweep are from 2 platforms, so their last bits may differ: "
         f"2 on {here}; 1 on another"
     )
-    assert sorted(platforms(tmp_path)) == sorted([(here,), (here,), ("another",), ("another",)])
-
-
-@pytest.mark.slow
-def test_a_trial_that_resumes_elsewhere_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Only if anything of it was made before."""
-    trial = [*QUICK, "hardware=pymunk", "cost.max_cost=1e-3", *kept(tmp_path)]
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("simbias.robots.bongoboard.pymunk.PymunkBongoboard.run", interrupt)
-        assert main(trial) == 130
-    assert caplog.messages == []
-    here = machine.kind()
-    monkeypatch.setattr(machine, "kind", lambda: "another")
-    assert main(trial) == 1
-    (line,) = caplog.messages
-    assert line.startswith("simbias: trial ")
-    assert line.endswith(f" mixes platforms, so its last bits are of neither: {here}; now another")
-    assert platforms(tmp_path) == [(here, "another")]
+    kept = [tuple(TrialFolder(file.parent).platforms()) for file in tmp_path.glob("*/trial.json")]
+    assert sorted(kept) == sorted([(here,), (here,), ("another",), ("another",)])
 
 
 def test_the_package_is_known_by_its_own_code_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,8 @@ from typing import Any
 
 import psutil
 import pytest
+from engine_tasks import work
+from processes import runs, wait_for
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import service
@@ -24,14 +26,6 @@ from simbias.engine.dask import Dask
 pytestmark = pytest.mark.slow
 
 distributed = pytest.importorskip("distributed")
-
-
-def double(number: int) -> int:
-    return 2 * number
-
-
-def where(_: int) -> int:
-    return os.getpid()
 
 
 def hide() -> None:
@@ -47,10 +41,11 @@ def restore() -> None:
     del sys.modules["simbias.core.platform"]
 
 
-def wait_and_write(task: tuple[float, str]) -> None:
+def wait_and_write(task: tuple[float, str]) -> int:
     seconds, file = task
     Path(file).touch()
     time.sleep(seconds)
+    return os.getpid()
 
 
 @pytest.fixture(scope="module")
@@ -60,21 +55,17 @@ def cluster() -> Iterator[Any]:
         yield cluster
 
 
-def test_an_address(cluster: Any) -> None:
+def test_an_address(cluster: Any, tmp_path: Path) -> None:
+    """Closing drops what waits there."""
     subject = service(
         compose(["engine=dask", f"engine.address={cluster.scheduler_address}"]), "engine", Engine
     )
     assert isinstance(subject, Dask)
-    assert dict(subject.run(double, [1, 2, 3])) == {0: 2, 1: 4, 2: 6}
-    assert os.getpid() not in dict(subject.run(where, [0])).values()
-
-
-def test_closing_drops_what_waits_at_an_address(cluster: Any, tmp_path: Path) -> None:
-    tasks = [(0.5, str(tmp_path / str(number))) for number in range(4)]
-    results = Dask(address=cluster.scheduler_address).run(wait_and_write, tasks)
-    next(results)
+    results = subject.run(wait_and_write, [(0.3, str(tmp_path / str(number))) for number in range(4)])
+    _, pid = next(results)
+    assert pid != os.getpid()
     results.close()  # type: ignore[attr-defined]
-    time.sleep(1.5)
+    time.sleep(0.8)
     assert len(list(tmp_path.iterdir())) <= 2
     assert cluster.scheduler.tasks == {}
 
@@ -87,29 +78,26 @@ def test_a_function_that_workers_lack_is_an_error(cluster: Any) -> None:
         list(Dask(address=cluster.scheduler_address).run(raises, [1]))
 
 
-@pytest.mark.parametrize("change", ["hide", "alter"])
-def test_workers_of_another_simbias_are_one_line(cluster: Any, change: str) -> None:
+def test_workers_of_another_simbias_are_one_line(cluster: Any) -> None:
+    another = r"engine\.address: tcp://.* has another simbias .*, or none"
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        client.run(globals()[change])
-        try:
-            with pytest.raises(
-                ConfigError, match=r"engine\.address: tcp://.* has another simbias .*, or none"
-            ):
-                list(Dask(address=cluster.scheduler_address).run(double, [1]))
-        finally:
-            client.run(restore)
+        for change in (hide, alter):
+            client.run(change)
+            try:
+                with pytest.raises(ConfigError, match=another):
+                    list(Dask(address=cluster.scheduler_address).run(str, [1]))
+            finally:
+                client.run(restore)
 
 
 def test_workers_of_many_threads_are_refused() -> None:
+    threads = {"n_workers": 1, "threads_per_worker": 2, "processes": False}
+    refused = r"engine\.address: .* has 2 threads; start workers with --nthreads 1"
     with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=False, protocol="tcp", dashboard_address=":0"
-        ) as cluster,
-        pytest.raises(
-            ConfigError, match=r"engine\.address: .* has 2 threads; start workers with --nthreads 1"
-        ),
+        distributed.LocalCluster(**threads, protocol="tcp", dashboard_address=":0") as cluster,
+        pytest.raises(ConfigError, match=refused),
     ):
-        list(Dask(address=cluster.scheduler_address).run(double, [1]))
+        list(Dask(address=cluster.scheduler_address).run(str, [1]))
 
 
 def own_listeners() -> list[Any]:
@@ -119,11 +107,14 @@ def own_listeners() -> list[Any]:
     return [connection.laddr for connection in connections if connection.status == psutil.CONN_LISTEN]
 
 
-def test_the_local_cluster_is_closed_to_outsiders() -> None:
-    """Of all ports none talks Dask without the certificate or has a page, and none is for other machines."""
+def test_the_local_cluster_is_closed_to_outsiders(recwarn: pytest.WarningsRecorder) -> None:
+    """Of all ports none talks Dask without the certificate or has a page, and none is for other machines.
+
+    Closed before its tasks end, it ends soon and quietly.
+    """
     before = set(own_listeners())
-    results = Dask(n_jobs=1).run(double, [1, 2, 3])
-    next(results)
+    results = Dask(n_jobs=1).run(work, [(number, 30.0 if number else 0.0, "") for number in range(3)])
+    _, (_, pid) = next(results)  # type: ignore[misc]
     ports = set(own_listeners()) - before
     assert len(ports) >= 3  # scheduler, nanny, worker
     others = distributed.Security.temporary()
@@ -143,30 +134,36 @@ def test_the_local_cluster_is_closed_to_outsiders() -> None:
                 distributed.Client(address, security=security, timeout=0.5, set_as_default=False)
     assert encrypted >= 3
     assert set(codes) <= {404}
-    assert len(list(results)) == 2
+    recwarn.clear()
+    start = time.monotonic()
+    results.close()  # type: ignore[attr-defined]
+    assert time.monotonic() - start < 15
+    wait_for(lambda: not runs(pid), 2)
+    assert [str(warning.message) for warning in recwarn] == []
 
 
 def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_SECONDS", 0.3)
-    for address in ("tcp://127.0.0.1:9", "nonsense://x:1", "localhost:9", "no port"):
+    for address in ("tcp://127.0.0.1:9", "nonsense://x:1", "no port"):
         with pytest.raises(ConfigError, match=rf"engine\.address: {address}: no scheduler answers"):
-            list(Dask(address).run(double, [1]))
-
-
-def test_a_scheduler_that_ends_ends_the_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
-        results = Dask(address=cluster.scheduler_address).run(
-            wait_and_write, [(0.0, os.devnull)] + [(2.0, os.devnull)] * 3
-        )
-        next(results)
-    with pytest.raises(ConfigError, match=r"engine\.address: .*: the scheduler is gone"):
-        list(results)
+            list(Dask(address).run(str, [1]))
 
 
 def test_what_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(
-        ConfigError, match=r"^engine: Dask is not installed \(.*\): pip install 'simbias\[dask\]'$"
-    ):
-        service(compose(["engine=dask"]), "engine", Engine)
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "distributed", None)
+        with pytest.raises(
+            ConfigError, match=r"^engine: Dask is not installed \(.*\): pip install 'simbias\[dask\]'$"
+        ):
+            service(compose(["engine=dask"]), "engine", Engine)
+
+
+def test_a_scheduler_that_ends_ends_the_sweep(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last test of this cluster."""
+    monkeypatch.setattr(module, "CONNECT_SECONDS", 1.0)
+    tasks = [(2.0 if number else 0.0, os.devnull) for number in range(4)]
+    results = Dask(address=cluster.scheduler_address).run(wait_and_write, tasks)
+    next(results)
+    cluster.close()
+    with pytest.raises(ConfigError, match=r"engine\.address: .*: the scheduler is gone"):
+        list(results)

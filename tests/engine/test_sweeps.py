@@ -1,4 +1,4 @@
-"""Whole sweeps on clusters: a worker is killed, or shares no disk."""
+"""Whole sweeps on clusters whose workers share no disk."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import psutil
 import pytest
 from processes import wait_for
-from sweeping import FOLDERS, FOUR_CELLS, NO_FIGURES, QUICK, run, trial_by_trial, write_sweep
+from sweeping import FOLDERS, NO_FIGURES, QUICK, trial_by_trial, write_sweep
 
 import simbias
 from simbias.config import ConfigError
@@ -30,41 +27,6 @@ dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 
 
-def test_dask_sweep_with_a_killed_worker(tmp_path: Path) -> None:
-    """Two worker processes of a real local cluster, one killed in the middle: as without engine and kill."""
-    folders = [tmp_path / name for name in ("dask", "sequential")]
-    write_sweep(tmp_path, "mine", FOUR_CELLS)
-    for folder in folders:
-        folder.mkdir()
-    command = ["--config-dir", str(tmp_path / "conf"), "+sweep=mine", "sweep.trials=3", "tracking=folders"]
-    killed: list[int] = []
-    killer = threading.Thread(target=kill_a_dask_worker, args=(os.getpid(), killed), daemon=True)
-    killer.start()
-    status, out, err = run(*command, "engine=dask", folder=folders[0])
-    assert (status, err) == (0, ""), out + err
-    assert len(killed) == 1
-    assert run(*command, "engine=sequential", folder=folders[1])[0] == 0
-    assert trial_by_trial(folders[0]) == trial_by_trial(folders[1])
-
-
-def kill_a_dask_worker(root: int, killed: list[int]) -> None:
-    """Wait until two workers compute, then kill one."""
-    for _ in range(600):
-        time.sleep(0.1)
-        busy = []
-        for process in psutil.Process(root).children(recursive=True):
-            try:
-                if "multiprocessing.spawn" in " ".join(process.cmdline()) and process.cpu_times().user > 1.0:
-                    busy.append(process)
-            except psutil.Error:
-                continue
-        if len(busy) == 2:
-            time.sleep(0.5)
-            busy[0].kill()
-            killed.append(busy[0].pid)
-            return
-
-
 def on_another_disk(here: str, there: str) -> None:
     """Have a worker see this folder's paths in another one, and work in neither."""
     for module in (worker, files):
@@ -75,24 +37,21 @@ def on_another_disk(here: str, there: str) -> None:
 def test_workers_that_share_no_disk_get_and_send_folders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Of a trial that was stopped, and of one that was not begun."""
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     monkeypatch.chdir(here)
     sweep = ["+sweep=smoke", "sweep.trials=1", NO_FIGURES, *QUICK, *FOLDERS, "cost.max_cost=1e-3"]
     simbias.run_sweep([*sweep, "engine=sequential"])
     expected = trial_by_trial(here)
-    shutil.rmtree("trials")
+    stopped, not_begun = (here / "trials" / identity for identity in expected)
+    for file in (stopped / "outcome.json", *TrialFolder(stopped).steps()[3:]):
+        file.unlink()
+    shutil.rmtree(not_begun)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
         cluster.get_client().run(on_another_disk, str(here), str(there))
-        clustered = [*sweep, "engine=dask", f"engine.address={cluster.scheduler_address}"]
-        simbias.run_sweep(clustered)
-        assert trial_by_trial(here) == trial_by_trial(there) == expected
-        shutil.rmtree(there)
-        stopped = here / "trials" / next(iter(expected))
-        for file in (stopped / "outcome.json", *TrialFolder(stopped).steps()[3:]):
-            file.unlink()
-        simbias.run_sweep(clustered)
-    assert trial_by_trial(here) == expected
+        simbias.run_sweep([*sweep, "engine=dask", f"engine.address={cluster.scheduler_address}"])
+    assert trial_by_trial(here) == trial_by_trial(there) == expected
     assert len(TrialFolder(there / "trials" / stopped.name).attempts()) == 2  # the first of them from here
 
 

@@ -26,38 +26,29 @@ def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_leftovers_of_the_dead_are_removed(left: Path) -> None:
-    workplace.tidy()
-    assert not left.exists()
-
-
-def test_a_trial_that_has_ended_removes_them_too(left: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It writes nothing, so it makes no folder of its own."""
+def test_leftovers_of_the_dead_are_removed(left: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also by a trial that has ended, which writes nothing, so that it makes no folder of its own."""
     monkeypatch.chdir(left.parent)
     command = [*POINT_MASS, "--config-dir", str(OWN_CONF), "tracking=folders", "tracking.pictures=false"]
-    short = ["optimizer.max_evaluations=20", "method.max_iterations=1"]
-    status = main([*command, *short])
-    (left / workplace.LOCK).parent.mkdir(exist_ok=True)
+    command += ["optimizer.max_evaluations=5", "method.max_iterations=1"]
+    status = main(command)
+    assert not left.exists()
+    left.mkdir()
     (left / workplace.LOCK).touch()
-    assert main([*command, *short]) == status
+    assert main(command) == status
     assert not left.exists()
 
 
-def test_a_held_lock_protects(left: Path) -> None:
-    with (left / workplace.LOCK).open() as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        workplace.tidy()
-    assert (left / "spill").exists()
-
-
-def test_what_is_not_provably_ours_stays(left: Path) -> None:
+def test_what_is_held_or_not_provably_ours_stays(left: Path) -> None:
     parent = left.parent
     paths = [parent / "joblib_memmapping_folder_1_x", parent / "simbias-workers-1-x"]  # without a lock
     for path in paths:
         path.mkdir()
     (parent / "simbias-workers-1-link").symlink_to(paths[0])
-    workplace.tidy()
-    assert all(path.exists() for path in paths)
+    with (left / workplace.LOCK).open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        workplace.tidy()
+    assert all(path.exists() for path in (*paths, left / "spill"))
 
 
 def test_a_folder_is_private_and_goes_with_its_process(tmp_path: Path) -> None:

@@ -23,12 +23,13 @@ from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
 from simbias.mlflow.pages import NOTE
 from simbias.mlflow.tracking import Mlflow
+from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.folder import TRIAL, TrialFolder, withdraw
 from simbias.trial.observer import Observer, Observers
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
 
 SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 
@@ -51,6 +52,14 @@ class Stop(Observer):
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of trials, each of which stands otherwise: its seed tells."""
     trials = tmp_path_factory.mktemp("made") / "trials"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a module
+        make(trials)
+    return trials
+
+
+def make(trials: Path) -> None:
+    """Trials that ended, was killed, waits, failed and was interrupted."""
     finished, killed = (run_trial(study(seed), trials / study(seed).hash) for seed in (0, 1))
     assert finished.outcome.final
     assert killed.outcome.final
@@ -61,32 +70,52 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_trial(replace(study(3), hardware=Broken()), trials / study(3).hash)
     with pytest.raises(KeyboardInterrupt):
         run_trial(study(4), trials / study(4).hash, Stop())
-    return trials
 
 
 @pytest.fixture
 def folder(made: Path, new_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with these trials and a store in which nothing is."""
+    """A working folder with these trials and two stores in which nothing is."""
     shutil.copytree(made, tmp_path / "trials")
-    shutil.copy(new_store, tmp_path)
+    for name in ("mlflow.db", "other.db"):
+        shutil.copy(new_store, tmp_path / name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def uri(folder: Path) -> str:
-    return f"sqlite:///{folder}/mlflow.db"
+def uri(folder: Path, name: str = "mlflow.db") -> str:
+    return f"sqlite:///{folder}/{name}"
+
+
+def found_runs(client: MlflowClient, *search: str, **order: Any) -> list[Run]:
+    """The runs of the experiment."""
+    experiment = client.get_experiment_by_name("simbias")
+    assert experiment is not None
+    return list(client.search_runs([experiment.experiment_id], *search, **order))
+
+
+def at(folder: Path, seed: int = 0) -> Path:
+    """The folder of a trial."""
+    return folder / "trials" / study(seed).hash
 
 
 def export(address: str, trials: Path) -> list[str]:
     return list(Mlflow(address, trials=str(trials)).export_all())
 
 
+def export_all(folder: Path) -> list[str]:
+    return export(uri(folder), folder / "trials")
+
+
+def exported_again(folder: Path) -> dict[str, dict[str, Any]]:
+    """The pages of the other store."""
+    export(uri(folder, "other.db"), folder / "trials")
+    return pages(uri(folder, "other.db"))
+
+
 def pages(address: str) -> dict[str, dict[str, Any]]:
     """All that the runs of a store hold, by their seed, but for their ids."""
     client = MlflowClient(address)
-    experiment = client.get_experiment_by_name("simbias")
-    assert experiment is not None
-    runs = client.search_runs([experiment.experiment_id])
+    runs = found_runs(client)
     found = {run.data.params["seed"]: page(client, run) for run in runs}
     assert len(found) == len(runs)
     return dict(sorted(found.items()))
@@ -112,23 +141,28 @@ def page(client: MlflowClient, run: Run) -> dict[str, Any]:
     }
 
 
-def test_every_trial_has_its_page(folder: Path) -> None:
-    assert export(uri(folder), folder / "trials") == ["5 trials in no sweep"]
+def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folder: Path) -> None:
+    """Every trial has its page, also where one run, or all files, were gone."""
+    assert export_all(folder) == ["5 trials in no sweep"]
     found = pages(uri(folder))
-    assert [each["status"] for each in found.values()] == [
-        "FINISHED",
-        "KILLED",
-        "SCHEDULED",
-        "FAILED",
-        "KILLED",
-    ]
-    outcomes = [each["tags"].get("outcome") for each in found.values()]
-    ended = TrialFolder(folder / "trials" / study(0).hash).summary()
+    export_all(folder)
+    assert pages(uri(folder)) == found
+    client = MlflowClient(uri(folder))
+    client.delete_run(found_runs(client)[0].info.run_id)
+    export_all(folder)
+    assert pages(uri(folder)) == found == exported_again(folder)
+    finished, trial = found["0"], TrialFolder(at(folder, 0))
+    ended = trial.summary()
     assert ended is not None
-    assert outcomes == [str(ended.outcome), None, "waiting", "error", "interrupted"]
+    assert [(each["status"], each["tags"].get("outcome")) for each in found.values()] == [
+        ("FINISHED", str(ended.outcome)),
+        ("KILLED", None),
+        ("SCHEDULED", "waiting"),
+        ("FAILED", "error"),
+        ("KILLED", "interrupted"),
+    ]
     assert found["3"]["tags"]["error"] == "HardwareError: the motor | is hot"
     assert "trial/error_0000.txt" in found["3"]["files"]
-    finished, trial = found["0"], TrialFolder(folder / "trials" / study(0).hash)
     assert finished["params"]["optimizer.max_evaluations"] == "20"
     assert finished["params"]["task"] == "point_mass"
     assert {"config.yaml", *(f"trial/{file.name}" for file in trial.files())} == {*finished["files"]}
@@ -137,66 +171,47 @@ def test_every_trial_has_its_page(folder: Path) -> None:
         for each in trial.iterations()
     ]
     assert finished["metrics"]["experiments/total"] == totals
-    assert finished["metrics"]["trial/hardware_seconds"] == [
-        (0, int(1000 * ended.ended), ended.hardware_seconds)
-    ]
-
-
-def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folder: Path) -> None:
-    """Also where one run, or all files, are gone."""
-    export(uri(folder), folder / "trials")
-    before = pages(uri(folder))
-    export(uri(folder), folder / "trials")
-    assert pages(uri(folder)) == before
-    client = MlflowClient(uri(folder))
-    (first, *_) = client.search_runs([client.get_experiment_by_name("simbias").experiment_id])  # type: ignore[union-attr]
-    client.delete_run(first.info.run_id)
-    export(uri(folder), folder / "trials")
-    assert pages(uri(folder)) == before
-    export(f"sqlite:///{folder}/other.db", folder / "trials")
-    assert pages(f"sqlite:///{folder}/other.db") == before
+    seconds = [(0, int(1000 * ended.ended), ended.hardware_seconds)]
+    assert finished["metrics"]["trial/hardware_seconds"] == seconds
 
 
 def test_a_trial_that_resumes_or_begins_again(folder: Path) -> None:
     """What was killed, waited, failed or was interrupted ends in its own run; one made again has another."""
-    export(uri(folder), folder / "trials")
+    export_all(folder)
     before = pages(uri(folder))
     for seed in range(1, 5):
-        run_trial(study(seed), folder / "trials" / study(seed).hash)
-    export(uri(folder), folder / "trials")
+        run_trial(study(seed), at(folder, seed))
+    export_all(folder)
     after = pages(uri(folder))
     assert {each["status"] for each in after.values()} == {"FINISHED"}
     assert [each["start"] for each in after.values()] == [each["start"] for each in before.values()]
     assert not any("error" in each["tags"] for each in after.values())
-    shutil.rmtree(folder / "trials" / study(0).hash)
-    run_trial(study(0), folder / "trials" / study(0).hash)
-    export(uri(folder), folder / "trials")
-    client = MlflowClient(uri(folder))
-    runs = client.search_runs([client.get_experiment_by_name("simbias").experiment_id])  # type: ignore[union-attr]
-    assert len(runs) == 6
+    shutil.rmtree(at(folder, 0))
+    run_trial(study(0), at(folder, 0))
+    export_all(folder)
+    assert len(found_runs(MlflowClient(uri(folder)))) == 6
 
 
 def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
     """The run before it says so; a new store has the new one alone."""
-    export(uri(folder), folder / "trials")
-    trial = TrialFolder(folder / "trials" / study(0).hash)
+    export_all(folder)
+    trial = TrialFolder(at(folder, 0))
     withdrawal = withdraw(trial.steps()[1], "a loose cable")
     client = MlflowClient(uri(folder))
-    experiment_id = client.get_experiment_by_name("simbias").experiment_id  # type: ignore[union-attr]
     for status, resumes in (("KILLED", False), ("FINISHED", True)):
         if resumes:
             run_trial(study(0), trial.path)
-        export(uri(folder), folder / "trials")
-        new, old = client.search_runs([experiment_id], "params.seed = '0'", order_by=["start_time DESC"])
+        export_all(folder)
+        new, old = found_runs(client, "params.seed = '0'", order_by=["start_time DESC"])
         assert (new.info.status, old.info.status) == (status, "FINISHED")
         assert old.data.tags["outcome"] == "superseded"
-        assert f"[a new run](#/experiments/{experiment_id}/runs/{new.info.run_id}" in old.data.tags[NOTE]
-        assert old.data.tags[NOTE].count("Superseded") == 1
+        note = old.data.tags[NOTE]
+        assert f"[a new run](#/experiments/{new.info.experiment_id}/runs/{new.info.run_id}" in note
+        assert note.count("Superseded") == 1
         assert f"**Withdrawn**: {withdrawal}." in new.data.tags[NOTE]
         page(client, new)
-    export(f"sqlite:///{folder}/other.db", folder / "trials")
     client.delete_run(old.info.run_id)
-    assert pages(f"sqlite:///{folder}/other.db") == pages(uri(folder))
+    assert exported_again(folder) == pages(uri(folder))
 
 
 def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
@@ -208,8 +223,8 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
         def iterated(self, iteration: Iteration) -> None:
             seen.append(pages(uri(folder))["0"])
 
-    shown = store.export_trial(folder / "trials" / study().hash)
-    record = run_trial(study(), folder / "trials" / study().hash, Observers(shown, Looking()))
+    shown = store.export_trial(at(folder))
+    record = run_trial(study(), at(folder), Observers(shown, Looking()))
     for index, each in enumerate(seen):
         assert [step for step, *_ in each["metrics"]["experiments/total"]] == list(range(index + 1))
         assert each["status"] == "RUNNING"
@@ -220,39 +235,34 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
     live = pages(uri(folder))
     assert live["0"]["status"] == "FINISHED"
     assert f" -m simbias ui {study().hash} tracking.uri=" in shown.where
-    export(f"sqlite:///{folder}/other.db", folder / "trials")
-    assert pages(f"sqlite:///{folder}/other.db") == live
+    assert exported_again(folder) == live
 
 
 def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None:
-    record = run_trial(study(), folder / "trials" / study().hash)
-    export(uri(folder), folder / "trials")
+    record = run_trial(study(), at(folder))
+    export_all(folder)
     client = MlflowClient(uri(folder))
-    experiment_id = client.get_experiment_by_name("simbias").experiment_id  # type: ignore[union-attr]
-    (run,) = client.search_runs([experiment_id], "params.seed = '0'")
-    for trial in (folder / "trials" / study().hash, run.info.run_id):
+    (run,) = found_runs(client, "params.seed = '0'")
+    experiment_id = run.info.experiment_id
+    for trial in (at(folder), run.info.run_id):
         assert_equal(simbias.load_trial(trial, uri(folder), OWN_CONF), record)
     foreign = client.create_run(experiment_id).info.run_id
     sweep = client.create_run(experiment_id, tags={"hash": "abc", "sweep": "mine"}).info.run_id
     lost = client.create_run(experiment_id, tags={"hash": "abc"}).info.run_id
-    for name, message in {
-        "0" * 32: "no such run in sqlite:",
-        foreign: "is no run of simbias",
-        sweep: "is a sweep",
-        lost: "its files are not in the store",
-    }.items():
+    said = ("no such run in sqlite:", "is no run of simbias", "is a sweep", "its files are not in the store")
+    for name, message in zip(("0" * 32, foreign, sweep, lost), said, strict=True):
         with pytest.raises(ConfigError, match=f"^{name}: {message}"):
             simbias.load_trial(name, uri(folder))
     with pytest.raises(ConfigError, match=r"^tracking\.uri: .*no such store"):
-        simbias.load_trial("0" * 32, f"sqlite:///{folder}/none.db")
+        simbias.load_trial("0" * 32, uri(folder, "none.db"))
     assert not (folder / "none.db").exists()
 
 
 def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (folder / "trials" / study(0).hash / TRIAL).write_text("{")
-    assert export(uri(folder), folder / "trials") == ["4 trials in no sweep"]
+    (at(folder, 0) / TRIAL).write_text("{")
+    assert export_all(folder) == ["4 trials in no sweep"]
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{study(0).hash}/{TRIAL}: cannot be read" in warning
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]
@@ -262,14 +272,12 @@ def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
 
 def test_many_and_long_parameters(folder: Path) -> None:
     shutil.rmtree(folder / "trials")
-    plain = study()
-    config = {**plain.config, "many": {f"p{i}": i for i in range(250)}, "a+b": "ü" * 7000}
-    composition = replace(plain.composition, config=config)  # type: ignore[type-var]
-    run_trial(replace(plain, composition=composition), folder / "trials" / "many")
-    export(uri(folder), folder / "trials")
+    config = {**study().config, "many": {f"p{i}": i for i in range(250)}, "a+b": "ü" * 7000}
+    composition = replace(study().composition, config=config)  # type: ignore[type-var]
+    run_trial(replace(study(), composition=composition), folder / "trials" / "many")
+    export_all(folder)
     (found,) = pages(uri(folder)).values()
-    assert found["params"]["many.p249"] == "249"
-    assert len(found["params"]["a_b"]) == 6000
+    assert (found["params"]["many.p249"], len(found["params"]["a_b"])) == ("249", 6000)
     assert found["files"]["config.yaml"].count("ü".encode()) == 7000
 
 
@@ -279,12 +287,12 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
     """At any call to it; the same exporter catches up."""
     shutil.rmtree(folder / "trials")
     failing = ("create_run", "log_artifacts", "log_batch", "set_terminated")
+
+    def fail(*_: Any, **__: Any) -> NoReturn:
+        raise ConnectionError("gone")
+
     for seed, name in enumerate(failing):
-
-        def fail(*_: Any, **__: Any) -> NoReturn:
-            raise ConnectionError("gone")
-
-        trial = folder / "trials" / study(seed).hash
+        trial = at(folder, seed)
         shown = Mlflow(uri(folder)).export_trial(trial)
         with monkeypatch.context() as patch:
             patch.setattr(MlflowClient, name, fail)
@@ -295,24 +303,13 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
     assert [each.getMessage().count("gone. All is kept in ") for each in caplog.records] == [1] * len(failing)
     found = pages(uri(folder))
     assert [each["status"] for each in found.values()] == ["FINISHED"] * len(failing)
-    export(f"sqlite:///{folder}/other.db", folder / "trials")
-    assert pages(f"sqlite:///{folder}/other.db") == found
-
-
-class Until(Observer):
-    """Does something after the first iteration."""
-
-    def __init__(self, stack: ExitStack) -> None:
-        self._stack = stack
-
-    def iterated(self, iteration: Iteration) -> None:
-        self._stack.close()
+    assert exported_again(folder) == found
 
 
 def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Away at the start, and in the middle; back, `export` catches up."""
+    """Away at the start; back, `export` catches up; and killed in the middle."""
     shutil.rmtree(folder / "trials")
     port = free_port()
     address, trials = f"http://127.0.0.1:{port}", folder / "trials"
@@ -329,18 +326,21 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)
     files = f"--backend-store-uri {uri(folder)} --artifacts-destination {folder}/files"
-    command = f"mlflow server --workers 1 {files}"
     with ExitStack() as stack:
-        stack.enter_context(serve(command, folder, port))
+
+        class Killing(Observer):
+            def iterated(self, iteration: Iteration) -> None:
+                stack.close()
+
+        stack.enter_context(serve(f"mlflow server --workers 1 {files}", folder, port))
+        assert export(address, trials) == ["1 trial in no sweep"]
+        found = pages(address)
         shown = Mlflow(address, trials=str(trials)).export_trial(trials / study(1).hash)
-        record = run_trial(study(1), trials / study(1).hash, Observers(shown, Until(stack)))
+        record = run_trial(study(1), trials / study(1).hash, Observers(shown, Killing()))
         shown.update(final=True)
-        assert record.outcome.final
+    assert record.outcome.final
     assert len(record.iterations) > 1
     assert len(caplog.records) == 2
-    with serve(command, folder, port):
-        assert export(address, trials) == ["2 trials in no sweep"]
-        found = pages(address)
-    assert [each["status"] for each in found.values()] == ["FINISHED", "FINISHED"]
-    export(f"sqlite:///{folder}/other.db", trials)
-    assert pages(f"sqlite:///{folder}/other.db") == found
+    again = exported_again(folder)
+    assert [each["status"] for each in again.values()] == ["FINISHED"] * 2
+    assert found.items() <= again.items()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 from mlflow_ui import CHROMIUM, browse, serve, visit
 from PIL import Image
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Locator, Page, expect
 from processes import wait_for
 from sweeping import QUICK, run
 
@@ -25,8 +25,8 @@ if FOLDER:
     AXES = ("hardware.noise.torque_variance", "hardware.inertia_error", "bias")
     CHARTED = re.compile("gp #0$")
 else:
-    SWEEP = ["+sweep=smoke", *QUICK, "cost.max_cost=1e-3", "engine=sequential"]  # two iterations each
-    NAME, TRIALS = "sweep smoke", 4
+    SWEEP = ["+sweep=smoke", *QUICK, "cost.max_cost=1e-3", "sweep.trials=1", "engine=sequential"]
+    NAME, TRIALS = "sweep smoke", 2  # of two iterations each
     AXES = ("hardware.inertia_error",)
     CHARTED = re.compile("#0$")
 TRIAL = re.compile(r"#\d$")  # how the names of trials end
@@ -60,14 +60,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browse() as browser:
-        yield browser
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    with visit(browser) as page:
+def page() -> Iterator[Page]:
+    """One for all: what it has loaded, it need not load again."""
+    with browse() as browser, visit(browser) as page:
         yield page
 
 
@@ -92,21 +87,19 @@ def screenshot(page: Page, name: str) -> None:
 
 
 def test_the_printed_address_shows_the_sweep_with_table_and_figure(site: Site, page: Page) -> None:
+    """In MLflow's list it unfolds into its trials."""
     page.goto(site.printed)
     expect(page.get_by_role("heading", name=NAME)).to_be_visible()
     expect(page.get_by_role("main").get_by_role("link", name="Runs")).to_be_visible()  # not "Evaluations"
-    expect(
-        page.get_by_role("paragraph").filter(has_text=f"Done: {TRIALS} of {TRIALS} trials.")
-    ).to_be_visible()
+    done = f"Done: {TRIALS} of {TRIALS} trials."
+    expect(page.get_by_role("paragraph").filter(has_text=done)).to_be_visible()
     expect(page.get_by_role("columnheader", name=re.compile("experiments$")).first).to_be_visible()
     expect(page.get_by_role("link", name="experiments/mean")).to_be_visible()
     page.get_by_role("button", name="Expand description").click()
     with page.context.expect_page() as opened:
         page.get_by_role("paragraph").get_by_role("link", name="experiments", exact=True).click()
     is_shown(opened.value.get_by_role("img", name="experiments.png"))
-
-
-def test_the_sweep_is_listed_and_unfolds_into_its_trials(site: Site, page: Page) -> None:
+    opened.value.close()
     page.goto(f"{site.root}/#/experiments/1/runs?workflowType=machine_learning")
     sweep = page.get_by_role("gridcell").filter(has=page.get_by_role("link", name=NAME, exact=True))
     expect(sweep).to_have_count(1)
@@ -115,29 +108,23 @@ def test_the_sweep_is_listed_and_unfolds_into_its_trials(site: Site, page: Page)
     expect(links(page, TRIAL)).to_have_count(TRIALS)
 
 
-def open_trials(site: Site, page: Page) -> Page:
-    """The list of the sweep's trials, as its page leads there."""
+def test_trials_are_listed_fewest_experiments_first_and_show_charts_and_pictures(
+    site: Site, page: Page
+) -> None:
+    """By the axes; charts stand in sections."""
     page.goto(site.printed)
     with page.context.expect_page() as opened:
         page.get_by_role("paragraph").get_by_role("link", name="trials", exact=True).click()
-    expect(links(opened.value, TRIAL)).to_have_count(TRIALS)
-    return opened.value
-
-
-def test_trials_are_listed_by_the_axes_fewest_experiments_first(site: Site, page: Page) -> None:
-    trials = open_trials(site, page)
+    trial = opened.value
+    expect(links(trial, TRIAL)).to_have_count(TRIALS)
     for head in ("experiments/total", "outcome", *AXES):
-        expect(trials.get_by_role("columnheader", name=head).first).to_be_visible()
-    column = trials.locator("[role=gridcell][col-id='metrics.`experiments/total`']")
+        expect(trial.get_by_role("columnheader", name=head).first).to_be_visible()
+    column = trial.locator("[role=gridcell][col-id='metrics.`experiments/total`']")
     expect(column).to_have_count(TRIALS)
     found = list(map(int, column.all_inner_texts()))
     assert found == sorted(found)
     assert min(found) >= 2
-    screenshot(trials, "mlflow_trials")
-
-
-def test_a_trial_shows_its_charts_in_sections_and_its_pictures(site: Site, page: Page) -> None:
-    trial = open_trials(site, page)
+    screenshot(trial, "mlflow_trials")
     links(trial, CHARTED).last.click()  # that with most experiments
     expect(trial.get_by_role("heading", name=CHARTED)).to_be_visible()
     trial.goto(f"{trial.url}?workflowType=machine_learning")  # as printed for a trial; MLflow's links lose it

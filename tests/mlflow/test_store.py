@@ -69,12 +69,6 @@ def test_its_files_lie_beside_it(
     assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ
 
 
-def test_an_experiments_name_is_one() -> None:
-    for name in ("", "..", " .", "a\nb", "\x1b[31m"):
-        with pytest.raises(ValueError, match=r"^experiment must be a name"):
-            Mlflow(experiment=name)
-
-
 def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
     """Addresses and what is said of them."""
     (folder / "text").write_text("no database " * 100)
@@ -132,12 +126,15 @@ def test_a_store_that_may_not_be_written(tmp_path: Path, new_store: Path) -> Non
     tmp_path.chmod(0o700)
 
 
-def test_a_deleted_experiment_is_named(tmp_path: Path, new_store: Path) -> None:
+def test_a_deleted_experiment_and_what_is_no_name_are_named(tmp_path: Path, new_store: Path) -> None:
     shutil.copy(new_store, tmp_path)
     client, experiment_id = store.connect(uri(tmp_path), "mine")
     client.delete_experiment(experiment_id)
     with pytest.raises(ConfigError, match=r"tracking\.experiment: mine is deleted"):
         store.connect(uri(tmp_path), "mine")
+    for name in ("", "..", " .", "a\nb", "\x1b[31m"):
+        with pytest.raises(ValueError, match=r"^experiment must be a name"):
+            Mlflow(experiment=name)
 
 
 def test_a_server_that_says_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:

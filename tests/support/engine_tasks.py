@@ -35,23 +35,6 @@ def work(task: Task) -> tuple[int, int]:
     return 2 * number, os.getpid()
 
 
-class Trap:
-    """A result that kills the worker that sends it, once."""
-
-    def __init__(self, fate: str) -> None:
-        self.fate = fate
-
-    def __reduce__(self) -> Any:
-        if not Path(self.fate).exists():
-            Path(self.fate).touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return Trap, (self.fate,)
-
-
-def set_trap(fate: str) -> Trap:
-    return Trap(fate)
-
-
 def hand_over_a_view(task: dict[str, int]) -> Any:
     """A result that a plain pickle refuses, as parts of trials are."""
     return MappingProxyType(task)

@@ -5,24 +5,28 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from faulty_hardware import LEFT, MENDED
-from sweeping import FOLDERS, run, write_sweep
+from sweeping import FOLDERS, run, state, sweep_folder, write_sweep
 
 from simbias.trial.folder import TrialFolder
 
 pytestmark = pytest.mark.slow
 
-DEADLY = ["SIGKILL beside a child"]  # each takes six workers; tests of engines have others
-SWEEP = """
+RAISED, RETURNED = ["no UTF-8", "exit", "own words"], ["columns", "NaN"]
+DEADLY = ["SIGKILL beside a child"]  # takes six workers
+FINE = ["none", *LEFT]
+FAULTS = [*RAISED, *RETURNED, *DEADLY, *FINE]  # one of a kind: tests/trial/test_faults.py has all
+SWEEP = f"""
 task: {{horizon: 100}}
-optimizer: {{max_evaluations: 20}}
+optimizer: {{max_evaluations: 10}}
 method: {{max_iterations: 1}}
 cost: {{max_cost: 1e-3}}
 sweep:
   trials: 1
   axes:
-    hardware.fault: [{faults}]
+    hardware.fault: {FAULTS}
 """
 
 
@@ -31,32 +35,39 @@ def test_a_sweep_continues_whatever_its_hardware_does(tmp_path: Path) -> None:
 
     Nobody waits for what they leave behind.
     """
-    raised = ["speechless", "no UTF-8", "exit", "cancelled", "own words"]
-    returned = ["list", "columns", "ended early", "NaN"]
-    fine = ["float32", "none", *LEFT]
-    faults = [*raised, *returned, *DEADLY, "hangs", *fine]
-    conf = write_sweep(tmp_path, "mine", SWEEP.format(faults=", ".join(f'"{fault}"' for fault in faults)))
+    conf = write_sweep(tmp_path, "mine", SWEEP)
     (conf / "hardware").mkdir()
     (conf / "hardware" / "faulty.yaml").write_text("_target_: faulty_hardware.Faulty\nfault: none\n")
     (conf / "components.yaml").write_text("allow: [faulty_hardware]\n")
-    command = ["--config-dir", "conf", "+sweep=mine", "hardware=faulty", "experiment_timeout=2", *FOLDERS]
+    command = ["--config-dir", "conf", "+sweep=mine", "hardware=faulty", *FOLDERS]
     status, out, err = run(*command, folder=tmp_path)
     assert status == 1, out + err
     assert "Traceback" not in err
-    for fault in faults:
-        (line,) = re.findall(rf"^\[\d+/{len(faults)}\] {re.escape(fault)} #0: (.*)$", out, re.MULTILINE)
-        if fault in fine:
+    for fault in FAULTS:
+        (line,) = re.findall(rf"^\[\d+/{len(FAULTS)}\] {re.escape(fault)} #0: (.*)$", out, re.MULTILINE)
+        if fault in FINE:
             assert line.startswith("not succeeded after 2 experiments")
         elif fault in DEADLY:
             assert line.startswith("its worker died 3 times"), line
         elif fault != "own words":
             assert line.startswith("HardwareError: Faulty.run: "), (fault, line)
             assert "expected" in line
-    assert out.count("(traceback in ") == len([*raised, *returned, "hangs"])
+    raised = [*RAISED, *RETURNED, *DEADLY]
+    assert f"{len(raised)} trials raised an error" in out
+    assert out.count("(traceback in ") == len(raised) - len(DEADLY)
+    assert state(tmp_path)["verdict"] == "**Ended**, some trials with an error"
+    assert "1 raised" in state(tmp_path)["table"]
+    told = pd.read_csv(sweep_folder(tmp_path) / "trials.csv", keep_default_na=False)
+    told = told.set_index("hardware.fault")
+    assert set(told.index[told["outcome"] == "error"]) == set(raised)
+    assert told.loc["own words", "raised"] == "HardwareError: the battery is empty"
+    trace = tmp_path / "trials" / told.loc["no UTF-8", "hash"] / "error_0000.txt"
+    assert "in _raise" in trace.read_text()
     trials = [TrialFolder(file.parent) for file in (tmp_path / "trials").glob("*/trial.json")]
-    assert (len(trials), sum(trial.ended for trial in trials)) == (len(faults), len(fine))
-    assert sum((trial.path / "refused_0000.json").exists() for trial in trials) == len(returned)
+    assert (len(trials), sum(trial.ended for trial in trials)) == (len(FAULTS), len(FINE))
+    assert sum((trial.path / "refused_0000.json").exists() for trial in trials) == len(RETURNED)
     (tmp_path / MENDED).touch()
     status, out, err = run(*command, "engine=sequential", folder=tmp_path)
     assert (status, err) == (0, ""), out + err
+    assert f"= {len(FAULTS)}, {len(FINE)} of them finished already" in out
     assert all(trial.ended for trial in trials)

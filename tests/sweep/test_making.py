@@ -1,12 +1,12 @@
-"""Making figures: what they need is run once and kept, whoever looks on; errors say of which figure."""
+"""Making figures: errors say of which, and what is kept of their experiments is text."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -38,7 +38,6 @@ class Store:
     def __init__(self, path: Path) -> None:
         path.mkdir(exist_ok=True)
         self.folder = SweepFolder(path)
-        self.captions: dict[str, str] = {}
 
     @property
     def kept(self) -> list[Outcomes]:
@@ -49,22 +48,6 @@ class Store:
 
     def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
         assert all(file.exists() for file in files)
-        self.captions[name] = caption
-
-
-class Notes(FigureObserver):
-    """What there was to hear of."""
-
-    def __init__(self) -> None:
-        self.lines: list[Any] = []
-
-    @contextmanager
-    def working(self, words: str, total: int, done: int) -> Iterator[Any]:
-        self.lines.append((words, total, done))
-        yield lambda: self.lines.append("step")
-
-    def drawn(self, name: str, caption: str, files: Sequence[Path]) -> None:
-        self.lines.append((name, caption, [file.name for file in files]))
 
 
 class Tries(SweepFigure):
@@ -77,8 +60,7 @@ class Tries(SweepFigure):
         return self._batches
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
-        numbers = pd.DataFrame({"frames": [outcome.frames[0] for outcome in outcomes]})
-        return Picture(Figure(), numbers, f"{len(outcomes)} batches.")
+        return Picture(Figure(), pd.DataFrame({"frames": [outcome.frames[0] for outcome in outcomes]}), "")
 
 
 @pytest.fixture(scope="module")
@@ -86,34 +68,14 @@ def brief() -> Study:
     return simbias.load(["task.horizon=50"])
 
 
-def make(figure: SweepFigure, store: Store, observer: FigureObserver, folder: Path) -> None:
+def make(figure: SweepFigure, store: Store, folder: Path) -> None:
     sweep = SimpleNamespace(figures={"tries": figure}, figures_to=str(folder))
     with Interruption() as interruption:
-        make_figures(sweep, Sequential(), store, observer, interruption)
-
-
-def test_batches_are_run_once_and_kept(brief: Study, tmp_path: Path) -> None:
-    store, notes = Store(tmp_path / "sweep"), Notes()
-    make(Tries(brief, 1), store, FigureObserver(), tmp_path)
-    assert len(store.kept) == 1
-    make(Tries(brief, 3), store, notes, tmp_path)
-    files = ["tries.png", "tries.svg", "tries.csv", "tries.md"]
-    progress = ("tries: batches of experiments", 3, 1)
-    assert notes.lines == [progress, "step", "step", ("tries", "3 batches.", files)]
-    assert len(store.kept) == 3
-    assert {outcome.successes for outcome in store.kept} == {(True, True)}
-    assert store.captions == {"tries": "3 batches."}
+        make_figures(sweep, Sequential(), store, FigureObserver(), interruption)
 
 
 def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of the hardware among its experiments, and those of drawing; nothing is kept of what failed."""
-
-    def failing(error: Exception) -> Any:
-        def fail(*_: Any) -> None:
-            raise error
-
-        return fail
-
     broken, closed = HardwareError("a leg broke"), Waiting("the lab is closed until Monday")
     for owner, method, error, message in (
         (PymunkBongoboard, "run", broken, "hardware: a leg broke"),
@@ -124,27 +86,19 @@ def test_errors_name_the_figure(brief: Study, tmp_path: Path, monkeypatch: pytes
         store = Store(tmp_path / "sweep")
         figure = Tries(brief, int(owner is PymunkBongoboard))
         with monkeypatch.context() as patch:
-            patch.setattr(owner, method, failing(error))
+            patch.setattr(owner, method, Mock(side_effect=error))
             with pytest.raises(FigureError) as raised:
-                make(figure, store, FigureObserver(), tmp_path)
+                make(figure, store, tmp_path)
         assert str(raised.value) == f"tries: {message}"
         assert not store.kept
+    make(Tries(brief, 2), store, tmp_path)
+    assert {outcome.successes for outcome in store.kept} == {(True, True)}
 
 
-def test_outcomes_travel_as_text() -> None:
-    outcomes = Outcomes((0.1 + 0.2, 1e300), (5000, 17), ("", "speed"), (True, False))
-    text = outcomes.as_json()
-    assert Outcomes.from_json(text) == outcomes
-    for bad in (*(text[:length] for length in range(len(text))), '{"costs": [1.0], "frames": [17]}', "3"):
-        with pytest.raises(ValueError, match=r"not the outcomes|line 1"):
-            Outcomes.from_json(bad)
-
-
-def test_hardware_without_starts_has_no_grid_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hardware_without_starts_has_no_grid_of_them(brief: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     sweep = expand(["+sweep=fig7"])
     x, y = Range("alpha_w", -0.1, 0.1, 2), Range("alpha_b", -0.1, 0.1, 2)
-    label = "learned with noise"
-    figure = SuccessRates(simbias.load().task, sweep.cells, x, y, 1, label)
+    figure = SuccessRates(brief.task, sweep.cells, x, y, 1, "learned with noise")
     monkeypatch.setattr(PymunkBongoboard, "sets_start", False)
     with pytest.raises(FigureError, match="pymunk begins where it stands"):
         figure.experiments(SweptTrials(sweep, pd.DataFrame(), lambda _: None))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import signal
-import time
 from pathlib import Path
 
 import pytest
+from processes import runs as alive
 from sweeping import (
     FOUR_CELLS,
+    QUICK,
     finish,
     run,
     start,
@@ -24,28 +24,29 @@ from sweeping import (
     write_sweep,
 )
 
+from simbias.__main__ import main
+
 pytestmark = pytest.mark.slow
 
-COMMAND = ["--config-dir", "conf", "+sweep=mine", "tracking=folders"]
+COMMAND = ["--config-dir", "conf", "+sweep=mine", "sweep.trials=3", "tracking=folders"]
 ONE_PROCESS = "engine=sequential"  # where it is the parent that something happens to
-TRIALS = 16  # enough that some are left after every kill
-ENDINGS = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL]
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    write_sweep(tmp_path / "here", "mine", FOUR_CELLS)
-    return tmp_path / "here"
+def folder(folder: Path) -> Path:
+    """The working folder, with the sweep."""
+    write_sweep(folder, "mine", FOUR_CELLS)
+    return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("uninterrupted")
     write_sweep(folder, "mine", FOUR_CELLS)
     status, out, err = run(*COMMAND, ONE_PROCESS, folder=folder)
     assert (status, err) == (0, "")
-    assert f"[{TRIALS}/{TRIALS}]" in out
-    assert len(trial_by_trial(folder)) == TRIALS
+    assert "[12/12]" in out
+    assert len(trial_by_trial(folder)) == 12
     return folder
 
 
@@ -63,14 +64,12 @@ def finished(folder: Path) -> dict[str, int]:
 
 
 def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
-    """At random points: by Ctrl-C, politely, for good, and one of its workers."""
-    rng = random.Random(0)
+    """By Ctrl-C, politely, for good, and one of its workers."""
     done: dict[str, int] = {}
     orphans: list[int] = []
-    for number in rng.sample(ENDINGS, len(ENDINGS)):
-        process = start(*COMMAND, folder=folder)
-        until_trials(process, rng.randint(1, 2))
-        time.sleep(rng.uniform(0.0, 0.15))
+    for number, engine in ((signal.SIGINT, []), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])):
+        process = start(*COMMAND, *engine, folder=folder)
+        until_trials(process, 2)
         orphans += workers(process)
         process.send_signal(number)
         status, _, err = finish(process)
@@ -86,21 +85,13 @@ def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
         done = finished(folder)
     process = start(*COMMAND, folder=folder)
     until_trials(process, 1)
-    os.kill(rng.choice(workers(process)), signal.SIGKILL)
+    os.kill(workers(process)[0], signal.SIGKILL)
     status, out, err = finish(process)
     assert (status, err) == (0, ""), out + err
     assert done.items() < finished(folder).items()
     check(folder, uninterrupted)
     assert orphans
-    assert not [pid for pid in orphans if alive(pid)]
-
-
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"
+    assert not any(map(alive, orphans))
 
 
 def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
@@ -111,45 +102,33 @@ def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
     assert "OSError: [Errno 27] File too large" in out
     assert "Traceback" not in out + err
     assert not list(folder.glob("trials/*/*_experiment.npz"))
-    assert run(*COMMAND, ONE_PROCESS, folder=folder)[0] == 0
+    assert main([*COMMAND, ONE_PROCESS]) == 0
     check(folder, uninterrupted)
 
 
-def test_one_sweep_at_a_time(folder: Path) -> None:
-    process = start(*COMMAND, ONE_PROCESS, folder=folder)
+def test_a_later_start_removes_what_a_kill_left(
+    folder: Path, uninterrupted: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """While the sweep runs, no other process may run it."""
+    temporary = tmp_path_factory.mktemp("temporary")
+    process = start(*COMMAND, folder=folder, temporary=temporary)
     until_trials(process, 1)
     process.send_signal(signal.SIGSTOP)
-    status, out, err = run(*COMMAND, folder=folder)
-    assert (status, out, err) == (2, "", "simbias: sweep: another process is running this sweep\n")
-    process.kill()
-    finish(process)
-
-
-def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> None:
-    command = [*COMMAND, ONE_PROCESS, "tracking.pictures=true", "sweep.trials=1"]
-    assert run(*command, folder=folder)[0] == 0
-    first, *others = sorted(folder.glob("trials/*/pictures"))
-    shutil.rmtree(first)
-    status, out, _ = run(*command, folder=folder)
-    assert (status, f"{len(others)} of them finished already" in out) == (0, True)
-    assert (first / "overview.png").exists()
-
-
-def kill(folder: Path, temporary: Path, trials: int) -> None:
-    """Kill a sweep and all its processes once this many trials have ended."""
-    process = start(*COMMAND, folder=folder, temporary=temporary)
-    until_trials(process, trials)
+    assert run(*COMMAND, folder=folder) == (2, "", "simbias: sweep: another process is running this sweep\n")
     os.killpg(process.pid, signal.SIGKILL)
     assert finish(process)[0] == -signal.SIGKILL
-
-
-def test_a_later_start_removes_what_a_kill_left(folder: Path, uninterrupted: Path, tmp_path: Path) -> None:
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    for trials in (1, 2):
-        kill(folder, temporary, trials)
     assert list(temporary.iterdir())
     assert list(sweep_folder(folder).glob(".shared_*"))
     assert run(*COMMAND, folder=folder, temporary=temporary)[0] == 0
     check(folder, uninterrupted)
     assert list(temporary.iterdir()) == []
+
+
+def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> None:
+    write_sweep(folder, "mine", "sweep: {trials: 1, figures: {}, axes: {bias: [gp]}}")
+    command = ["--config-dir", "conf", "+sweep=mine", "tracking=folders", *QUICK, ONE_PROCESS]
+    assert main(command) == 0
+    (pictures,) = folder.glob("trials/*/pictures")
+    shutil.rmtree(pictures)
+    assert main(command) == 0
+    assert (pictures / "overview.png").exists()

@@ -20,16 +20,16 @@ from simbias.sweep.statistics import (
 
 
 def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:
-    assert holds("1" * 16)
-    assert not holds("1" * 15)
-    assert not holds("1" * 15 + "0")
-    assert not holds("")
-    assert holds("1" * 25 + "0")
+    assert all(holds(text) for text in ("1" * 16, "1" * 25 + "0"))
+    assert not any(holds(text) for text in ("1" * 15, "1" * 15 + "0", ""))
 
 
-def test_interquartile_mean_leaves_out_a_quarter_on_each_side() -> None:
+def test_scores_of_cells() -> None:
+    """The interquartile mean leaves out a quarter on each side, a profile falls from all to none."""
     scores = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0], [6.0, 700.0]])
     assert interquartile_mean(scores) == np.mean([2.0, 3.0, 4.0, 5.0])
+    profile = performance_profile(np.array([[0.2, 0.4], [0.6, 0.8]]), np.array([0.0, 0.4, 0.9]))
+    assert profile.tolist() == [1.0, 0.5, 0.0]
 
 
 def test_probability_of_improvement_is_mann_whitneys() -> None:
@@ -40,27 +40,20 @@ def test_probability_of_improvement_is_mann_whitneys() -> None:
     assert probability_of_improvement(np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]])) == 0.5  # cell by cell
 
 
-def test_a_profile_falls_from_all_to_none() -> None:
-    scores = np.array([[0.2, 0.4], [0.6, 0.8]])
-    assert performance_profile(scores, np.array([0.0, 0.4, 0.9])).tolist() == [1.0, 0.5, 0.0]
-
-
 @pytest.mark.slow
 def test_bootstrap_covers_and_is_stratified() -> None:
-    """Cells whose runs are all alike add nothing to the width, however much the cells differ."""
+    """Cells whose runs are all alike add nothing to the width; of one run a cell, cells are resampled.
+
+    The same of both methods: what differs by as much in each cell has no spread.
+    """
     apart = np.tile([0.0, 1.0], (6, 1))
     assert stratified_bootstrap(np.mean, apart) == (0.5, 0.5)
     rng = np.random.default_rng(1)
     found = [stratified_bootstrap(np.mean, rng.normal([0.0, 2.0], 1.0, (15, 2))) for _ in range(50)]
     assert 0.85 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
-
-
-def test_of_one_run_a_cell_cells_are_resampled() -> None:
-    """The same of both methods: what differs by as much in each cell has no spread."""
     one = np.array([[0.0, 1.0, 0.0, 1.0]])
     low, high = stratified_bootstrap(np.mean, one)
-    assert low < 0.25
-    assert high > 0.75
+    assert low < 0.25 < 0.75 < high
     lead = stratified_bootstrap(lambda a, b: float(np.mean(a - b)), one + 0.25, one)
     assert lead == (0.25, 0.25)
 
@@ -74,11 +67,8 @@ def test_success_curve_is_freireichs_example() -> None:
     expected = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
     for week, value in expected.items():
         assert surviving[week] == pytest.approx(value, abs=5e-4)
-
-
-def test_trials_that_never_succeed_count_up_to_where_they_were_censored() -> None:
     curve = success_curve(np.array([2.0, 4.0, 20.0, 20.0]), np.array([True, True, False, False]))
-    assert curve.probability.tolist() == pytest.approx([0.25, 0.5, 0.5])
+    assert curve.probability.tolist() == pytest.approx([0.25, 0.5, 0.5])  # never more than succeed
 
 
 def test_sign_test_is_mcnemars() -> None:
@@ -96,8 +86,7 @@ def test_holm_is_the_textbooks() -> None:
 
 
 def test_no_difference_is_said_only_within_the_margin() -> None:
-    rng = np.random.default_rng(2)
-    near = rng.normal(0.0, 0.1, 30)
+    near = np.random.default_rng(2).normal(0.0, 0.1, 30)
     assert equivalent(near.tolist(), 0.1)
     assert not equivalent(near.tolist(), 0.02)  # too few pairs to tell
     assert not equivalent((near + 0.2).tolist(), 0.1)

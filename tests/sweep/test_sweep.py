@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -16,15 +16,14 @@ from sweeping import (
     FOLDERS,
     NO_FIGURES,
     QUICK,
+    client_of,
     content,
-    finish,
     run,
-    start,
+    runs,
     state,
     sweep_folder,
     table,
     trial_by_trial,
-    until_trials,
     write_sweep,
 )
 
@@ -67,72 +66,51 @@ def test_the_folder_tells_everything(folder: Path, capsys: pytest.CaptureFixture
     assert {file: file.read_bytes() for file in folder.rglob("*.*") if file.is_file()} == before
 
 
-def test_a_trial_of_its_own_is_that_of_the_sweep(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Run elsewhere it has the same content; beside the sweep, it is shown."""
-    assert main([*SMOKE, NO_FIGURES, "sweep.trials=1"]) == 0
-    swept = expand([*SMOKE, "sweep.trials=1"]).trials[1]
-    single = [*QUICK, *FOLDERS, "hardware.inertia_error=0.2", f"seed={swept.seed}"]
-    assert main([*single, "tracking.trials=elsewhere"]) == 0
-    assert content(folder / "elsewhere" / swept.hash) == content(folder / "trials" / swept.hash)
-    capsys.readouterr()
-    assert main(single) == 0
-    assert "in an earlier run of this command" in capsys.readouterr().out
-
-
-def test_added_cells_and_trials_run_alone(folder: Path) -> None:
-    def axis(*errors: float) -> str:
-        return f"sweep.axes={{hardware.inertia_error: [{', '.join(map(str, errors))}]}}"
-
+def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Cells and trials that are added run alone."""
     names: list[str] = []
 
     class Listener(SweepObserver):
         def ended(self, trial: Trial, result: Result) -> None:
             names.append(trial.name)
 
-    few = simbias.run_sweep([*SMOKE, NO_FIGURES, axis(0.2), "sweep.trials=1"])
-    before = trial_by_trial(folder)
-    more = simbias.run_sweep([*SMOKE, NO_FIGURES, axis(0.0, 0.2), "sweep.trials=2"], observer=Listener())
-    assert len(names) == 3
-    assert before.items() <= trial_by_trial(folder).items()
+    one_cell = "sweep.axes={hardware.inertia_error: [0.2]}"
+    few = simbias.run_sweep([*SMOKE, NO_FIGURES, one_cell, "sweep.trials=1"])
+    more = simbias.run_sweep([*SMOKE, NO_FIGURES], observer=Listener())
+    assert list(more["outcome"]) == ["succeeded"] * 4
+    assert names == [trial.name for trial in expand(SMOKE).trials if trial.hash not in set(few["hash"])]
     again = more[more["hash"].isin(few["hash"])].reset_index(drop=True)
     pd.testing.assert_frame_equal(again, few)
-
-
-def test_last_policies_are_tested_and_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tests = ["policy_test.episodes=3", "policy_test.long_episodes=1", "policy_test.long_seconds=0.4"]
-    told = "+sweep.report.measures=[experiments,hardware_seconds,success_rate,reliable,long_success_rate]"
-    trials = simbias.run_sweep([*SMOKE, NO_FIGURES, *tests, told])
-    assert set(trials["test_episodes"]) == {"111"}  # nobody falls within 0.2 s
-    assert list(trials["long_seconds"]) == pytest.approx([0.4] * 4)
-    first = simbias.load_trial(f"trials/{trials['hash'][0]}").iterations
-    frames = [rollout.frames for iteration in first for rollout in iteration.experiments]
-    assert trials["hardware_seconds"][0] == pytest.approx(0.001 * sum(frames))
-    assert "| 100% | 100% | 100% |" in state(folder)["table"]
-    assert "success_rate: mean share of 3 test episodes" in state(folder)["legend"]
-    for identity in trials["hash"]:
-        rows = pd.read_csv(folder / "trials" / identity / "test_episodes.csv")
-        assert list(rows["lasted_seconds"]) == pytest.approx([0.4, 0.2, 0.2])
-    pd.testing.assert_frame_equal(simbias.run_sweep([*SMOKE, NO_FIGURES, *tests, told]), trials)
+    assert capsys.readouterr().out == ""
+    swept = simbias.load_trial(f"trials/{more['hash'][3]}")
+    assert swept.summary.experiments == more["experiments"][3]
+    single = [*QUICK, *FOLDERS, "hardware.inertia_error=0.2", f"seed={swept.study.seed}"]
+    for where, words in (("elsewhere", "Succeeded"), ("trials", "in an earlier run of this command")):
+        assert main([*single, f"tracking.trials={where}"]) == 0  # as a trial of its own
+        assert words in capsys.readouterr().out
+        assert content(folder / where / swept.study.hash) == content(folder / "trials" / swept.study.hash)
+    with pytest.raises(ConfigError, match=r"^sweep: missing"):
+        simbias.run_sweep(["bias=none"])
 
 
 def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["+sweep=smoke", "sweep.dry_run=true"]) == 0
-    *table, said = capsys.readouterr().out.splitlines()
-    assert [line.split()[-1] for line in table[2:]] == ["0/2", "0/2"]
+    def told() -> tuple[list[str], str]:
+        """How far each cell is, and what is said of the sweep."""
+        capsys.readouterr()
+        assert main([*SMOKE, "sweep.dry_run=true", "engine=loky"]) == 0
+        *table, said = capsys.readouterr().out.splitlines()
+        return [line.split()[-1] for line in table[2:]], said
+
+    cells, said = told()
+    assert cells == ["0/2", "0/2"]
     assert said.startswith("smoke: 0 of 4 trials are finished; how long the others take, no finished trial")
     assert not list(folder.iterdir())
-    assert main(["+sweep=smoke", *FOLDERS, "sweep.trials=1", "engine=sequential", NO_FIGURES]) == 0
-    first = next(folder.glob("trials/*/outcome.json"))
-    capsys.readouterr()
-    assert main(["+sweep=smoke", *FOLDERS, "sweep.dry_run=true"]) == 0
-    *table, said = capsys.readouterr().out.splitlines()
-    assert [line.split()[-1] for line in table[2:]] == ["1/2", "1/2"]
+    assert main([*SMOKE, "sweep.trials=1", NO_FIGURES]) == 0
+    cells, said = told()
+    assert cells == ["1/2", "1/2"]
     assert said.startswith("smoke: 2 of 4 trials are finished; by their times the others may take ")
     assert said.endswith(" on 2 jobs.")
     assert len(list(folder.glob("trials/*/trial.json"))) == 2
-    first.unlink()
-    assert main(["+sweep=smoke", *FOLDERS, "sweep.dry_run=true"]) == 0
-    assert "smoke: 1 of 4 trials are finished" in capsys.readouterr().out
 
 
 def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
@@ -151,50 +129,6 @@ def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), trials.drop(columns="seconds"))
 
 
-RAISING = """
-from simbias.robots.bongoboard.pymunk import PymunkBongoboard
-
-class Hot(PymunkBongoboard):
-    def run(self, policy, theta, start, rng):
-        if start[0] > THRESHOLD:
-            raise RuntimeError("the motor is | hot")
-        return super().run(policy, theta, start, rng)
-"""
-
-
-def test_a_trial_that_raises(folder: Path) -> None:
-    """It is kept with its error, the others run; once the fault is mended, it resumes."""
-    conf = write_sweep(folder, "mine", "sweep: {trials: 4, axes: {bias: [gp, none]}}")
-    (conf / "hardware").mkdir()
-    (conf / "hardware" / "hot.yaml").write_text("_target_: hot.Hot\nnoise: {}\n")
-    module = folder / "hot.py"
-    command = ["--config-dir", "conf", "+sweep=mine", "hardware=hot", *QUICK, *FOLDERS]
-    module.write_text(RAISING.replace("THRESHOLD", "0.01"))
-    status, out, err = run(*command, folder=folder)
-    assert status == 1, out + err
-    trials = pd.read_csv(sweep_folder(folder) / "trials.csv")
-    raised = trials[trials["outcome"] == "error"]
-    assert len(trials) == 8
-    assert 0 < len(raised) < 8
-    assert state(folder)["verdict"] == "**Ended**, some trials with an error"
-    assert "raised" in state(folder)["table"]
-    assert f"{len(raised)} trials raised an error" in out
-    line = "HardwareError: Hot.run: expected a Rollout, got RuntimeError: the motor is | hot"
-    assert f"raised {line}" in out
-    assert raised["raised"].str.startswith(line).all()
-    for identity in raised["hash"]:
-        trace = (folder / "trials" / identity / "error_0000.txt").read_text()
-        assert 'raise RuntimeError("the motor is | hot")' in trace
-    module.write_text(RAISING.replace("THRESHOLD", "9.0"))
-    status, out, err = run(*command, "engine=sequential", folder=folder)
-    assert status == 0
-    assert re.fullmatch(
-        r"simbias: \d of \d finished trials ran on code that has changed .*\(hot\); .*\n", err
-    )
-    assert f"mine: 2 cells x 4 trials = 8, {8 - len(raised)} of them finished already" in out
-    assert len(trial_by_trial(folder)) == 8
-
-
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for key, overrides in {
         "sweep=nosuch": ["+sweep=nosuch"],
@@ -203,49 +137,20 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         "bias.d: must be greater than 0": ["+sweep=smoke", "+sweep.axes.x={keys: bias.d, values: [1, -1]}"],
         "engine.n_jobs: must be greater than 0": ["+sweep=smoke", "engine.n_jobs=0"],
         "engine=nosuch": ["+sweep=smoke", "engine=nosuch"],
-        "engine.n_jobs: must be a valid integer": ["engine.n_jobs=x"],
-        "tracking: none keeps no trials": ["+sweep=fig6", "tracking=none"],
-    }.items():
+        "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
+        "sweep.figures.fig4.columns: ": ["+sweep=fig4", "sweep.figures.fig4.columns=0"],
+        "sweep.figures.fig4.colour: ": ["+sweep=fig4", "+sweep.figures.fig4.colour=red"],
+        "sweep.figures.fig5: ": ["+sweep=fig5", "sweep.figures.fig5.states=[alpha_w,alpha_b,x]"],
+        "sweep.figures.fig7: ": ["+sweep=fig7", "sweep.figures.fig7.hardware=real"],
+        "sweep.figures.fig6._target_": [
+            "+sweep=fig6", "sweep.figures.fig6._target_=simbias.trial.study.Study"
+        ],
+        "sweep.figures.a/b": ["+sweep=smoke", "+sweep.figures={a/b: {_target_: x.Y}}"],
+    }.items():  # fmt: skip
         assert main(overrides) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert line.startswith(f"simbias: {key}")
     assert not list(folder.iterdir())
-
-
-def test_parents_memory_is_flat(folder: Path) -> None:
-    """Of 12 trials more and their export to MLflow, whose experiments alone are 5 MiB."""
-    small = [*QUICK, "task.horizon=2000", "cost.max_cost=1e-3", "tracking.pictures=false"]
-    process = start("+sweep=smoke", "sweep.trials=8", *small, NO_FIGURES, folder=folder)
-    until_trials(process, 3)
-    before = memory(process.pid)
-    until_trials(process, 12)
-    more = memory(process.pid) - before
-    assert finish(process)[0] == 0
-    print(f"12 trials more take {more:.1f} MiB more")
-    assert more < 4
-
-
-def memory(pid: int) -> float:
-    """MiB of a process that are no file's."""
-    (kib,) = re.findall(r"^RssAnon:\s*(\d+) kB$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
-    return int(kib) / 1024
-
-
-def test_a_notebook_runs_a_sweep_without_a_terminal(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names = []
-
-    class Listener(SweepObserver):
-        def ended(self, trial: Trial, result: Result) -> None:
-            names.append(trial.name)
-
-    trials = simbias.run_sweep(SMOKE, observer=Listener())
-    assert list(trials["outcome"]) == ["succeeded"] * 4
-    assert names == [trial.name for trial in expand(SMOKE).trials]
-    assert capsys.readouterr().out == ""
-    full = simbias.load_trial(f"trials/{trials['hash'][3]}")
-    assert full.summary.experiments == trials["experiments"][3]
-    with pytest.raises(ConfigError, match=r"^sweep: missing"):
-        simbias.run_sweep(["bias=none"])
 
 
 IN_NUMPY = """
@@ -265,11 +170,11 @@ def test_own_components_are_swept(folder: Path) -> None:
     (conf / "components.yaml").write_text("allow: [point_mass]\n")
     (conf / "nominal" / "walled.yaml").write_text("_target_: walled.Walled\n")
     (folder / "walled.py").write_text(IN_NUMPY)
-    write_sweep(folder, "wind", "sweep: {trials: 2, axes: {hardware.wind: [1.0, 2.0]}}")
+    write_sweep(folder, "wind", "sweep: {trials: 2, figures: {}, axes: {hardware.wind: [1.0, 2.0]}}")
     own = [*(option for option in POINT_MASS if not option.startswith("nominal=")), "nominal=walled"]
-    quick = ["optimizer.max_evaluations=40", *FOLDERS]
+    quick = ["optimizer.max_evaluations=10", "method.max_iterations=1", *FOLDERS, "engine=sequential"]
     status, _, err = run("--config-dir", "conf", "+sweep=wind", *own, *quick, folder=folder)
-    assert status == 0, err
+    assert status in (0, 1), err
     (slow,) = (line for line in err.splitlines() if line != COMPILING)  # once, although every trial is
     assert slow.startswith("simbias: simulated in NumPy, up to 500 times slower")
     assert "Walled.step (walled.py:6: " in slow
@@ -285,6 +190,45 @@ def test_live_view_fills() -> None:
     for trial in sweep.trials:
         console.ended(trial, run_plan(Plan(trial.composition)))
     console.all_ended()
-    assert "4/4" in out.getvalue()
-    assert "2/2   2.0" in out.getvalue()
-    assert "/min" in out.getvalue()
+    for words in ("4/4", "2/2   2.0", "/min"):
+        assert words in out.getvalue()
+
+
+@pytest.fixture
+def store(folder: Path, new_store: Path) -> str:
+    """The override that names a store in the working folder."""
+    shutil.copy(new_store, folder)
+    return f"tracking.uri=sqlite:///{folder}/mlflow.db"
+
+
+def histories(folder: Path) -> dict[tuple[str, str], list[Any]]:
+    """Values of all metrics of all runs."""
+    client = client_of(folder)
+    found = [run for some in runs(folder) for run in some]
+    return {
+        (run.info.run_id, name): [(m.step, m.value) for m in client.get_metric_history(run.info.run_id, name)]
+        for run in found
+        for name in run.data.metrics
+    }
+
+
+def test_a_finished_sweep_started_again_adds_nothing_to_its_store(folder: Path, store: str) -> None:
+    command = ["+sweep=smoke", *QUICK, "engine=sequential", "tracking.pictures=false", store]
+    assert main(command) == 0
+    (parent,), trials = runs(folder)
+    assert parent.info.status == "FINISHED"
+    assert len(trials) == 4
+    assert parent.data.metrics["trials/succeeded"] == 4
+    before = histories(folder)
+    assert all(len(values) == len({step for step, _ in values}) for values in before.values())
+    assert main(command) == 0
+    assert histories(folder) == before
+    assert runs(folder)[0][0].info.end_time == parent.info.end_time
+
+
+def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
+    write_sweep(folder, "mine", "sweep: {trials: 1, axes: {bias: [none, gp]}}")
+    command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "hardware=manual", "engine=sequential", store]
+    for _ in range(2):
+        assert main(command) == 3
+        assert [run.info.status for run in runs(folder)[1]] == ["SCHEDULED"] * 2

@@ -9,7 +9,6 @@ from sweeping import simbias
 
 from simbias.__main__ import main
 from simbias.core.commands import BAD_INPUT
-from simbias.terminal.new import TEMPLATE
 
 
 @pytest.mark.slow
@@ -31,31 +30,6 @@ def test_a_new_robot_keeps_its_contracts_and_learns(tmp_path: Path) -> None:
     assert "Succeeded after 3 hardware experiments" in ran.stdout
 
 
-@pytest.mark.slow
-def test_what_is_broken_in_it_is_one_line(tmp_path: Path) -> None:
-    """A typo in YAML, a method without its name, and one that raises in the middle of an experiment."""
-    simbias("new", "arm", folder=tmp_path)
-    folder = tmp_path / "arm"
-    text = (folder / "arm.py").read_text()
-
-    def line(*overrides: str) -> str:
-        done = simbias("--config-dir", "conf", "preset=arm", "tracking=none", *overrides, folder=folder)
-        assert done.returncode in (1, 2), done.stdout
-        assert "Traceback" not in done.stderr
-        (last,) = [each for each in done.stderr.splitlines() if each.startswith("simbias: ")]
-        return last
-
-    assert line("+nominal.lenght=1") == "simbias: nominal.lenght: no such key"
-    (folder / "arm.py").write_text(text.replace("def step(", "def stepp("))
-    assert "Can't instantiate abstract class Belief" in line()
-    (folder / "arm.py").write_text(text.replace("np.sin(x[0]) + torque", "np.sin(x[2]) + torque"))
-    broken = line()
-    assert "HardwareError: Robot.run: expected a Rollout, got IndexError: index 2 is out of bounds" in broken
-    trace = broken.split("traceback in ")[1].split(";")[0]
-    assert "np.sin(x[2])" in Path(trace).read_text()
-    Path(trace).unlink()
-
-
 def test_a_name_that_does_not_do_is_bad_input(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -73,7 +47,3 @@ def test_a_name_that_does_not_do_is_bad_input(
         with pytest.raises(SystemExit, match=str(BAD_INPUT)):
             main(["new", *names])
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
-
-
-def test_the_template_is_shipped() -> None:
-    assert (TEMPLATE / "my_robot.py").is_file()

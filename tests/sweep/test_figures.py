@@ -1,0 +1,155 @@
+"""Figures of trials that are made up: their numbers, each series told from all others, nothing cut off."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from simbias.pictures.elements.layout import legend
+from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.figures.comparison import Comparison
+from simbias.sweep.figures.costs import Costs
+from simbias.sweep.figures.experiments import Experiments
+from simbias.sweep.figures.last_policies import LastPolicies
+from simbias.sweep.grid import Sweep, expand
+from simbias.sweep.results import LATER
+
+pytestmark = pytest.mark.slow
+
+METHODS = "{LQR: {method: lqr}, LQI: {method: lqi, policy: integral_feedback}, ideal: {method: ideal}}"
+LEARNERS = ["gp", "sparse_gp", "gp_learned", "none"]
+EVALUATIONS = ["nominal_start", "domain_randomization"]
+
+
+def swept(sweep: Sweep, rows: list[dict[str, Any]], load: Any = None) -> SweptTrials:
+    """Trials of a sweep: these rows."""
+    return SweptTrials(sweep, pd.DataFrame(rows), load)
+
+
+def assert_nothing_is_cut(figure: Figure) -> None:
+    """The legend is inside of the figure, above all axes."""
+    FigureCanvasAgg(figure).draw()
+    (legend,) = figure.legends
+    box, whole = legend.get_window_extent(), figure.bbox
+    assert whole.x0 <= box.x0 < box.x1 <= whole.x1
+    assert box.y1 <= whole.y1
+    assert all(axes.get_window_extent().y1 <= box.y0 + 1 for axes in figure.axes)
+
+
+def test_comparisons_numbers_are_those_of_the_trials() -> None:
+    axes = f"{{cell: {{points: {{cart-pole: {{preset: cartpole}}}}}}, method: {{points: {METHODS}}}}}"
+    sweep = expand([f"+sweep={{trials: 3, common_seeds: [method], axes: {axes}}}"])
+
+    def made_up(texts: dict[str, list[str]]) -> SweptTrials:
+        """Trials whose last policies last in these test episodes; an error where there is no text."""
+        rows = [
+            {"cell": "cart-pole", "method": method, "hash": trial.hash, "repetition": trial.repetition}
+            | {"experiments": 2.0 if text else np.nan, "outcome": "succeeded" if text else "error"}
+            | {"test_episodes": text, "lasting_episodes": text}
+            for trial in sweep.trials
+            if (method := trial.cell.labels[1]) in texts
+            for text in [texts[method][trial.repetition]]
+        ]
+        return swept(sweep, rows)
+
+    all_of_16, half, fallen = "1" * 16, "10" * 8, "0" * 16
+    texts = {"LQI": [half, half, fallen], "ideal": [all_of_16] * 3, "LQR": [fallen, fallen, ""]}
+    picture = Comparison("method", ["LQI"]).draw(made_up(texts), ())
+    numbers = picture.numbers.set_index("method")
+    assert numbers["holds"].to_dict() == {"LQR": 0, "LQI": 0, "ideal": 3}
+    assert numbers["raised"].to_dict() == {"LQR": 1, "LQI": 0, "ideal": 0}
+    assert numbers["mean_share"].to_dict() == pytest.approx({"LQR": 0.0, "LQI": 1 / 3, "ideal": 1.0})
+    assert numbers["better LQI"].dropna().to_dict() == pytest.approx({"LQR": 1 / 6, "ideal": 1.0})
+    assert numbers.loc["ideal", "p LQI"] == pytest.approx(2 * 2 * 0.5**3)  # three pairs of two tests
+    assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
+    assert "most hold by ideal: 3 (44% to 100%)" in picture.caption
+    FigureCanvasAgg(picture.figure).draw()
+    with pytest.raises(FigureError, match=r"policy_test\.episodes=16"):
+        Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
+    with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
+        Comparison("method", ["LQX"]).draw(made_up({"LQI": ["1"] * 3}), ())
+
+
+def test_last_policies_are_dots_that_no_other_hides() -> None:
+    """On the left by their experiments, on the right by their share of all starts; a row for each cell."""
+    sweep = expand(["+sweep=gaps"])
+    raised = {"gap": "lag 20 ms", "repetition": 0, "outcome": "error", "experiments": 1, "test_episodes": ""}
+
+    def made_up(starts: dict[str, list[str]]) -> SweptTrials:
+        rows = [
+            {"gap": gap, "repetition": i, "outcome": "succeeded" if i else "not succeeded"}
+            | {"experiments": 4 + i, "test_episodes": text}
+            for gap, texts in starts.items()
+            for i, text in enumerate(texts)
+        ]
+        return swept(sweep, [*rows, raised])
+
+    starts = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "1111"]}
+    picture = LastPolicies().draw(made_up(starts), ())
+    assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
+    assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
+    for words in ("of 4 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells"):
+        assert words in picture.caption
+    with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
+        LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())
+    figure = LastPolicies().draw(made_up({"slope 0.02 rad": ["1111"] * 10}), ()).figure
+    FigureCanvasAgg(figure).draw()
+    left, right = figure.axes
+    assert len(left.get_yticklabels()) == 24
+    dots = [tuple(at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
+    assert len(set(dots)) == 10
+    assert all(abs(height) < 0.5 for _, height in dots)
+
+
+def test_eight_series_are_told_from_each_other() -> None:
+    """Of costs, there is a panel for each cell, in rows; legends are whole."""
+    axes = f"{{hardware.inertia_error: [0.0, 0.05], bias: {LEARNERS}, evaluation: {EVALUATIONS}}}"
+    sweep = expand([f"+sweep={{trials: 3, axes: {axes}}}"])
+    labels = [dict(zip((axis.name for axis in sweep.axes), cell.labels, strict=True)) for cell in sweep.cells]
+    rows = [
+        {**cell, "outcome": "succeeded", "experiments": 2 * repetition + 2, "iterations": 3, **LATER}
+        for cell in labels
+        for repetition in range(3)
+    ]
+    figure = Experiments().draw(swept(sweep, rows), ()).figure
+    assert_nothing_is_cut(figure)
+    points = [container.lines[0] for container in figure.axes[0].containers]
+    assert len({to_hex(line.get_color()) for line in points}) == 8
+    assert len({line.get_marker() for line in points}) == 8
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == [f"{bias}, {evaluation}" for bias, evaluation in itertools.product(LEARNERS, EVALUATIONS)]
+
+    def trial(hash_: str) -> SimpleNamespace:
+        costs = [(index, 10.0 ** (index + 1), hash_ == "0" and index == 2) for index in range(3)]
+        names = ("index", "hardware_cost", "succeeded")
+        iterations = [dict(zip(names, each, strict=True), total_experiments=each[0] + 1) for each in costs]
+        return SimpleNamespace(
+            study=SimpleNamespace(cost=SimpleNamespace(max_cost=200.0)),
+            iterations=[SimpleNamespace(**each, search=None) for each in iterations],
+        )
+
+    for cells in (1, 8):
+        rows = [
+            {**labels[cell], "hash": str(i), "repetition": i, "seed": i, "outcome": "succeeded"}
+            for cell in range(cells)
+            for i in range(2)
+        ]
+        figure = Costs().draw(swept(sweep, rows, trial), ()).figure
+        assert_nothing_is_cut(figure)
+        assert sum(bool(axes.lines) for axes in figure.axes) == cells
+        assert figure.get_figwidth() < 15.0
+
+
+def test_labels_longer_than_the_figure_are_wrapped() -> None:
+    labels = ["short", "a series whose name is far too long " * 4]
+    figure = Figure(figsize=(4.0, 3.0), layout="constrained")
+    legend(figure, {label: figure.add_subplot().plot([0, 1])[0] for label in labels})
+    assert_nothing_is_cut(figure)
