@@ -87,6 +87,16 @@ def test_a_working_folder_that_is_moved_takes_the_trial_along(
     assert len(caplog.records) == 1
 
 
+def test_a_folder_that_is_moved_while_its_trial_runs_stops_it(folder: Path, study: Study) -> None:
+    trial, there = folder / "trials" / study.hash, folder.parent / "there"
+    with pytest.raises(FileNotFoundError):
+        run_trial(study, trial, Moving(folder, there, FILES[2:]))
+    assert left(folder) == {"mlflow.db"}
+    moved = there / "trials" / study.hash
+    assert len(TrialFolder(moved).iterations()) == 1
+    assert run_trial(study, moved).outcome.final
+
+
 def test_a_store_that_was_moved_is_one_line(folder: Path, study: Study) -> None:
     """MLflow keeps absolute addresses; from the trials it is made again."""
     trial, there = folder / "trials" / study.hash, folder.parent / "there"
