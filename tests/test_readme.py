@@ -80,9 +80,10 @@ def shortened(command: str) -> list[str]:
 
 def shortest(arguments: list[str]) -> list[str]:
     """Overrides by which a preset is run in NumPy, as sweeps are in `tests/sweep/test_results.py`."""
-    whole = compose(arguments)
+    whole = compose([*arguments, "identification=none", "bias=none"])
     changed = shipped.shortened(whole).config
     return [
+        *("identification=none", "bias=none"),
         *(
             f"{group}.{key}={changed[group][key]}"
             for group, most in shipped.SHORT.items()
