@@ -29,7 +29,7 @@ from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 LOOSE = "0005_experiment.npz"  # the first of iteration 1
-SHORT = ["tracking=none", "optimizer.max_evaluations=100", "method.max_iterations=3"]
+SHORT = ["tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=3"]
 
 
 class Loose(Hardware):
