@@ -72,6 +72,7 @@ def test_tvlqr_of_rest_at_the_top_is_lqr(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Lqr(Q, R, limits, 0.0).command(x, 0.0), 0.0)
 
 
+@pytest.mark.slow
 def test_the_loop_commands_after_what_was_measured_a_period_ago() -> None:
     """Models in lanes are those of one lane; pushes come on top of commands within limits."""
     from learned import numbers, robot
@@ -143,6 +144,7 @@ def test_tables_tell_what_predictions_are_worth() -> None:
     assert wrong[6].startswith("-1.00 (")
 
 
+@pytest.mark.slow
 def test_a_scored_policy_is_the_one_in_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its controller gives the torques that the score is of; the plant is the one whose LQR is taken."""
     import controllers
@@ -195,6 +197,7 @@ def test_robustness_counts_kinds_of_runs(monkeypatch: pytest.MonkeyPatch) -> Non
     np.testing.assert_array_equal(runs.commands[2:-1, 0, 0], 1.0 + runs.states[:-3, 0, 0])
 
 
+@pytest.mark.slow
 def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reset holds a robot where it is: nobody is asked, and nothing is up."""
     import score
@@ -221,6 +224,7 @@ def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) ->
 THEIRS = ["preset=pendubot_trajectory", "hardware=their_simulator", "tracking=none"]
 
 
+@pytest.mark.slow
 def test_a_checkout_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     conf, checkout = STUDIES / "board" / "conf", f"hardware.checkout={tmp_path}"
     with pytest.raises(ConfigError, match=rf"checkout: {tmp_path} has no src/python/double_pendulum"):

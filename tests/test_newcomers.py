@@ -89,6 +89,7 @@ def shown(study: Study) -> str:
     return file.getvalue()
 
 
+@pytest.mark.slow
 def test_what_an_own_component_breaks_is_one_line_before_the_trial(point_mass: Study) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy is compiled
@@ -109,6 +110,7 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(point_mass: S
         rehearse(replace(point_mass, nominal=Decides(point_mass.task)))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_traceback_of_an_own_component_is_in_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,6 +146,7 @@ def test_a_cost_that_is_no_number_names_its_class(point_mass: Study) -> None:
     assert record.summary.reason == "ValueError: Always.of: expected a finite number, got nan"
 
 
+@pytest.mark.slow
 def test_a_policy_that_is_tried_again_is_told_and_counted(point_mass: Study) -> None:
     text = shown(replace(point_mass, bias=NoBias(), method=Algorithm1(max_iterations=2)))
     assert "this is the policy of iteration 0 again" in text
@@ -160,6 +163,7 @@ def test_a_policy_that_is_tried_again_is_told_and_counted(point_mass: Study) -> 
     assert {flat, none} <= kinds(replace(point_mass, cost=Always(2.0), samples=samples))
 
 
+@pytest.mark.slow
 def test_an_iteration_without_samples_says_why(point_mass: Study) -> None:
     spans: tuple[tuple[int | str, str], ...] = (
         (101, "the longest experiment has 100 frames, fewer than the 101 of one sample (2.02 s"),
@@ -197,6 +201,7 @@ def test_a_span_in_seconds_is_whole_frames(point_mass: Study) -> None:
     assert len(one) == 49
 
 
+@pytest.mark.slow
 def test_the_default_spans_are_those_of_the_published_trials() -> None:
     """In frames; the option in seconds is another."""
     assert simbias.load(["tracking=none"]).hash == simbias.load(["samples.stride=35", "tracking=none"]).hash

@@ -178,6 +178,7 @@ def test_commands_run(installed: dict[str, str], new_store: Path, tmp_path: Path
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_the_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block, *_) = re.findall(r"^```python\n(import simbias.*?)^```", README, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(tmp_path)

@@ -25,6 +25,7 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     assert study.task.succeeds(hanging) is False
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
@@ -35,6 +36,7 @@ def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model()))
 
 
+@pytest.mark.slow
 def test_late_motors_are_met_before_any_experiment() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     names = [parameter.name for parameter in study.first_model().nominal.parameters]

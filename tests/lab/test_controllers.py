@@ -89,6 +89,7 @@ def with_everything(study: Study) -> ExperimentRequest:
     return ExperimentRequest(study.task, policy, theta, study.task.start_mean)
 
 
+@pytest.mark.slow
 def test_the_code_is_the_policy_over_hundreds_of_frames(study: Study) -> None:
     """In Python and C; at limits, with its state, after what is no number, and of zeros that are equal."""
     mass = PointMass()
@@ -118,6 +119,7 @@ def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
     np.testing.assert_array_equal(control.policy_state, before)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_the_header_compiles_without_a_warning_and_refuses_fast_mathematics(
     study: Study, tmp_path: Path
@@ -144,6 +146,7 @@ class Different(ExperimentRequest):
     why_no_code = "in C, frame 3 gives something else"
 
 
+@pytest.mark.slow
 def test_code_that_is_not_the_policy_is_not_written(study: Study) -> None:
     """Whichever of the two it is; a line says so."""
     request = with_everything(study)
@@ -192,6 +195,7 @@ def test_limits_are_in_the_request_and_held_by_its_controller(study: Study) -> N
         control(np.array([0.0, 0, -0.1, 0, 0, 0]))
 
 
+@pytest.mark.slow
 def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
     """C agrees with the policy at them: `why_no_code` compiles it."""
     spinning = np.array([0.0, 0, 0, 31.0, 0, 0])

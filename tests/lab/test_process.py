@@ -48,6 +48,7 @@ def run(study: Study, command: str, timeout: float = 30.0) -> Rollout:
     return replace(study, hardware=hardware).experiment(THETA, np.random.default_rng(1), START)
 
 
+@pytest.mark.slow
 def test_the_example_is_the_hardware_in_the_wind(
     point_mass: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -99,6 +100,7 @@ def test_what_is_no_trajectory_is_one_line(point_mass: Study, tmp_path: Path) ->
             build(compose(["hardware=process", override]))
 
 
+@pytest.mark.slow
 def test_an_answer_at_a_higher_rate_is_resampled_and_one_may_wait(point_mass: Study, tmp_path: Path) -> None:
     text = (
         "times = [0.01 * i for i in range(201)]; failure = None; "

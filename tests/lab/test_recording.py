@@ -137,6 +137,7 @@ def test_a_velocity_that_lacks_is_estimated_and_said_so(
     assert mistyped.notes == ("vel2 is estimated from pos2, as there is no column 'vle2'",)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     cases: list[tuple[dict[str, float], dict[str, str], str]] = [
         ({"pos1": 180 / np.pi}, {}, r"pos1 changes 57\.3 times as fast as vel1 says: is a unit wrong"),

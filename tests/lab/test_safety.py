@@ -204,7 +204,6 @@ def test_preview_shows_and_draws_the_first_experiment(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
 def test_a_person_is_asked_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     answers: tuple[tuple[Any, int], ...] = (("y", SUCCEEDED), ("no", WAITING), (EOFError(), WAITING))
     for answer, status in answers:
@@ -224,6 +223,7 @@ def test_a_person_is_asked_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         assert ("the experiment was not confirmed" in captured.err) == (status == WAITING)
 
 
+@pytest.mark.slow
 def test_what_is_replayed_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
     starts: list[Array] = []
 

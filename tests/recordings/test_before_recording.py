@@ -86,6 +86,7 @@ def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollo
     assert np.mean(errors, axis=0)[1] < np.mean(errors, axis=0)[0]
 
 
+@pytest.mark.slow
 def test_parameters_come_back_and_intervals_tell_the_truth(study: Study, lab: Rollout) -> None:
     found = recover(limited(), [Take(lab.states[0], lab.inputs)], NOISE, robots=3)
     by_name = {recovery.name: recovery for recovery in found}

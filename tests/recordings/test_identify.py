@@ -52,6 +52,7 @@ def assessment(study: Study, robot: tuple[dict[str, float], dict[str, Rollout]])
     return assess(study, robot[1])
 
 
+@pytest.mark.slow
 def test_what_is_trusted_is_true(
     assessment: Assessment, robot: tuple[dict[str, float], dict[str, Rollout]]
 ) -> None:
@@ -76,6 +77,7 @@ def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessm
         assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_model_that_is_no_better_says_so(study: Study) -> None:
     """Learned from a robot; what is held out is the nominal model's, which nothing can improve."""
     rng = np.random.default_rng(3)

@@ -196,6 +196,7 @@ def newton_euler(task, foot_mass, x, torque, moment=0.0, slope=0.0, payload=(0.0
     return np.array([wheel, board - wheel, legs - board]), jacobian @ velocity.ravel()
 
 
+@pytest.mark.slow
 @given(task=tasks, foot_mass=foot_masses, x=states, u=torques)
 @settings(deadline=None, max_examples=20)
 def test_accelerations_agree_with_newton_and_euler(task, foot_mass, x, u):

@@ -13,6 +13,7 @@ from simbias.trial.study import Study
 STATES = st.lists(st.floats(-1, 1), min_size=6, max_size=6).map(np.array)
 
 
+@pytest.mark.slow
 @given(STATES)
 @settings(max_examples=25)
 def test_measures_are_those_of_the_pose(study: Study, x: Array) -> None:

@@ -39,6 +39,7 @@ def rolled(model: Nominal, start: Sequence[float], inputs: Array) -> Array:
     return np.array(states)
 
 
+@pytest.mark.slow
 def test_equations_are_the_engines_at_equal_parameters() -> None:
     """Within millimetres and milliradians, by another integrator and other contacts, for half a second."""
     cases: list[tuple[str, list[float], float, float]] = [
@@ -113,6 +114,7 @@ def test_a_hopper_in_the_air_flies_as_its_centre_of_mass() -> None:
     assert np.ptp(x[:, 7]) > 0.5
 
 
+@pytest.mark.slow
 def test_a_sole_grips_as_far_as_friction_goes() -> None:
     """A leg that leans by 0.3 rad on the ground: friction of 1 holds its foot, of 0.05 does not."""
     slid = []

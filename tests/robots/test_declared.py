@@ -80,6 +80,7 @@ def bongoboard() -> Declared:
     return construct(BONGOBOARD, Task, "task")
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-3, 3), min_size=12, max_size=12))
 @settings(max_examples=25)
 def test_a_declaration_is_worth_a_class(study: Study, bongoboard: Declared, numbers: list[float]) -> None:

@@ -121,6 +121,7 @@ def test_parameters_are_those_of_the_equations() -> None:
         assert np.abs(changed.step(x, u) - nominal.step(x, u)).max() > 1e-6, name
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=10)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5), st.floats(0.1, 1.0))
 @example(118960, 0.5, 1.0)  # one link gives way to the other, in turns
@@ -157,6 +158,7 @@ def test_the_nearest_bodies_are_told_by_the_covariance() -> None:
     np.testing.assert_allclose(nearest_possible(nominal, z, root), other, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:
     """The first angle counted from the top, the second torque alone."""
     acrobot = simbias.load(["preset=acrobot", "tracking=none"]).nominal

@@ -51,6 +51,7 @@ def test_a_heavier_robot_with_a_stronger_torque_moves_alike() -> None:
         assert np.abs(experiment(engine(task, 0.2), 5.0).states - one).max() > 0.01
 
 
+@pytest.mark.slow
 def test_failures_are_the_tasks() -> None:
     task = build_task(UNLIMITED)
     for engine in (PymunkBongoboard, *ENGINES):

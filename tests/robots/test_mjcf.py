@@ -58,6 +58,7 @@ def test_quaternions_turn_as_the_body_does_and_stay_of_unit_length(file: str) ->
     np.testing.assert_allclose(model.step(scaled, HOVER), model.step(x, HOVER), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_propellers_push_but_never_pull(file: str) -> None:
     """In lanes as in the law itself; these rollouts are what the engine does with their inputs."""
     task = quadrotor()

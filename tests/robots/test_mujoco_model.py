@@ -114,6 +114,7 @@ def test_compiled_rollouts_are_the_plain_ones() -> None:
         np.testing.assert_array_equal(rollout.states[1:], stepped)  # to the last bit
 
 
+@pytest.mark.slow
 def test_predictions_of_a_record_are_the_plain_ones() -> None:
     """As an identification asks for them: each model along the inputs of an experiment."""
     study = search()

@@ -44,6 +44,7 @@ NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e
 # Laws of mechanics
 
 
+@pytest.mark.slow
 def test_each_frame_agrees_with_the_lagrangian_step() -> None:
     """The engine moves before it accelerates, the model's step the other way round.
 

@@ -73,6 +73,7 @@ def opaque(image: Image, point: Array) -> bool:
     return 0 <= row < height and 0 <= column < width and bool(image.pixels[int(row), int(column), 3])
 
 
+@pytest.mark.slow
 def test_an_image_is_where_the_stick_figure_is() -> None:
     task, x = drawn_from(file=DOUBLE, rendered=True), np.array([0.3, 0.1, -0.4, 0.0, 0.0, 0.0])
     image, parts = rendered(task, x), drawn_from(file=DOUBLE).points(x)
@@ -85,6 +86,7 @@ def test_an_image_is_where_the_stick_figure_is() -> None:
             assert opaque(image, point) == (abs(width) < 1)
 
 
+@pytest.mark.slow
 def test_what_a_stick_figure_lacks_is_rendered_moved_and_tinted(tmp_path: Path) -> None:
     """An ellipsoid is; the floor, a plane, is left out of both. Where nothing lacks, nothing is rendered."""
     from matplotlib.figure import Figure

@@ -30,6 +30,7 @@ def test_robots_keep_their_contracts() -> None:
         assert not [verdict for verdict in found if verdict.problem], preset
 
 
+@pytest.mark.slow
 def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() -> None:
     """MuJoCo and the published equations, each by steps of its own."""
     study = simbias.load(["preset=acrobot", "tracking=none"])
@@ -43,6 +44,7 @@ def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() ->
     np.testing.assert_allclose(predicted, made.states[1:], atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_biped_stands_by_contact_under_stiff_joints_and_falls_without_torque() -> None:
     """As the model and as the hardware; its plate moves meanwhile."""

@@ -159,6 +159,7 @@ def test_a_hardware_has_none_and_its_policy_knows_them(still: Study) -> None:
     assert checked.run(still.policy, theta, START, np.random.default_rng(0)).states.shape[1] == 6
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_of_them(still: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is learned is what the robot's own states say."""
     made = still.experiment(thetas(still, 1)[0], np.random.default_rng(0), START)
@@ -172,6 +173,7 @@ def test_nothing_is_learned_of_them(still: Study, monkeypatch: pytest.MonkeyPatc
     assert np.shape(learner.identified([made]).step(START[:4], np.zeros(1))) == (4,)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still: Study) -> None:
     two = simbias.load(["optimizer.max_evaluations=2"]).optimizer
@@ -191,6 +193,7 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
     )
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_one_line() -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"failure": {"far": {"value": "position - place", "above": 1.0}}}, "failure.far: .* cannot depend"),

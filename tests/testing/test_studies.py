@@ -84,6 +84,7 @@ class Failing(Noting):
         return predicted
 
 
+@pytest.mark.slow
 def test_a_method_is_checked_by_a_short_trial() -> None:
     """However long its own are: on a model of many contacts they take minutes."""
     long = ["optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]

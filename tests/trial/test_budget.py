@@ -30,6 +30,7 @@ def spending(study: Study, budget: Budget) -> Study:
     return replace(study, method=method, cost=never, budget=budget)
 
 
+@pytest.mark.slow
 def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path) -> None:
     for budget, made in ((Budget(experiments=3), 3), (Budget(seconds=1e-3), 1), (Budget(), 10)):
         study = spending(point_mass, budget)

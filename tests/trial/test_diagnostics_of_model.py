@@ -57,6 +57,7 @@ def test_a_trial_that_has_ended_tells_it_too(study: Study) -> None:
     assert kind in second
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:
     assert of_spread(study, 0.6)[1] == []

@@ -71,6 +71,7 @@ def cut(whole: Path, folder: Path, lost: int) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_an_experiment_is_on_disk_before_it_is_used(short: Study, tmp_path: Path) -> None:
     """And while a process makes it, the trial is locked."""
     kept, locked = [], []
@@ -129,6 +130,7 @@ def test_it_waits_for_each_result_and_resumes(short: Study, tmp_path: Path) -> N
     assert 0.0 < seconds[-1] < record.summary.seconds < sum(seconds)  # of all attempts, each once
 
 
+@pytest.mark.slow
 def test_a_trial_that_ended_touches_no_hardware(
     short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,6 +144,7 @@ def test_a_trial_that_ended_touches_no_hardware(
     assert {file: file.stat().st_mtime_ns for file in TrialFolder(whole[0]).files()} == before
 
 
+@pytest.mark.slow
 def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
     short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
 ) -> None:
@@ -167,6 +170,7 @@ def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
         read_folder(tmp_path)  # an untrusted module is not imported
 
 
+@pytest.mark.slow
 def test_what_cannot_be_read_is_one_line_that_names_the_file(
     whole: tuple[Path, TrialRecord], tmp_path: Path
 ) -> None:
@@ -251,6 +255,7 @@ def test_changed_code_is_said(whole: tuple[Path, TrialRecord], tmp_path: Path) -
     assert changed_since(study, tmp_path / "none") == ""
 
 
+@pytest.mark.slow
 def test_another_platform_is_said_and_kept(
     short: Study,
     whole: tuple[Path, TrialRecord],
@@ -338,6 +343,7 @@ class Guessing(Method):
             yield Iteration(index, theta, made, cost, succeeded, np.int64(2 * index + 2))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_any_method_runs_resumes_and_is_read_back(point_mass: Study, tmp_path: Path) -> None:
     study = replace(point_mass, method=Guessing())
     uninterrupted = run_trial(study, tmp_path / "whole")

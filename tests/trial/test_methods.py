@@ -65,6 +65,7 @@ class Gusty(InTheWind):
         return super().run(policy, theta, start, rng)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_one_line(point_mass: Study) -> None:
     for wrong, problem in (
         ({}, ""),

@@ -138,6 +138,7 @@ def test_a_search_made_again_draws_nearer_models(point_mass: Study) -> None:
     assert same.search.predicted_cost == 1.0
 
 
+@pytest.mark.slow
 def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
     evaluated: list[np.ndarray] = []
 

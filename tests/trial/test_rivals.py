@@ -73,6 +73,7 @@ def test_one_shot_learns_once(point_mass: Study) -> None:
     assert record.outcome is Outcome.SUCCEEDED
 
 
+@pytest.mark.slow
 def test_a_residual_on_the_cost_leaves_policies_that_are_refuted(point_mass: Study) -> None:
     """The model predicts the same for all constant forces; experiments tell which balances the wind."""
     record = run_trial(replace(point_mass, method=CostResidual(max_iterations=10, length_scale=0.3)))
@@ -104,6 +105,7 @@ def test_the_model_is_exact_along_an_experiment(point_mass: Study) -> None:
     assert min(costs) < 0.8 * costs[0]  # steps along the gradient cost less
 
 
+@pytest.mark.slow
 def test_simulators_of_rising_fidelity_end_at_the_top(point_mass: Study) -> None:
     """The one in the middle knows most of the wind: its policy, not the model's, is the first on hardware."""
     method = MultiFidelity(wind(point_mass), {"wind": 1.8}, rollouts=2, max_iterations=3)
@@ -137,6 +139,7 @@ def test_a_direct_search_finds_a_known_minimum() -> None:
         assert min(costs) < 0.03 < costs[0], strategy
 
 
+@pytest.mark.slow
 def test_a_direct_search_may_begin_at_lqr(tmp_path: Path) -> None:
     study = simbias.load(["preset=cartpole", "method=direct_search_lqr", "tracking=none"])
     record = run_trial(study, tmp_path / "trial")

@@ -112,6 +112,7 @@ def test_a_trial_that_ended(point_mass: Study) -> None:
         assert 0 < summary.seconds < 5
 
 
+@pytest.mark.slow
 def test_a_trial_that_stopped(point_mass: Study, tmp_path: Path) -> None:
     """It is read back as far as it went, though its method raises again."""
     for number, (raised, outcome, reason) in enumerate(
