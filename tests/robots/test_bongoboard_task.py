@@ -15,7 +15,7 @@ STATES = st.lists(st.floats(-1, 1), min_size=6, max_size=6).map(np.array)
 
 @pytest.mark.slow
 @given(STATES)
-@settings(max_examples=25)
+@settings(deadline=None, max_examples=25)
 def test_measures_are_those_of_the_pose(study: Study, x: Array) -> None:
     """The board touches the ground with a corner, and leaves the wheel where the contact passes its end.
 
@@ -35,7 +35,7 @@ def test_measures_are_those_of_the_pose(study: Study, x: Array) -> None:
 
 
 @given(STATES)
-@settings(max_examples=25)
+@settings(deadline=None, max_examples=25)
 def test_outputs_are_the_pelvis_the_ankle_and_the_foot(study: Study, x: Array) -> None:
     """Velocities by complex step along the motion."""
     h = 1e-30

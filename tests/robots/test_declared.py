@@ -82,7 +82,7 @@ def bongoboard() -> Declared:
 
 @pytest.mark.slow
 @given(st.lists(st.floats(-3, 3), min_size=12, max_size=12))
-@settings(max_examples=25)
+@settings(deadline=None, max_examples=25)
 def test_a_declaration_is_worth_a_class(study: Study, bongoboard: Declared, numbers: list[float]) -> None:
     x = np.array(numbers).reshape(2, 6)
     np.testing.assert_allclose(bongoboard.output(x), study.task.output(x), atol=1e-12)
@@ -107,7 +107,7 @@ def test_it_joins_the_compiled_loop(study: Study, bongoboard: Declared) -> None:
 
 
 @given(st.floats(-4, 4), st.floats(-4, 4))
-@settings(max_examples=25)
+@settings(deadline=None, max_examples=25)
 def test_expressions_mean_what_they_say(a: float, b: float) -> None:
     """Numbers, arrays and the kernel agree with NumPy."""
     texts = {
