@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -57,20 +58,17 @@ def experiment(study: Study, safety: Safety, hardware: type = Stoppable) -> tupl
     return limited.experiment(THETA, np.random.default_rng(0), START), robot.stopped
 
 
-@pytest.mark.parametrize("hardware", [Stoppable, Swallowing])
-def test_an_experiment_beyond_a_limit_is_aborted(point_mass: Study, hardware: type) -> None:
+def test_an_experiment_beyond_a_limit_is_aborted(point_mass: Study) -> None:
     """It has failed, the hardware is stopped, and what was recorded is what the free one did up to there."""
     free, _ = experiment(point_mass, Safety())
     speeds, forces = np.abs(free.states[:, 1]), np.abs(free.inputs[:, 0])
-    for safety, failure, first in (
+    fast = np.abs(np.diff(free.inputs[:, 0])) > 5.0 * 0.02
+    limits = (
         (Safety(states={"velocity": 0.3}), "unsafe_state_velocity", np.argmax(speeds > 0.3)),
         (Safety(inputs={"force": 3.9}), "unsafe_input_force", np.argmax(forces > 3.9)),
-        (
-            Safety(input_rates={"force": 5.0}),
-            "unsafe_rate_of_force",
-            1 + np.argmax(np.abs(np.diff(free.inputs[:, 0])) > 5.0 * 0.02),
-        ),
-    ):
+        (Safety(input_rates={"force": 5.0}), "unsafe_rate_of_force", 1 + np.argmax(fast)),
+    )
+    for hardware, (safety, failure, first) in product((Stoppable, Swallowing), limits):
         aborted, stopped = experiment(point_mass, safety, hardware)
         k = aborted.frames
         assert (aborted.failed_at, aborted.failure, stopped, k) == (k, failure, 1, first)
