@@ -227,11 +227,8 @@ def test_steps_of_other_code_are_one_line(
         (iteration / "0003_iteration.json", {"succeeded": True}),
     ):
         file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    for folder, file in (
-        (kind, "0000_experiment.npz"),
-        (theta, "0001_experiment.npz"),
-        (iteration, "0003_iteration.json"),
-    ):
+    names = ("0000_experiment.npz", "0001_experiment.npz", "0003_iteration.json")
+    for folder, file in zip((kind, theta, iteration), names, strict=True):
         message = f"{file}: does not fit the trial: its code has changed since"
         with pytest.raises(ConfigError, match=message):
             read_trial(short, folder)
