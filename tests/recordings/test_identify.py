@@ -154,13 +154,13 @@ def test_a_trial_begins_with_what_was_identified(
     """The written option: the same posterior, to which experiments add."""
     write(assessment, None, study.config["identification"], tmp_path, tmp_path / "conf")
     options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
-    attached = simbias.load([*options, "identification.evaluations=3"], tmp_path / "conf")
+    attached = simbias.load(options, tmp_path / "conf")
     first = attached.first_model().nominal
     assert isinstance(first, Identified)
     assert first.estimates == assessment.identified.estimates
     np.testing.assert_array_equal(first.covariance, assessment.identified.covariance)
     robot, _ = truth(study.nominal, np.random.default_rng(4))
-    more = attached.identification.fit(attached.nominal, [experiment(robot, np.random.default_rng(9), 400)])
+    more = attached.identification.fit(attached.nominal, [experiment(robot, np.random.default_rng(9))])
     assert isinstance(more, Identified)
     volumes = [np.linalg.slogdet(each.covariance)[1] for each in (more, first)]
     assert volumes[0] < volumes[1]
