@@ -6,12 +6,11 @@ import warnings
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import point_mass as robot
 import pytest
-from conftest import OWN_CONF, POINT_MASS, rest_slow
+from conftest import OWN_CONF, POINT_MASS
 from rich.console import Console
 
 import simbias
@@ -19,7 +18,6 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core import NOT_A_NUMBER, Cost
 from simbias.core.commands import BAD_INPUT
-from simbias.core.error_origin import told
 from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.learning.bias.none import NoBias
@@ -91,40 +89,28 @@ def shown(study: Study) -> str:
     return file.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("group", "component", "line"),
-    [
+@pytest.mark.slow
+def test_what_an_own_component_breaks_is_one_line_before_the_trial(point_mass: Study) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy is compiled
+        rehearse(point_mass)
+    for group, component, line in (
         ("nominal", NaNVelocity, "NaNVelocity.step: expected finite numbers near the start, got [["),
         ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
         ("nominal", OneColumn, "OneColumn.step: expected a state, got (1,)"),
         ("policy", Unbounded, "Unbounded.act: expected inputs within [-5.] and [5.], got "),
         ("policy", ImitatesByOne, "ImitatesByOne.imitating: expected parameters (3,), got (1,)"),
-    ],
-)
-def test_what_an_own_component_breaks_is_one_line_before_the_trial(
-    point_mass: Study, group: str, component: type, line: str
-) -> None:
-    broken = component(point_mass.task)
-    with pytest.raises(ConfigError) as caught:
-        rehearse(replace(point_mass, **{group: broken}))
-    assert str(caught.value).startswith(line)
-    assert str(caught.value).isprintable()
-
-
-def test_a_component_of_ones_own_that_keeps_its_contract_is_rehearsed(point_mass: Study) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy is compiled
-        rehearse(point_mass)
-
-
-def test_the_line_that_keeps_a_component_in_numpy_is_named(point_mass: Study) -> None:
-    said = (
-        r"up to 500 times slower.*: Decides.step \(test_newcomers.py:\d+: it decides by a value.*kernels.py"
-    )
+    ):
+        with pytest.raises(ConfigError) as caught:
+            rehearse(replace(point_mass, **{group: component(point_mass.task)}))  # type: ignore[arg-type]
+        assert str(caught.value).startswith(line)
+        assert str(caught.value).isprintable()
+    said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it decides by a value.*kernels.py"
     with pytest.warns(simbias.core.SlowWarning, match=said):
-        rehearse(replace(point_mass, nominal=Decides(point_mass.task)))
+        rehearse(replace(point_mass, nominal=Decides(point_mass.task)))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_traceback_of_an_own_component_is_in_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,15 +130,6 @@ def test_the_traceback_of_an_own_component_is_in_a_file(
     assert "self._x = task.mas" in trace.read_text()
 
 
-def test_an_error_names_the_method_of_the_contract_in_which_it_arose(point_mass: Study) -> None:
-    with pytest.raises(KeyError) as caught:
-        Raises(point_mass.task).step(np.zeros(2), np.zeros(1))  # type: ignore[arg-type]
-    assert told(caught.value).startswith("Raises.step: expected a result, got KeyError: 'mass'")
-    with pytest.raises(KeyError) as caught:
-        raise KeyError("mass")
-    assert told(caught.value) == "KeyError: 'mass'"
-
-
 def test_a_state_that_is_no_number_has_failed_whatever_the_criteria_measure(point_mass: Study) -> None:
     """The criterion measures the position; the velocity is nan."""
     study = replace(point_mass, nominal=NaNVelocity(point_mass.task))  # type: ignore[arg-type]
@@ -169,54 +146,35 @@ def test_a_cost_that_is_no_number_names_its_class(point_mass: Study) -> None:
     assert record.summary.reason == "ValueError: Always.of: expected a finite number, got nan"
 
 
-def test_policies_that_all_cost_the_same_are_told(point_mass: Study) -> None:
-    text = shown(replace(point_mass, cost=Always(2.0), method=_two_iterations()))
-    assert "all 40 simulated policies cost the same (2), so this one is arbitrary" in text
-    assert text.index("arbitrary") < text.index("\n  0 ")  # before hardware is spent
-
-
-def test_a_policy_that_is_tried_again_is_told(point_mass: Study) -> None:
-    none = NoBias()
-    text = shown(replace(point_mass, bias=none, method=_two_iterations()))
+@pytest.mark.slow
+def test_a_policy_that_is_tried_again_is_told_and_counted(point_mass: Study) -> None:
+    text = shown(replace(point_mass, bias=NoBias(), method=Algorithm1(max_iterations=2)))
     assert "this is the policy of iteration 0 again" in text
     assert text.index("again") > text.index("\n  0 ")
-    assert "again" not in shown(replace(point_mass, method=_two_iterations()))  # which learns
 
-
-def test_a_sweep_counts_what_was_odd(point_mass: Study) -> None:
     def kinds(study: Study) -> set[str]:
-        made = run_trial(replace(study, method=_two_iterations())).iterations
+        made = run_trial(replace(study, method=Algorithm1(max_iterations=2))).iterations
         return {remark.kind for remark in remarks.of_trial(made)}
 
-    assert kinds(point_mass) == set()
+    assert kinds(point_mass) == set()  # which learns
     assert kinds(replace(point_mass, bias=NoBias())) == {"a refuted policy was tried again"}
     flat, none = "all simulated policies cost the same", "experiments without a sample to learn from"
     samples = Thresholds(point_mass.task, residual=1e-6)
-    found = kinds(replace(point_mass, cost=Always(2.0), samples=samples))
-    assert {flat, none} <= found
+    assert {flat, none} <= kinds(replace(point_mass, cost=Always(2.0), samples=samples))
 
 
-def _two_iterations() -> Any:
-    return Algorithm1(max_iterations=2)
-
-
-@pytest.mark.parametrize(
-    ("window", "why"),
-    [
+@pytest.mark.slow
+def test_an_iteration_without_samples_says_why(point_mass: Study) -> None:
+    spans: tuple[tuple[int | str, str], ...] = (
         (101, "the longest experiment has 100 frames, fewer than the 101 of one sample (2.02 s"),
         ("3 s", "the longest experiment has 100 frames, fewer than the 150 of one sample (3 s"),
         (1, "all 6 were rejected: residual 6"),
-    ],
-)
-def test_an_iteration_without_samples_says_why(point_mass: Study, window: int | str, why: str) -> None:
-    samples = Thresholds(point_mass.task, window=Windows(true_state=window), residual=1e-6)
-    text = shown(replace(point_mass, samples=samples, method=_two_iterations()))
-    assert f"no samples to learn from: {why}" in text
-
-
-def test_who_says_nothing_of_what_was_sampled_is_told_so() -> None:
-    empty = Selection(Transitions.empty(2, 1), 70, 0, {})
-    (remark,) = remarks.of_selection(empty)
+    )
+    for window, why in spans:
+        samples = Thresholds(point_mass.task, window=Windows(true_state=window), residual=1e-6)
+        text = shown(replace(point_mass, samples=samples, method=Algorithm1(max_iterations=2)))
+        assert f"no samples to learn from: {why}" in text
+    (remark,) = remarks.of_selection(Selection(Transitions.empty(2, 1), 70, 0, {}))
     assert remark.words == "no samples to learn from: none of 70 frames was sampled"
 
 
@@ -224,23 +182,17 @@ def test_a_model_is_cleared_with_the_reason_once(point_mass: Study) -> None:
     text = shown(replace(point_mass, cost=Always(2.0), method=Algorithm1(max_iterations=3)))
     reason = "no policy of the corrected simulation costs less than Z_max = 1 (2 at best, of 40 simulated)"
     assert (text.count(f"model cleared: {reason}"), text.count("model cleared")) == (1, 4)
-    assert text.count("all 40 simulated policies cost the same") == 1
+    same = "all 40 simulated policies cost the same (2), so this one is arbitrary"
+    assert text.count(same) == 1
+    assert text.index("arbitrary") < text.index("\n  0 ")  # before hardware is spent
 
 
-@pytest.mark.parametrize(
-    ("span", "frames"), [(35, 35), ("40 ms", 2), ("0.2s", 10), ("1 ms", 1), ("0.05 s", 2), ("70ms", 4)]
-)
-def test_a_span_in_seconds_is_whole_frames(span: int | str, frames: int) -> None:
-    assert frames_in(span, 0.02) == frames
-
-
-@pytest.mark.parametrize("span", rest_slow(2, ["'-1 ms'", "0", "abc", "1.5", "true", "'3 h'"]))
-def test_a_span_without_meaning_is_refused(span: str) -> None:
-    with pytest.raises(ConfigError, match=r"^samples\.stride: must be "):
-        simbias.load([f"samples.stride={span}", "tracking=none"])
-
-
-def test_spans_in_frames_and_seconds_select_the_same(point_mass: Study) -> None:
+def test_a_span_in_seconds_is_whole_frames(point_mass: Study) -> None:
+    spans: dict[int | str, int] = {35: 35, "40 ms": 2, "0.2s": 10, "1 ms": 1, "0.05 s": 2, "70ms": 4}
+    assert {span: frames_in(span, 0.02) for span in spans} == spans
+    for wrong in ("'-1 ms'", "0", "abc"):
+        with pytest.raises(ConfigError, match=r"^samples\.stride: must be "):
+            simbias.load([f"samples.stride={wrong}", "tracking=none"])
     rollouts = [point_mass.experiment(np.array([4.0, 4.0, -2.0]), np.random.default_rng(1))]
     frames = Thresholds(point_mass.task, stride=2, window=Windows(true_state=4), residual=None)
     seconds = Thresholds(point_mass.task, stride="40 ms", window=Windows(true_state="80 ms"), residual=None)
@@ -249,26 +201,11 @@ def test_spans_in_frames_and_seconds_select_the_same(point_mass: Study) -> None:
     assert len(one) == 49
 
 
+@pytest.mark.slow
 def test_the_default_spans_are_those_of_the_published_trials() -> None:
     """In frames; the option in seconds is another."""
     assert simbias.load(["tracking=none"]).hash == simbias.load(["samples.stride=35", "tracking=none"]).hash
     assert simbias.load(["samples=thresholds", "tracking=none"]).hash != simbias.load(["tracking=none"]).hash
-
-
-def test_what_a_hardware_prints_is_not_wrapped(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = "battery " * 30
-
-    class Talking(robot.InTheWind):
-        def run(self, *arguments: Any) -> Rollout:
-            print(line)
-            return super().run(*arguments)
-
-    file = StringIO()
-    console = Console(file=file, width=60, force_terminal=True, highlight=False, soft_wrap=True)
-    study = replace(point_mass, hardware=Talking(point_mass.task), method=_two_iterations())  # type: ignore[arg-type]
-    with TrialConsole(study, console) as observer:
-        run_trial(study, observer=observer)
-    assert file.getvalue().count(line.strip()) >= 2
 
 
 def test_while_an_experiment_is_under_way_the_screen_says_so(point_mass: Study) -> None:

@@ -6,7 +6,6 @@ import importlib
 import re
 from functools import reduce
 
-import pytest
 from conftest import ROOT
 
 README = (ROOT / "simbias" / "README.md").read_text()
@@ -43,8 +42,8 @@ def test_every_equation_is_in_the_map() -> None:
     assert "Algorithm 1" in papers
 
 
-@pytest.mark.parametrize(("paper", "code", "file", "test"), ROWS)
-def test_row_is_true(paper: str, code: str, file: str, test: str) -> None:
+def test_rows_are_true() -> None:
     """The code exists, its docstring names the equation, and the test exists."""
-    assert equations(paper) <= equations(located(code).__doc__)
-    assert re.search(rf"^def {test}\(", (ROOT / file).read_text(), re.MULTILINE)
+    for paper, code, file, test in ROWS:
+        assert equations(paper) <= equations(located(code).__doc__), code
+        assert re.search(rf"^def {test}\(", (ROOT / file).read_text(), re.MULTILINE), test

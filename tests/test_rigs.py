@@ -21,8 +21,8 @@ from simbias.simulation.open_loop import plain
 
 STUDY = ROOT / "sweeps" / "studies" / "rigs"
 ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
-FRAMES = 300  # of 5 ms
-QUICK = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=6"]
+FRAMES = 200  # of 5 ms
+QUICK = ["identification.starts=1", "identification.rounds=1", "identification.evaluations=3"]
 
 
 @pytest.fixture
@@ -84,10 +84,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None) -> Cal
 
 @pytest.mark.slow
 def test_the_study_learns_from_one_and_from_several(study: Callable[..., pd.DataFrame]) -> None:
-    """What is identified beats the described model, and more so with the zeros of what is predicted.
-
-    That zeros come back is held in `tests/learning/test_rig.py`; here few steps are made to find them.
-    """
+    """What is identified beats the described model, and more so with the zeros of what is predicted."""
     found = study("--ways", "nominal", "lab", "identified")
     assert (found.groupby(["number", "way"])["learned"].nunique() == 3).all()  # test recordings are no cases
     ratios = found.groupby(["number", "way"])["ratio"].mean()
@@ -153,10 +150,7 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_residual_that_hurts_is_left_out(
-    modules: None, monkeypatch: pytest.MonkeyPatch, count: int
-) -> None:
+def test_a_residual_that_hurts_is_left_out(modules: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one recording its thirds tell, of several each other one; a residual that helps stays."""
     import ways
     from loading import declared, load
@@ -166,19 +160,19 @@ def test_a_residual_that_hurts_is_left_out(
     states = [np.zeros(2)]
     for each in u:
         states.append(rig.study.nominal.step(states[-1], each) + np.array([0.0, 0.01]))
-    made = [Rollout(np.array(states), u)] * count
 
-    def pushed(by: float) -> ways.Learned:
+    def pushed(by: float, count: int) -> ways.Learned:
         bias = ConstantBias(np.array([0.0, by]), np.zeros(2))
 
         def learned(_: object, rollouts: Sequence[Rollout]) -> ways.Learned:
             return ways.Learned(rig.study.nominal, [rig.study.nominal] * len(rollouts), bias)
 
         monkeypatch.setattr(ways, "with_residual", learned)
-        return ways.guarded(rig, made)
+        return ways.guarded(rig, [Rollout(np.array(states), u)] * count)
 
-    assert pushed(0.01).bias is not None
-    assert pushed(-0.01).bias is None
+    for count in (1, 2):
+        assert pushed(0.01, count).bias is not None
+        assert pushed(-0.01, count).bias is None
 
 
 @pytest.mark.slow

@@ -7,52 +7,36 @@ import pytest
 
 import simbias
 from simbias.trial.diagnostics import of_goal
-from simbias.trial.observer import Observer
-from simbias.trial.steps import search
-
-QUICK = ["evaluation=nominal_start", "optimizer.max_evaluations=3000"]
-
-
-@pytest.mark.slow
-def test_a_search_swings_the_model_up(request: pytest.FixtureRequest) -> None:
-    """An acrobot; a pendubot is the same code, driven at the other joint, and easier."""
-    study = simbias.load(["preset=acrobot_swingup", *QUICK])
-    found = search(study, study.first_model(), np.random.default_rng(0), Observer())
-    request.getfixturevalue("uncompiled")  # for one rollout, and by another loop than the search's
-    rollout = study.simulate(found.optimum.parameters)
-    assert found.predicted_cost < 0.3  # 1 is the cost of hanging
-    assert study.passes(rollout)
-    assert study.task.error(rollout.states[-1], 8.0) == pytest.approx(np.zeros(4), abs=0.01)
-    hanging = np.tile(study.task.start_mean, (study.task.horizon + 1, 1))
-    assert study.task.succeeds(hanging) is False
 
 
 @pytest.mark.slow
 def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     """Shortened: one experiment an iteration, and fewer simulated policies."""
-    options = ["optimizer.max_evaluations=6000", "evaluation.rollouts=8", "budget.experiments=4"]
+    options = ["optimizer.max_evaluations=6000", "evaluation.rollouts=4", "budget.experiments=4"]
     study = simbias.load(["preset=cartpole_swingup", "tracking=none", "method.experiments=1", *options])
     last = list(study.run())[-1]
     assert last.succeeded
+    assert last.search.predicted_cost < 0.5  # 1 is the cost of hanging
     (rollout,) = last.experiments
     held = np.abs(study.task.error(rollout.states, 0.0)[-51:, 1])  # of the angle in the last second
     assert rollout.states[0, 1] == pytest.approx(np.pi, abs=0.3)
     assert held.max() < 0.2
+    hanging = np.tile(study.task.start_mean, (study.task.horizon + 1, 1))
+    assert study.task.succeeds(hanging) is False
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
-    theta = np.zeros(study.policy.n_parameters)
-    (remark,) = of_goal(theta, study.first_model())
-    assert (
-        "off by position 0 m, angle 3.14 rad, its inputs at their limits in 0% of the frames" in remark.words
-    )
+    (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model())
+    assert "off by position 0 m, angle 3.14 rad, its inputs at their limits in 0% of" in remark.words
     assert "does not reach the goal in 5 s" in remark.words
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model()))
 
 
+@pytest.mark.slow
 def test_late_motors_are_met_before_any_experiment() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     names = [parameter.name for parameter in study.first_model().nominal.parameters]

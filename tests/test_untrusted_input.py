@@ -22,6 +22,7 @@ COMPILES_OWN_TEXT = {
 }
 
 
+@pytest.mark.slow
 def test_nothing_runs_what_it_reads() -> None:
     """Configs are read by OmegaConf, whose loader makes plain values only."""
     for file in FILES:

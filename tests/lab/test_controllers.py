@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -75,54 +76,34 @@ def controller(request: ExperimentRequest) -> Any:
     return names["Controller"]()
 
 
-@pytest.fixture
-def request_(study: Study) -> ExperimentRequest:
-    return ExperimentRequest(study.task, study.policy, THETA, study.task.start_mean)
-
-
-def with_everything(study: Study, integral_rate: float = 2.0) -> ExperimentRequest:
+def with_everything(study: Study) -> ExperimentRequest:
     """Of feedback with all that it can remember."""
     policy = DynamicOutputFeedback(
         study.task,
         filter_seconds=0.02,
-        integral_rate=integral_rate,
+        integral_rate=2.0,
         delay_seconds=0.004,
         constant=0.1,
     )
-    theta = np.array([*THETA, 0.01, integral_rate / 2, -20.0, 3.0])
+    theta = np.array([*THETA, 0.01, 1.0, -20.0, 3.0])
     return ExperimentRequest(study.task, policy, theta, study.task.start_mean)
 
 
-def test_the_code_is_the_policy_over_hundreds_of_frames(request_: ExperimentRequest, study: Study) -> None:
-    """In Python and C; at limits, with its state, and after what is no number."""
+@pytest.mark.slow
+def test_the_code_is_the_policy_over_hundreds_of_frames(study: Study) -> None:
+    """In Python and C; at limits, with its state, after what is no number, and of zeros that are equal."""
     mass = PointMass()
     own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
-    for request in (request_, with_everything(study), own):
+    zeros = ExperimentRequest(mass, SignsOfZeros(mass), np.zeros(1), mass.start_mean)
+    for request in (with_everything(study), own, zeros):
         assert request.why_no_code == ""
         assert {HEADER, MODULE} <= files(request).keys()
-
-
-def test_of_equal_zeros_the_code_takes_the_one_that_numpy_takes() -> None:
-    """Over hundreds of frames, in Python and C."""
-    task = PointMass()
-    request = ExperimentRequest(task, SignsOfZeros(task), np.zeros(1), task.start_mean)
-    assert request.why_no_code == ""
-
-
-def test_python_gives_the_policys_inputs(request_: ExperimentRequest, study: Study) -> None:
-    control, states = controller(request_), 0.3 * np.random.default_rng(0).standard_normal((50, 6))
+    states = 0.3 * np.random.default_rng(0).standard_normal((50, 6))
+    request = ExperimentRequest(study.task, study.policy, THETA, study.task.start_mean)
+    control = controller(request)
     expected = study.policy.act(THETA, states, 0.0, np.zeros((50, 0)))[0]
     np.testing.assert_allclose([control(x) for x in states], expected, rtol=1e-12, atol=1e-12)
     assert 0.0 < np.abs(expected).max() < 100.0  # none is cut off
-
-
-def test_the_integral_grows_in_the_exported_controller(study: Study) -> None:
-    request = with_everything(study)
-    control, policy = controller(request), request.controller()
-    x = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
-    by_code, by_policy = ([float(each(x)[0]) for _ in range(300)] for each in (control, policy))
-    np.testing.assert_allclose(by_code, by_policy, rtol=1e-9)
-    assert control.policy_state[5] < -1e-4  # of x_p, which is negative
 
 
 def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
@@ -138,6 +119,7 @@ def test_after_what_is_no_number_it_stays_aborted(study: Study) -> None:
     np.testing.assert_array_equal(control.policy_state, before)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_the_header_compiles_without_a_warning_and_refuses_fast_mathematics(
     study: Study, tmp_path: Path
@@ -164,6 +146,7 @@ class Different(ExperimentRequest):
     why_no_code = "in C, frame 3 gives something else"
 
 
+@pytest.mark.slow
 def test_code_that_is_not_the_policy_is_not_written(study: Study) -> None:
     """Whichever of the two it is; a line says so."""
     request = with_everything(study)
@@ -173,15 +156,13 @@ def test_code_that_is_not_the_policy_is_not_written(study: Study) -> None:
             continue
         wrong = code | {name: code[name].replace("0.21999999999999997", "0.2201")}
         assert wrong != code
-        said = difference(
-            request.policy, study.task, request.theta, request.bounds, wrong[HEADER], wrong[MODULE]
-        )
+        written = wrong[HEADER], wrong[MODULE]
+        said = difference(request.policy, study.task, request.theta, request.bounds, *written)
         assert said.startswith(f"in {language}, frame ")
     made = files(Different(study.task, request.policy, request.theta, request.start))
     assert not {HEADER, MODULE} & made.keys()
-    assert f"This policy cannot be written out as code ({Different.why_no_code})" in " ".join(
-        made["README.txt"].split()
-    )
+    said = f"This policy cannot be written out as code ({Different.why_no_code})"
+    assert said in " ".join(made["README.txt"].split())
 
 
 def test_a_policy_that_decides_by_values_says_why() -> None:
@@ -194,9 +175,7 @@ def test_a_policy_that_decides_by_values_says_why() -> None:
     assert words == "u = Integral.act(theta, x, t, policy_state)"
 
 
-def test_limits_are_in_the_request_and_held_by_its_controller(
-    request_: ExperimentRequest, study: Study
-) -> None:
+def test_limits_are_in_the_request_and_held_by_its_controller(study: Study) -> None:
     class Limited(ExperimentRequest):
         bounds = Bounds(
             (np.array([-5.0]), np.array([5.0])), np.array([2000.0]), np.array([0.2, *[np.inf] * 5]), False
@@ -204,11 +183,8 @@ def test_limits_are_in_the_request_and_held_by_its_controller(
 
     limited = Limited(study.task, study.policy, THETA, study.task.start_mean)
     content = limited.content()
-    assert content["states"][0]["limit"] == 0.2
-    assert content["states"][1]["limit"] is None
-    assert content["inputs"] == [
-        {"name": "torque", "unit": "N m", "limit": 5.0, "limit_of_change_per_s": 2000.0}
-    ]
+    assert [state["limit"] for state in content["states"][:2]] == [0.2, None]
+    assert (content["inputs"][0]["limit"], content["inputs"][0]["limit_of_change_per_s"]) == (5.0, 2000.0)
     assert np.abs(controller(limited)(np.zeros(6))).max() == 0.0
     for x in ([0.21, 0, 0, 0, 0, 0], [0.0, 0, 3.0, 0, 0, 0]):
         with pytest.raises(ValueError, match="abort"):
@@ -219,11 +195,12 @@ def test_limits_are_in_the_request_and_held_by_its_controller(
         control(np.array([0.0, 0, -0.1, 0, 0, 0]))
 
 
+@pytest.mark.slow
 def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
     """C agrees with the policy at them: `why_no_code` compiles it."""
     spinning = np.array([0.0, 0, 0, 31.0, 0, 0])
     assert study.task.failure(spinning)
-    requests = [
+    lenient, strict = (
         ExperimentRequest(
             study.task,
             SafetyLimitedPolicy(study.policy, study.task, Safety(criteria=criteria).bounds(study.task)),
@@ -231,17 +208,16 @@ def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
             study.task.start_mean,
         )
         for criteria in (False, True)
-    ]
-    assert [request.why_no_code for request in requests] == ["", ""]
-    assert np.isfinite(controller(requests[0])(spinning))
+    )
+    assert strict.why_no_code == ""
+    assert np.isfinite(controller(lenient)(spinning))
     with pytest.raises(ValueError, match="abort"):
-        controller(requests[1])(spinning)
-    assert "no failure above" in files(requests[1])["README.txt"]
-    assert requests[0].name != requests[1].name
+        controller(strict)(spinning)
+    assert "no failure above" in files(strict)["README.txt"]
 
 
 @given(st.text(max_size=60), st.sampled_from(["", "*/", "\\", "\n", '"""', "??/", "/*", "\u2028", "\r"]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
     """The Python module is the same but for its first string, the header but for its comments."""
     task, plain = PointMass(), PointMass()
@@ -255,22 +231,7 @@ def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
         assert not set("\\\r\u2028?") & set(line.replace("?", "", line.count(" ? ")))
     python, other = (ast.parse(python_module(each, law, said, bounds)) for each in (task, plain))
     assert [ast.dump(node) for node in python.body[1:]] == [ast.dump(node) for node in other.body[1:]]
-    header, other_header = (_without_comments(c_header(each, law, said, bounds)) for each in (task, plain))
+    header, other_header = (
+        re.sub(r"/\*.*?\*/", "", c_header(each, law, said, bounds), flags=re.DOTALL) for each in (task, plain)
+    )
     assert header == other_header
-
-
-def _without_comments(text: str) -> str:
-    """C without its comments, which end at the first `*/`."""
-    before, *rest = text.split("/*")
-    return before + "".join(each.partition("*/")[2] for each in rest)
-
-
-def test_a_requests_name_is_that_of_its_experiment(request_: ExperimentRequest, study: Study) -> None:
-    again = ExperimentRequest(study.task, study.policy, THETA.copy(), request_.start.copy())
-    assert again.name == request_.name
-    for other in (
-        ExperimentRequest(study.task, study.policy, THETA + 1e-9, request_.start),
-        ExperimentRequest(study.task, study.policy, THETA, request_.start + 1e-9),
-        ExperimentRequest(study.task, study.policy, THETA, request_.start, token=1),
-    ):
-        assert other.name != request_.name

@@ -28,7 +28,7 @@ from simbias.lab.safety import Safety
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.trial.study import Study
 
-OWN = [*(each for each in POINT_MASS if "hardware" not in each), "optimizer.max_evaluations=40"]
+OWN = [*(each for each in POINT_MASS if "hardware" not in each), "optimizer.max_evaluations=20"]
 
 
 def answer(folder: Path) -> None:
@@ -82,6 +82,7 @@ def run(study: Study, folder: Path, start: Array, seed: int = 3, safety: Safety 
     return str(waiting.value)
 
 
+@pytest.mark.slow
 def test_a_request_is_found_again_and_is_not_another_ones(point_mass: Study, tmp_path: Path) -> None:
     """Wherever it was written, whatever its number; one that says anything else is another one."""
     start = point_mass.task.start_mean
@@ -142,6 +143,7 @@ def _with_outputs(task, factor: float):
     return other
 
 
+@pytest.mark.slow
 def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path: Path) -> None:
     safety = Safety(states={"velocity": 0.3}, input_rates={"force": 5.0})
     folder = write_request(requested(point_mass.task, np.array([0.5, 0.0]), safety), tmp_path)
@@ -159,6 +161,7 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     assert "The controller is in controller.h (C99) and controller.py (Python)" in text
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_another_start_is_refused(point_mass: Study, tmp_path: Path) -> None:
     start = point_mass.task.start_mean
     run(point_mass, tmp_path, start)
@@ -170,10 +173,7 @@ def test_a_trajectory_of_another_start_is_refused(point_mass: Study, tmp_path: P
     (folder / "trajectory.csv").write_text(text)
     with pytest.raises(HardwareError, match=r"trajectory\.csv: row 2, column position: expected the start"):
         study.experiment(THETA, np.random.default_rng(3), start)
-
-
-def test_requests_that_cannot_be_written_are_one_line(point_mass: Study, tmp_path: Path) -> None:
-    (tmp_path / "requests").touch()
-    hardware = Manual(point_mass.task, str(tmp_path / "requests"))
-    with pytest.raises(HardwareError, match=r"requests: the request cannot be written"):
+    (tmp_path / "file").touch()
+    hardware = Manual(point_mass.task, str(tmp_path / "file"))
+    with pytest.raises(HardwareError, match=r"file: the request cannot be written"):
         hardware.run(point_mass.policy, THETA, np.zeros(2), np.random.default_rng(0))

@@ -78,15 +78,6 @@ def test_comments_stand_above_the_names(study: Study, rollout: Rollout, tmp_path
     assert Reader(study.task, names | {"time": "#time"}).read(file).pieces[0].frames == 2
 
 
-def test_nanoseconds_for_seconds_are_refused(study: Study, rollout: Rollout, tmp_path: Path) -> None:
-    """Frames of seconds that are none would not fit into memory."""
-    table = frame(rollout)
-    table["time"] *= 1e9
-    with pytest.raises(HardwareError, match=r"one\.csv: .* every 2e\+06 s: is it another unit of time\?"):
-        read(study, table, tmp_path)
-    assert read(study, table, tmp_path, time="time [ns]").pieces
-
-
 def test_rates_of_their_own_and_jitter(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     """Torques in every fourth line, positions at times that jitter: linear between what is there."""
     table, rng = frame(rollout), np.random.default_rng(0)
@@ -146,33 +137,28 @@ def test_a_velocity_that_lacks_is_estimated_and_said_so(
     assert mistyped.notes == ("vel2 is estimated from pos2, as there is no column 'vle2'",)
 
 
-@pytest.mark.parametrize(
-    ("change", "columns", "words"),
-    [
+@pytest.mark.slow
+def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    cases: list[tuple[dict[str, float], dict[str, str], str]] = [
         ({"pos1": 180 / np.pi}, {}, r"pos1 changes 57\.3 times as fast as vel1 says: is a unit wrong"),
         ({"time": 1e3}, {}, r"pos1 changes 0\.001 times as fast as vel1 says"),
         ({}, {"pos1": "pos_1"}, r"row 1: expected a column pos_1, got none; did you mean pos1\?"),
         ({}, {"pos1": "pos1 [kg]"}, r"pos1: cannot be in kg; rad is wanted, from rad, mrad, deg"),
-    ],
-)
-def test_what_cannot_be_meant_so_is_one_line(
-    study: Study,
-    rollout: Rollout,
-    tmp_path: Path,
-    change: dict[str, float],
-    columns: dict[str, str],
-    words: str,
-) -> None:
-    table = frame(rollout)
-    for name, scale in change.items():
-        table[name] *= scale
-    with pytest.raises(HardwareError, match=words) as error:
-        read(study, table, tmp_path, **columns)
-    assert "\n" not in str(error.value)
-    assert "one.csv" in str(error.value)
+        ({"time": 1e9}, {}, r"one\.csv: .* every 2e\+06 s: is it another unit of time\?"),  # nanoseconds
+    ]
+    for change, columns, words in cases:
+        table = frame(rollout)
+        for name, scale in change.items():
+            table[name] *= scale
+        with pytest.raises(HardwareError, match=words) as error:
+            read(study, table, tmp_path, **columns)
+        assert "\n" not in str(error.value)
+        assert "one.csv" in str(error.value)
+    assert read(study, table, tmp_path, time="time [ns]").pieces
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap", "file.mcap"])
+@pytest.mark.slow
+@pytest.mark.parametrize("storage", ["sqlite3", "file.mcap"])
 def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path, storage: str) -> None:
     """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate."""
     rosbag2 = pytest.importorskip("rosbags.rosbag2")

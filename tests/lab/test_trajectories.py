@@ -167,7 +167,8 @@ def test_only_plain_digits_are_numbers(tmp_path: Path) -> None:
         assert message.startswith("row 9, column force: expected a finite number, got "), digits
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.slow
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     start=st.tuples(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15)),
     seed=st.integers(0, 2**32 - 1),
@@ -240,7 +241,8 @@ def test_what_comes_back_is_held_against_the_safety_limits(tmp_path: Path) -> No
     )
 
 
-@settings(max_examples=50, deadline=None)
+@pytest.mark.slow
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(0.002, 0.02), min_size=25, max_size=200), st.integers(0, 2**32 - 1))
 def test_resampling_keeps_the_integral_of_inputs_and_lines_of_states(steps: list[float], seed: int) -> None:
     """Whatever the times: a straight line stays one, and the mean input of all frames is that of all rows."""

@@ -48,32 +48,24 @@ def study(lab: Rollout) -> Study:
 
 @pytest.mark.slow
 def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
+    """And more trajectories tell more."""
     designer = Designer(study, study.nominal, NOISE)
-    found = designer.design(1.0, 10, np.random.default_rng(0))
+    few, found = (designer.design(1.0, count, np.random.default_rng(0)) for count in (3, 10))
+    assert few is not None
     assert found is not None
+    assert found.information >= few.information > 0
     bounds = study.conditions.safety.bounds(study.task)
     assert (np.abs(found.rollout.inputs) <= bounds.inputs).all()
     for rollout in designer._simulated(found.rollout.inputs):
         assert (np.abs(rollout.states) <= bounds.states).all()
-    assert found.information > 0
     assert (found.deviations < 1).any()
     impossible = limited("hardware.safety.states={vel1: 1e-6}")
     assert Designer(impossible, impossible.nominal, NOISE).design(1.0, 3, np.random.default_rng(0)) is None
 
 
-def test_more_trajectories_tell_more(study: Study) -> None:
-    designer = Designer(study, study.nominal, NOISE)
-    few, more = (designer.design(1.0, count, np.random.default_rng(0)) for count in (3, 30))
-    assert few is not None
-    assert more is not None
-    assert more.information >= few.information
-
-
 @pytest.mark.slow
 def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollout) -> None:
-    """Within the limits that the lab kept, in the same two seconds: posteriors of six robots are smaller,
-    and parameters are nearer to the truth.
-    """
+    """Within the limits that the lab kept: posteriors of six robots are smaller, and nearer to the truth."""
     designer = Designer(study, study.nominal, NOISE)
     found = designer.design(2.0, 200, np.random.default_rng(0))
     assert found is not None
@@ -94,8 +86,9 @@ def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollo
     assert np.mean(errors, axis=0)[1] < np.mean(errors, axis=0)[0]
 
 
+@pytest.mark.slow
 def test_parameters_come_back_and_intervals_tell_the_truth(study: Study, lab: Rollout) -> None:
-    found = recover(limited(), [Take(lab.states[0], lab.inputs)], NOISE, robots=4)
+    found = recover(limited(), [Take(lab.states[0], lab.inputs)], NOISE, robots=3)
     by_name = {recovery.name: recovery for recovery in found}
     assert by_name["friction_2"].comes_back
     assert not by_name["mass_1"].comes_back  # only its product with the centre's distance is told

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import yaml
 from mechanisms import cart_pole, mjcf
-from pendulum import COLUMNS, QUICK, experiment, pendulum, truth
+from pendulum import QUICK, experiment, pendulum, truth
 from scipy.stats import multivariate_normal
 
 import simbias
@@ -28,7 +28,7 @@ from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.trial.study import Study
 
-QUICKER = ["identification.starts=2", "identification.rounds=1"]
+QUICKER = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=4"]
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +52,7 @@ def assessment(study: Study, robot: tuple[dict[str, float], dict[str, Rollout]])
     return assess(study, robot[1])
 
 
+@pytest.mark.slow
 def test_what_is_trusted_is_true(
     assessment: Assessment, robot: tuple[dict[str, float], dict[str, Rollout]]
 ) -> None:
@@ -76,14 +77,7 @@ def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessm
         assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
 
 
-def test_it_predicts_better_what_it_was_not_fitted_to(assessment: Assessment) -> None:
-    assert assessment.better
-    assert assessment.ratio < 0.5
-    assert [prediction.seconds for prediction in assessment.predictions] == [0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
-    assert list(assessment.ratios) == ["one", "<script>two"]
-    assert "the identified model errs 0." in verdict(assessment)
-
-
+@pytest.mark.slow
 def test_a_model_that_is_no_better_says_so(study: Study) -> None:
     """Learned from a robot; what is held out is the nominal model's, which nothing can improve."""
     rng = np.random.default_rng(3)
@@ -139,7 +133,7 @@ def test_few_errors_give_regions_that_hold_another_one() -> None:
     """Of twenty, half of which are independent, the region reaches to the largest."""
     rng, none = np.random.default_rng(0), np.zeros((20, 2, 2))
     held = []
-    for _ in range(300):
+    for _ in range(100):
         known = np.repeat(rng.standard_normal((10, 2)), 2, axis=0)
         held.append(np.mean(inside(rng.standard_normal((20, 2)), regions(none, known, none))))
     assert np.mean(held) == pytest.approx(0.88, abs=0.05)
@@ -154,9 +148,10 @@ def test_too_short_recordings_are_one_line(study: Study) -> None:
 
 
 @pytest.mark.slow
-def test_a_trial_begins_with_what_was_identified(assessment: Assessment, tmp_path: Path) -> None:
+def test_a_trial_begins_with_what_was_identified(
+    assessment: Assessment, study: Study, tmp_path: Path
+) -> None:
     """The written option: the same posterior, to which experiments add."""
-    study = pendulum(*QUICK)
     write(assessment, None, study.config["identification"], tmp_path, tmp_path / "conf")
     options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
     attached = simbias.load(options, tmp_path / "conf")
@@ -170,8 +165,11 @@ def test_a_trial_begins_with_what_was_identified(assessment: Assessment, tmp_pat
     volumes = [np.linalg.slogdet(each.covariance)[1] for each in (more, first)]
     assert volumes[0] < volumes[1]
     assert len(pd.read_csv(tmp_path / "draws.csv")) == 100
-    named = pd.read_csv(tmp_path / "parameters.csv").set_index("name")
-    assert named.loc["friction_1", "trusted"]
+    assert pd.read_csv(tmp_path / "parameters.csv").set_index("name").loc["friction_1", "trusted"]
+    with pytest.raises(ValueError, match=r"identification\.known is of mass; the nominal model's parameters"):
+        type(study.identification)(study.task, known=Known(["mass"], [0.0], [[1.0]])).fit(  # type: ignore[call-arg]
+            study.nominal, []
+        )
 
 
 def test_names_of_a_model_are_no_keys_of_the_option(study: Study) -> None:
@@ -181,12 +179,6 @@ def test_names_of_a_model_are_no_keys_of_the_option(study: Study) -> None:
     first, *others = identified.estimates
     identified.estimates = (first._replace(name="pole\n_target_: os.system\u2028#"), *others)
     assert list(yaml.safe_load("\n".join(option_lines(identified, {"rounds": 2})))) == ["rounds", "known"]
-
-
-def test_what_is_known_is_of_the_models_parameters(study: Study) -> None:
-    other = type(study.identification)(study.task, known=Known(["mass"], [0.0], [[1.0]]))  # type: ignore[call-arg]
-    with pytest.raises(ValueError, match=r"identification\.known is of mass; the nominal model's parameters"):
-        other.fit(study.nominal, [])
 
 
 def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
@@ -205,6 +197,11 @@ def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
+    """It says that what was not fitted to is predicted better, and how."""
+    assert assessment.better
+    assert assessment.ratio < 0.5
+    assert list(assessment.ratios) == ["one", "<script>two"]
+    assert "the identified model errs 0." in verdict(assessment)
     text = report(assessment, "<b>title</b>", None)
     assert "<script" not in text
     assert "<b>title" not in text
@@ -229,14 +226,8 @@ def write_csv(rollout: Rollout, file: Path) -> None:
     pd.DataFrame(rows, columns=names).to_csv(file, index=False)
 
 
-@pytest.fixture
-def few_designs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is to be recorded next is looked for among few trajectories."""
-    monkeypatch.setattr("simbias.terminal.identify.TRAJECTORIES", 4)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("few_designs")
+@pytest.mark.usefixtures("uncompiled")
 def test_the_command_tells_and_writes(
     study: Study,
     robot: tuple[dict[str, float], dict[str, Rollout]],
@@ -244,10 +235,15 @@ def test_the_command_tells_and_writes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """And a trial is started from recordings: its first search is made on the identified model."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("simbias.terminal.identify.TRAJECTORIES", 4)
+    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn above
     write_csv(robot[1]["one"], tmp_path / "one.csv")
-    arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICKER]
-    assert main(arguments) == 0
+    short = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1", "bias=none"]
+    recorded = [f"hardware.folder={tmp_path}", "tracking=folders", "tracking.pictures=false"]
+    arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICKER, *short, *recorded]
+    assert main([*arguments, "--attach"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"^friction_1 +N m .* yes$", out, re.MULTILINE)
     assert "Not determined: " in out
@@ -256,35 +252,16 @@ def test_the_command_tells_and_writes(
     assert written == {
         *("report.html", "parameters.csv", "errors.csv", "draws.csv", "excitation.csv", "identified.yaml")
     }
-    write_csv(experiment(study.nominal, np.random.default_rng(0)), tmp_path / "two.csv")
-    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn above
-    assert main([*arguments, "--held-out", "two.csv", "--attach"]) == 1
-    assert "Do not use it." in capsys.readouterr().out
-    assert main(["identify", "three.csv", *arguments[2:]]) == 2
-    assert capsys.readouterr().err == (
-        "simbias: three.csv: no such recording (.csv, .csv.gz, .mcap, .db3, .bag, or a ROS 2 bag)\n"
-    )
-    assert main([*arguments, "--columns", "{angle: q}"]) == 2
-    assert capsys.readouterr().err == "simbias: columns: names what the task has not: angle\n"
-    assert main([*arguments, "--columns", "[angle]"]) == 2
-    assert "--columns: must be a mapping of names" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("few_designs", "uncompiled")
-def test_a_trial_is_started_from_recordings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of a real robot; the trial's first search is made on the identified model."""
-    here = Path("tests/recordings").resolve()
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")
-    columns = ["hardware.columns={" + COLUMNS + "}", f"hardware.folder={here}"]
-    short = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1", "bias=none"]
-    kept = ["tracking=folders", "tracking.pictures=false"]
-    arguments = ["identify", str(here), "preset=double_pendulum", *QUICKER, *columns, *short, *kept]
-    assert main([*arguments, "--attach"]) in (0, 1)
-    assert "the identified model errs 0." in capsys.readouterr().out
     (folder,) = (tmp_path / "trials").iterdir()
     trial = simbias.load_trial(folder, config_dir=tmp_path / "identified" / "conf")
     assert trial.iterations[0].model.nominal.estimates
+    write_csv(experiment(study.nominal, np.random.default_rng(0)), tmp_path / "two.csv")
+    assert main([*arguments, "--held-out", "two.csv", "--attach"]) == 1
+    assert "Do not use it." in capsys.readouterr().out
+    for wrong, said in (
+        (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
+        ([*arguments, "--columns", "{angle: q}"], "columns: names what the task has not: angle\n"),
+        ([*arguments, "--columns", "[angle]"], "--columns: must be a mapping of names"),
+    ):
+        assert main(wrong) == 2
+        assert capsys.readouterr().err.startswith(f"simbias: {said}")

@@ -40,7 +40,6 @@ def build_task(time_step=0.001, **factors):
 
 TASK = build_task()
 MODEL = LagrangianBongoboard(TASK)
-models = foot_masses.map(lambda foot_mass: LagrangianBongoboard(TASK, foot_mass))
 factors = st.fixed_dictionaries(dict.fromkeys(MASSES + LENGTHS, st.floats(0.5, 2)))
 tasks = factors.map(lambda factors: build_task(**factors))
 
@@ -54,18 +53,15 @@ def fall(model, frames=300):
 # kept its energy to 1e-10 and agreed with a rigid-body engine whose feet were fixed to the board.
 
 
-@pytest.mark.parametrize(
-    ("foot_mass", "x", "torque", "expected"),
-    [
+def test_accelerations_are_the_reference():
+    for foot_mass, x, torque, expected in (
         (0.0, START, 0.0, (-3.0360413, -0.43211239, 8.34390762)),
         (0.0, MOVING, 10.0, (-32.96393919, 13.44444722, 60.30524633)),
         (1.0, START, 0.0, (-2.27865663, -1.18581346, 7.66572464)),
         (1.0, MOVING, 10.0, (-26.96107964, 8.44049104, 53.78564873)),
-    ],
-)
-def test_accelerations_are_the_reference(foot_mass, x, torque, expected):
-    model = LagrangianBongoboard(TASK, foot_mass)
-    np.testing.assert_allclose(model.accelerations(x, np.array([torque])), expected, rtol=0, atol=1e-6)
+    ):
+        actual = LagrangianBongoboard(TASK, foot_mass).accelerations(x, np.array([torque]))
+        np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-6)
 
 
 def test_outputs_are_the_reference():
@@ -88,36 +84,10 @@ def test_linearisation_has_the_reference_eigenvalues():
 # Laws of mechanics
 
 
-@pytest.mark.parametrize("foot_mass", [0.0, 1.0])
-def test_energy_is_conserved_without_torque(foot_mass):
-    energies = [energy(foot_mass, x) for x in fall(LagrangianBongoboard(TASK, foot_mass))]
-    assert np.ptp(energies) < 1e-10 * abs(energies[0])
-
-
-@given(foot_mass=foot_masses, x=states, u=torques)
-@settings(deadline=None)
-def test_power_is_torque_times_ankle_rate(foot_mass, x, u):
-    direction = np.concatenate((x[3:], LagrangianBongoboard(TASK, foot_mass).accelerations(x, u)))
-    h = 1e-3 / (1 + np.linalg.norm(direction))
-    ahead, behind, far_ahead, far_behind = (energy(foot_mass, x + k * h * direction) for k in (1, -1, 2, -2))
-    power = (8 * (ahead - behind) - (far_ahead - far_behind)) / (12 * h)
-    assert power == pytest.approx(u[0] * x[5], rel=1e-6, abs=1e-5)
-
-
-@given(model=models, x=states, u=torques)
-@settings(deadline=None)
-def test_mirrored_robot_moves_mirrored(model, x, u):
-    np.testing.assert_array_equal(model.accelerations(-x, -u), -model.accelerations(x, u))
-
-
-@pytest.mark.slow
-@given(x=states, u=torques, factor=st.floats(0.1, 10))
-@settings(deadline=None, max_examples=30)
-def test_heavier_robot_with_stronger_torque_moves_alike(x, u, factor):
-    heavier = LagrangianBongoboard(build_task(**dict.fromkeys(MASSES, factor)), foot_mass=factor)
-    expected = LagrangianBongoboard(TASK, foot_mass=1.0).accelerations(x, u)
-    tolerance = 1e-10 * (1 + np.linalg.norm(expected))
-    np.testing.assert_allclose(heavier.accelerations(x, factor * u), expected, rtol=0, atol=tolerance)
+def test_energy_is_conserved_without_torque():
+    for foot_mass in (0.0, 1.0):
+        energies = [energy(foot_mass, x) for x in fall(LagrangianBongoboard(TASK, foot_mass))]
+        assert np.ptp(energies) < 1e-10 * abs(energies[0])
 
 
 # A second derivation: Newton and Euler for five free bodies, held together by forces of constraint. It shares
@@ -126,7 +96,7 @@ def test_heavier_robot_with_stronger_torque_moves_alike(x, u, factor):
 WHEEL, BOARD, FOOT, LEGS, PELVIS = range(5)
 
 
-def placements(task, angles, pelvis_offset=(0.0, 0.0)):
+def placements(task, angles, pelvis_offset):
     """Positions and angles (5, 3) of the bodies' centres of mass; the pelvis' from its middle, as it lies."""
     pose, robot = task.pose(angles), task.robot
     normal = np.array([-np.sin(pose.board_angle), np.cos(pose.board_angle)])
@@ -148,7 +118,7 @@ def turned(vector, angle):
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ vector
 
 
-def gaps(robot, place, velocity, pelvis_offset=(0.0, 0.0)):
+def gaps(robot, place, velocity, pelvis_offset):
     """Velocities (12,) between material points that stay together: zero, and linear in velocity (5, 3)."""
 
     def at(body, offset):
@@ -228,7 +198,7 @@ def newton_euler(task, foot_mass, x, torque, moment=0.0, slope=0.0, payload=(0.0
 
 @pytest.mark.slow
 @given(task=tasks, foot_mass=foot_masses, x=states, u=torques)
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 def test_accelerations_agree_with_newton_and_euler(task, foot_mass, x, u):
     expected, opening = newton_euler(task, foot_mass, x, u[0])
     np.testing.assert_allclose(opening, 0, atol=1e-12)
@@ -275,9 +245,11 @@ def with_values(task, **values):
     stiffness=st.floats(-20, 50),
     moment=st.floats(0, 5),
 )
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=15)
 def test_disturbed_accelerations_agree_with_newton_and_euler(x, u, slope, load, damping, stiffness, moment):
     """With dry friction at its full strength: rates are large against where it is smoothed."""
+    calm = with_values(TASK, **dict.fromkeys(MECHANICAL, 0.0))  # which is the paper's
+    np.testing.assert_allclose(calm.step(x, u), LagrangianBongoboard(TASK, 1.0).step(x, u), rtol=1e-12)
     x = x + np.where(x[3:] < 0, -20.0, 20.0) @ np.eye(6)[3:]
     friction = 0.5 * moment
     names = ("payload_mass", "payload_x", "payload_y")
@@ -294,14 +266,6 @@ def test_disturbed_accelerations_agree_with_newton_and_euler(x, u, slope, load, 
     expected, opening = newton_euler(TASK, 1.0, x, torque, -moment * np.sign(x[3]), slope, load)
     np.testing.assert_allclose(opening, 0, atol=1e-10)
     np.testing.assert_allclose(model.accelerations(x, u), expected, rtol=1e-4, atol=1e-4)
-
-
-def test_without_disturbance_the_disturbed_model_is_the_papers():
-    model = with_values(TASK, **dict.fromkeys(MECHANICAL, 0.0))
-    u = np.array([10.0])
-    np.testing.assert_allclose(
-        model.step(MOVING, u), LagrangianBongoboard(TASK, 1.0).step(MOVING, u), rtol=1e-13
-    )
 
 
 def test_losses_take_what_they_should_from_the_energy():
@@ -332,17 +296,6 @@ def test_what_is_added_to_the_uncertainty_changes_no_earlier_draw():
     np.testing.assert_array_equal(more.kernel.parameters[-11:], expected.kernel.parameters)
 
 
-def test_parameters_are_those_that_are_uncertain_and_draws_differ():
-    assert MODEL.parameters == ()
-    model = LagrangianBongoboard(TASK, uncertainty=UNKNOWN)
-    assert len(model.parameters) == len(vars(UNKNOWN)) - 1 + 5  # masses
-    rng = np.random.default_rng(0)
-    one, two = (model.draw(rng).kernel.parameters for _ in range(2))
-    assert np.isfinite(one).all()
-    assert (one != two).sum() > 20
-    assert model.state_size == 1 + 10
-
-
 def test_priors_are_as_declared():
     """Unit, median or bound, spread and kind of each; the motor saturates at most so far below the limit."""
     robot, limit = TASK.robot, float(TASK.input_limit[0])
@@ -369,6 +322,9 @@ def test_priors_are_as_declared():
     ]
     (weak,) = LagrangianBongoboard(TASK, uncertainty=Uncertainty(torque_limit=2 * limit)).parameters
     assert weak[2:4] == (0.0, limit)
+    assert MODEL.parameters == ()
+    with pytest.raises(ValueError, match="is 200 frames; at most 100 are remembered"):
+        LagrangianBongoboard(TASK, uncertainty=Uncertainty(delay=0.2))
 
 
 def test_a_motor_acts_on_the_torque():
@@ -401,36 +357,17 @@ def test_what_is_not_sampled_is_not_there_until_it_is_identified():
         LagrangianBongoboard(TASK, sampled=["slop"])
 
 
-def test_a_delay_of_too_many_frames_is_refused():
-    with pytest.raises(ValueError, match="is 200 frames; at most 100 are remembered"):
-        LagrangianBongoboard(TASK, uncertainty=Uncertainty(delay=0.2))
-
-
 # The step
 
 
 @given(x=states, u=torques)
-@settings(deadline=None)
+@settings(deadline=None, max_examples=20)
 def test_step_is_semi_implicit_euler(x, u):
     before = x.copy()
     rates = x[3:] + TASK.time_step * newton_euler(TASK, 0.0, x, u[0])[0]
     expected = np.concatenate((x[:3] + TASK.time_step * rates, rates))
     np.testing.assert_allclose(MODEL.step(x, u), expected, rtol=0, atol=1e-10)
     np.testing.assert_array_equal(x, before)
-
-
-def test_step_converges_with_order_one():
-    duration, u = 0.2, np.array([5.0])
-    exact = runge_kutta(lambda t, x: MODEL.accelerations(x, u), MOVING, 0.2, 400)[-1]
-    errors = []
-    for frames in (400, 800, 1600):
-        model = LagrangianBongoboard(build_task(time_step=duration / frames))
-        x = MOVING
-        for _ in range(frames):
-            x = model.step(x, u)
-        errors.append(np.linalg.norm(x - exact))
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    np.testing.assert_allclose(orders, 1, atol=0.05)
 
 
 # The generated module

@@ -39,27 +39,24 @@ def rolled(model: Nominal, start: Sequence[float], inputs: Array) -> Array:
     return np.array(states)
 
 
-@pytest.mark.parametrize(
-    ("preset", "start", "amplitude", "error"),
-    [
+@pytest.mark.slow
+def test_equations_are_the_engines_at_equal_parameters() -> None:
+    """Within millimetres and milliradians, by another integrator and other contacts, for half a second."""
+    cases: list[tuple[str, list[float], float, float]] = [
         ("ball_in_cup", [0, 0, 0, -0.3, 0, 0, 0, 0], 4.0, 0.003),  # it hangs, and is swung
         ("ball_in_cup", [0, 0, 0.01, 0.15, 0, 0, 0, 0], 0.0, 0.003),  # it falls into the cup
         ("hopper", [0, 1.5, 0.1, 0.2, 0, 0.3, 0, 0.5, -0.5, 0], 10.0, 0.03),  # in the air, its leg turning
         ("hopper", [0, 0.55, 0, 0, 0, 0, 0, 0, 0, 0], 0.0, 0.001),  # it falls onto its foot, and stands
-    ],
-)
-def test_equations_are_the_engines_at_equal_parameters(
-    preset: str, start: list[float], amplitude: float, error: float
-) -> None:
-    """Within millimetres and milliradians, by another integrator and other contacts, for half a second."""
-    study = loaded(preset, **EQUAL[preset])
-    engine = Mujoco(study.task, study.config["hardware"]["file"])
-    t = study.task.time_step * np.arange(round(0.5 / study.task.time_step))
-    inputs = amplitude * np.stack([np.sin(15 * t), np.cos(10 * t)], axis=1)
-    made, expected = (rolled(model, start, inputs) for model in (study.nominal, engine))
-    places = len(start) // 2
-    assert np.abs(made - expected)[:, :places].max() < error
-    assert np.abs(np.diff(expected[:, :places], axis=0)).max() > 1e-3
+    ]
+    for preset, start, amplitude, error in cases:
+        study = loaded(preset, **EQUAL[preset])
+        engine = Mujoco(study.task, study.config["hardware"]["file"])
+        t = study.task.time_step * np.arange(round(0.5 / study.task.time_step))
+        inputs = amplitude * np.stack([np.sin(15 * t), np.cos(10 * t)], axis=1)
+        made, expected = (rolled(model, start, inputs) for model in (study.nominal, engine))
+        places = len(start) // 2
+        assert np.abs(made - expected)[:, :places].max() < error
+        assert np.abs(np.diff(expected[:, :places], axis=0)).max() > 1e-3
 
 
 def test_what_the_ball_gets_the_cup_loses() -> None:
@@ -93,35 +90,31 @@ def test_a_hopper_in_the_air_flies_as_its_centre_of_mass() -> None:
     inputs = np.stack([5 * np.sin(20 * t), 40 * np.cos(15 * t)], axis=1)
     x = rolled(study.nominal, [0, 2, 0.1, 0.2, 0, 0.5, 1, 1, -2, 0], inputs)
     leg, turn = x[:, 2] + x[:, 3], x[:, 7] + x[:, 8]
-    along, across = (
-        np.stack(each, axis=1) for each in ((-np.sin(leg), -np.cos(leg)), (-np.cos(leg), np.sin(leg)))
-    )
-    bodies = [
-        (4.0, 0 * leg, 0 * leg),
-        (UPPER_MASS, UPPER_CENTRE + 0 * leg, 0 * leg),
-        (FOOT_MASS, FOOT_CENTRE + x[:, 4], x[:, 9]),
-    ]
-    places = [
-        (m, x[:, :2] + r[:, None] * along, x[:, 5:7] + (r * turn)[:, None] * across + d[:, None] * along)
-        for m, r, d in bodies
-    ]
-    mass = sum(m for m, _, _ in places)
-    centre, velocity = (sum(m * each for m, each in zip((p[0] for p in places), some, strict=True)) / mass
-                        for some in ([p[1] for p in places], [p[2] for p in places]))  # fmt: skip
-    times = study.task.time_step * np.arange(len(x))
+    along = np.stack([-np.sin(leg), -np.cos(leg)], axis=1)
+    across = np.stack([-np.cos(leg), np.sin(leg)], axis=1)
+    masses = np.array([4.0, UPPER_MASS, FOOT_MASS])
+    places, velocities = [], []
+    for far, rate in (
+        (0 * leg, 0 * leg),
+        (UPPER_CENTRE + 0 * leg, 0 * leg),
+        (FOOT_CENTRE + x[:, 4], x[:, 9]),
+    ):
+        places.append(x[:, :2] + far[:, None] * along)
+        velocities.append(x[:, 5:7] + (far * turn)[:, None] * across + rate[:, None] * along)
+    centre, velocity = (np.average(each, axis=0, weights=masses) for each in (places, velocities))
+    t = study.task.time_step * np.arange(len(x))
     np.testing.assert_allclose(velocity[:, 0], velocity[0, 0], atol=0.02)
-    np.testing.assert_allclose(velocity[:, 1], velocity[0, 1] - 9.81 * times, atol=0.03)
-    np.testing.assert_allclose(
-        centre[:, 1], centre[0, 1] + velocity[0, 1] * times - 4.905 * times**2, atol=0.01
-    )
+    np.testing.assert_allclose(velocity[:, 1], velocity[0, 1] - 9.81 * t, atol=0.03)
+    np.testing.assert_allclose(centre[:, 1], centre[0, 1] + velocity[0, 1] * t - 4.905 * t**2, atol=0.01)
     spin = 0.2 * x[:, 7] + LEG_INERTIA * turn  # clockwise, as z cross x
-    for m, place, v in places:
+    for m, place, v in zip(masses, places, velocities, strict=True):
         r, w = place - centre, v - velocity
         spin = spin + m * (r[:, 1] * w[:, 0] - r[:, 0] * w[:, 1])
     np.testing.assert_allclose(spin, spin[0], atol=0.02)
     assert np.ptp(x[:, 7]) > 0.5
 
 
+@pytest.mark.slow
 def test_a_sole_grips_as_far_as_friction_goes() -> None:
     """A leg that leans by 0.3 rad on the ground: friction of 1 holds its foot, of 0.05 does not."""
     slid = []

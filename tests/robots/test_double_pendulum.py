@@ -82,56 +82,47 @@ def rollout(nominal: Nominal, x: Array, u: Array, frames: int) -> Array:
     return x
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drives", [{}, FRICTION | {"rotor_inertia": 6e-5}])
-def test_a_step_is_the_published_equations(drives: dict[str, float]) -> None:
+def test_a_step_is_the_published_equations() -> None:
     """Of order two, friction included: four times the steps, sixteen times less error."""
-    u, duration, start = np.array([0.8, -0.5]), 0.064, np.array([0.4, -0.9, 3.0, -2.0])
-    exact = solve_ivp(lambda t, x: published(x, u, drives), (0, duration), start, rtol=1e-11, atol=1e-11).y[
-        :, -1
-    ]
-    errors = [
-        np.abs(rollout(model(h, **drives), start, u, round(duration / h)) - exact).max()
-        for h in (1e-3, 2.5e-4)
-    ]
-    assert errors[0] < 2e-4
-    assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
+    u, duration, start = np.array([0.8, -0.5]), 0.032, np.array([0.4, -0.9, 3.0, -2.0])
+    for drives in ({}, FRICTION | {"rotor_inertia": 6e-5}):
+        solved = solve_ivp(
+            lambda t, x, drives=drives: published(x, u, drives), (0, duration), start, rtol=1e-11, atol=1e-11
+        )
+        errors = [
+            np.abs(rollout(model(h, **drives), start, u, round(duration / h)) - solved.y[:, -1]).max()
+            for h in (1e-3, 2.5e-4)
+        ]
+        assert errors[0] < 2e-4
+        assert errors[0] / errors[1] == pytest.approx(16, rel=0.3)
 
 
 def test_energy_is_kept_without_friction_and_lost_with_it() -> None:
+    """Which, where it is stiff, brings it to rest."""
     start = np.array([2.0, 0.5, 0.0, 0.0])
-    free, lossy = model(), model(**FRICTION)
-    x, y = start, rollout(lossy, start, np.zeros(2), 1000)
-    for _ in range(20):
+    x, free = start, model()
+    for _ in range(10):
         x = rollout(free, x, np.zeros(2), 50)
         assert energy(x) == pytest.approx(energy(start), abs=2e-3)
-    assert energy(y) < energy(start) - 0.5
-
-
-def test_stiff_friction_brings_it_to_rest() -> None:
-    x = rollout(
-        model(0.01, friction_1=2.0, friction_2=2.0), np.array([0.3, 0.2, 1.0, -1.0]), np.zeros(2), 500
-    )
-    assert np.abs(x[2:]).max() < 0.02
+    assert energy(rollout(model(**FRICTION), start, np.zeros(2), 500)) < energy(start) - 0.2
+    stiff = model(0.01, friction_1=2.0, friction_2=2.0)
+    at_rest = rollout(stiff, np.array([0.3, 0.2, 1.0, -1.0]), np.zeros(2), 300)
+    assert np.abs(at_rest[2:]).max() < 0.02
 
 
 def test_parameters_are_those_of_the_equations() -> None:
-    nominal = model()
-    names = [parameter.name for parameter in nominal.parameters]
+    nominal, x, u = model(), np.array([0.3, 0.2, 1.0, -1.0]), np.array([0.1, 0.2])
+    names, values = zip(*((p.name, p.value) for p in nominal.parameters), strict=True)
     assert len(names) == len(set(names)) == 11
-    values = values_at(nominal.parameters, np.full(len(names), -30.0))
-    same = [
-        p.value if p.prior == "log_normal" else v for p, v in zip(nominal.parameters, values, strict=True)
-    ]
-    x, u = np.array([0.3, 0.2, 1.0, -1.0]), np.array([0.1, 0.2])
-    np.testing.assert_allclose(
-        nominal.with_parameters(np.array(same)).step(x, u), nominal.step(x, u), rtol=1e-12
-    )
-    heavier = np.array([p.value * (2 if p.name == "mass_2" else 1) for p in nominal.parameters])
-    assert np.abs(nominal.with_parameters(heavier).step(x, u) - nominal.step(x, u)).max() > 1e-4
+    same = nominal.with_parameters(np.array(values))
+    np.testing.assert_allclose(same.step(x, u), nominal.step(x, u), rtol=1e-12)
+    for name, value in zip(names, values, strict=True):
+        changed = nominal.with_parameters(np.where(np.array(names) == name, 2 * value + 0.01, values))
+        assert np.abs(changed.step(x, u) - nominal.step(x, u)).max() > 1e-6, name
 
 
-@settings(deadline=None, max_examples=50)
+@pytest.mark.slow
+@settings(deadline=None, max_examples=10)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5), st.floats(0.1, 1.0))
 @example(118960, 0.5, 1.0)  # one link gives way to the other, in turns
 def test_each_draw_is_of_bodies(seed: int, spread: float, width: float) -> None:
@@ -167,16 +158,12 @@ def test_the_nearest_bodies_are_told_by_the_covariance() -> None:
     np.testing.assert_allclose(nearest_possible(nominal, z, root), other, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_upright_with_its_elbow_driven_it_is_the_same_pendulum() -> None:
     """The first angle counted from the top, the second torque alone."""
     acrobot = simbias.load(["preset=acrobot", "tracking=none"]).nominal
     x, u = np.random.default_rng(0).normal(0.0, 0.5, (20, 4)), np.linspace(-2.0, 2.0, 20)[:, None]
     hanging = model().step(x + UPRIGHT, np.hstack([np.zeros((20, 1)), u]))
     np.testing.assert_allclose(acrobot.step(x, u) + UPRIGHT, hanging, atol=1e-12)
-
-
-def test_a_task_with_other_inputs_is_refused() -> None:
-    with pytest.raises(
-        ConfigError, match="driven=second: expected a task with 4 states and 1 inputs; it has"
-    ):
+    with pytest.raises(ConfigError, match="driven=second: expected a task with 4 states and 1 inputs"):
         simbias.load(["preset=double_pendulum", "hardware=pymunk", "nominal.driven=second", "tracking=none"])

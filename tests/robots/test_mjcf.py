@@ -58,13 +58,13 @@ def test_quaternions_turn_as_the_body_does_and_stay_of_unit_length(file: str) ->
     np.testing.assert_allclose(model.step(scaled, HOVER), model.step(x, HOVER), atol=1e-12)
 
 
-@pytest.mark.parametrize("policy", [OutputFeedback, DynamicOutputFeedback])
-def test_propellers_push_but_never_pull(file: str, policy: type) -> None:
+@pytest.mark.slow
+def test_propellers_push_but_never_pull(file: str) -> None:
     """In lanes as in the law itself; these rollouts are what the engine does with their inputs."""
     task = quadrotor()
-    law, model = policy(task), Mujoco(task, file)
-    thetas = np.random.default_rng(0).uniform(-1, 1, (20, law.n_parameters))
-    starts = np.array([task.draw_start(np.random.default_rng(seed)) for seed in range(20)])
+    law, model = DynamicOutputFeedback(task), Mujoco(task, file)
+    thetas = np.random.default_rng(0).uniform(-1, 1, (8, law.n_parameters))
+    starts = np.array([task.draw_start(np.random.default_rng(seed)) for seed in range(8)])
     loop = simulator(Model(task, law, model, ZeroBias(13)))
     assert isinstance(loop, CompiledSimulator)
     with interpreted():
@@ -98,41 +98,35 @@ def test_what_has_no_name_in_a_file_is_called_by_what_it_moves(tmp_path: Path) -
     assert [robot.model.actuator(index).name for index in range(2)] == ["slider", "actuator_1"]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path) -> None:
+    cart = Path(mjcf(tmp_path)).read_text()
+    (tmp_path / "part.xml").write_text('<mujoco><composite count="1000 1000 1000"/></mujoco>')
+    (tmp_path / "copied.xml").write_text(
+        '<mujoco><worldbody><body name="b"><replicate count="1000"><geom size="1"/></replicate></body>'
+        "</worldbody></mujoco>"
+    )
+    twice = '<replicate count="1000"><replicate count="1000"><geom size="1"/></replicate></replicate>'
+    attached = '<replicate count="1000"><attach model="m" body="b" prefix="p"/></replicate>'
+    begin = time.monotonic()
+    for text, message in (
         ('<option timestep="1e-12"/>', r"a frame of 0.02 s would take 2e\+10 steps of 1e-12 s"),
-        (
-            '<worldbody><replicate count="1000"><replicate count="1000"><geom size="1"/></replicate>'
-            "</replicate></worldbody>",
-            r"endless.xml: replicate makes 1e\+06 copies, more than 1e\+04",
-        ),
+        (f"<worldbody>{twice}</worldbody>", r"replicate makes 1e\+06 copies, more than 1e\+04"),
         (
             '<asset><hfield name="hills" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
-            r"endless.xml: hfield 'hills' makes 1e\+10 cells",
+            r"hfield 'hills' makes 1e\+10 cells",
         ),
-        ('<include file="part.xml"/>', r"endless.xml: composite makes 1e\+09 copies"),
-        ('<include file="endless.xml"/>', r"endless.xml: endless.xml includes itself"),
+        ('<include file="part.xml"/>', r"composite makes 1e\+09 copies"),
+        ('<include file="endless.xml"/>', r"endless.xml includes itself"),
         (
-            '<asset><model name="m" file="copied.xml"/></asset><worldbody><replicate count="1000">'
-            '<attach model="m" body="b" prefix="p"/></replicate></worldbody>',
-            r"endless.xml: replicate makes 1e\+06 copies",
+            f'<asset><model name="m" file="copied.xml"/></asset><worldbody>{attached}</worldbody>',
+            r"replicate makes 1e\+06 copies",
         ),
-    ],
-)
-def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path, text: str, message: str) -> None:
-    cart = Path(mjcf(tmp_path)).read_text()
-    (tmp_path / "endless.xml").write_text(cart.replace("</mujoco>", f"{text}</mujoco>"))
-    (tmp_path / "part.xml").write_text('<mujoco><composite count="1000 1000 1000"/></mujoco>')
-    copied = '<replicate count="1000"><geom size="1"/></replicate>'
-    (tmp_path / "copied.xml").write_text(
-        f'<mujoco><worldbody><body name="b">{copied}</body></worldbody></mujoco>'
-    )
-    begin = time.monotonic()
-    with pytest.raises(ValueError, match=message) as error:
-        Mechanism(cart_pole(), str(tmp_path / "endless.xml"))
-    assert "\n" not in str(error.value)
-    assert time.monotonic() - begin < 2.0
+    ):
+        (tmp_path / "endless.xml").write_text(cart.replace("</mujoco>", f"{text}</mujoco>"))
+        with pytest.raises(ValueError, match=message) as error:
+            Mechanism(cart_pole(), str(tmp_path / "endless.xml"))
+        assert "\n" not in str(error.value)
+    assert time.monotonic() - begin < 10.0
 
 
 def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
@@ -150,16 +144,10 @@ def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
     (rollout,) = loop.rollouts(theta[None], task.start_mean[None], np.zeros(1, np.int64))
     np.testing.assert_allclose(rollout.inputs[0], law.act(theta, rollout.states[0], 0.0, np.zeros(0))[0])
     assert rollout.failure is None or task.measure(rollout.states[-1]) > -0.9
-
-
-@pytest.mark.parametrize(
-    ("sensors", "message"),
-    [
+    for wrong, message in (
         ({"sensors": ["felt"]}, "sensor 'felt' measures forces or accelerations; there is up, gyro"),
         ({"sensors": ["nose"]}, "sensor 'nose' is not there"),
         ({"sites": ["tip"]}, "no site 'tip'; there is m1, m2, m3, m4"),
-    ],
-)
-def test_a_sensor_that_cannot_be_read_is_one_line(file: str, sensors: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        quadrotor(sensors={"file": file, **sensors})
+    ):
+        with pytest.raises(ValueError, match=message):
+            quadrotor(sensors={"file": file, **wrong})

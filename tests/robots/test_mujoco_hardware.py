@@ -27,29 +27,16 @@ def run(folder: Path, theta: np.ndarray = THETA, seed: int = 0, **gap: Any) -> R
     return hardware.run(OutputFeedback(task), theta, START, np.random.default_rng(seed))
 
 
-def test_without_a_gap_it_is_the_nominal_model(tmp_path: Path) -> None:
-    made = run(tmp_path)
-    model = NominalMujoco(cart_pole(), mjcf(tmp_path))
-    assert made.frames > 5
-    np.testing.assert_allclose(
-        made.states[1:], model.step(made.states[:-1], made.inputs), rtol=1e-12, atol=1e-12
-    )
-
-
-def test_a_delayed_input_acts_so_many_frames_later(tmp_path: Path) -> None:
-    made = run(tmp_path, delay=3)
-    model = NominalMujoco(cart_pole(), mjcf(tmp_path))
-    acted = np.concatenate([np.zeros((3, 1)), made.inputs])[: made.frames]
-    np.testing.assert_allclose(made.states[1:], model.step(made.states[:-1], acted), rtol=1e-12, atol=1e-12)
-
-
-def test_other_parameters_are_those_of_a_model_with_them(tmp_path: Path) -> None:
-    gap: dict[str, Any] = {"values": {"hinge.damping": 0.4}, "factors": {"*.mass": 1.3, "push.gain": 0.4}}
-    made = run(tmp_path, **gap)
-    model = NominalMujoco(cart_pole(), mjcf(tmp_path), **gap)
-    np.testing.assert_allclose(
-        made.states[1:], model.step(made.states[:-1], made.inputs), rtol=1e-12, atol=1e-12
-    )
+def test_it_is_the_nominal_model_but_for_its_gap(tmp_path: Path) -> None:
+    """Other parameters are those of a model with them; a delayed input acts so many frames later."""
+    other: dict[str, Any] = {"values": {"hinge.damping": 0.4}, "factors": {"*.mass": 1.3, "push.gain": 0.4}}
+    for delay, gap in ((0, {}), (3, {}), (0, other)):
+        made = run(tmp_path, delay=delay, **gap)
+        model = NominalMujoco(cart_pole(), mjcf(tmp_path), **gap)
+        assert made.frames > 5
+        acted = np.concatenate([np.zeros((delay, 1)), made.inputs])[: made.frames]
+        predicted = model.step(made.states[:-1], acted)
+        np.testing.assert_allclose(made.states[1:], predicted, rtol=1e-12, atol=1e-12)
 
 
 def test_noise_is_seen_and_recorded_as_told(tmp_path: Path) -> None:

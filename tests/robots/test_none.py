@@ -16,6 +16,7 @@ from simbias.trial.steps import search
 SCRATCH = ["preset=[pendulum_swingup,scratch]", "tracking=none"]
 
 
+@pytest.mark.slow
 def test_without_a_model_nothing_moves_or_positions_by_their_rates() -> None:
     """What is left of a semi-implicit step is its acceleration, in rate and position."""
     x, u = np.array([[0.3, -2.0], [3.1, 4.0]]), np.ones((2, 1))
@@ -36,6 +37,7 @@ def test_positions_without_rates_of_their_own_are_refused() -> None:
         NoNominal(task, kinematics=True)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_first_search_without_a_model_says_that_no_policy_changes_the_cost() -> None:
     """It ends with its first generation; the policy is a random one, another for another seed."""

@@ -9,13 +9,11 @@ import pytest
 from PIL import Image
 
 import simbias
-from simbias.core.records import Iteration
 from simbias.pictures.trial.animation import save_animation
 from simbias.pictures.trial.overview import overview
 from simbias.robots.mujoco.hardware import Mujoco
 from simbias.testing.conformance import verdicts
 from simbias.trial.run import run_trial
-from simbias.trial.study import Study
 
 ROBOTS = (
     *("cartpole", "double_cartpole", "acrobot", "biped", "pendulum_swingup", "cartpole_swingup"),
@@ -24,14 +22,15 @@ ROBOTS = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ROBOTS)
-def test_a_robot_keeps_its_contracts(preset: str) -> None:
-    study = simbias.load([f"preset={preset}", "tracking=none"])
-    found = list(verdicts(study, {"task", "nominal", "hardware", "policy"}))
-    assert len(found) > 8
-    assert not [verdict for verdict in found if verdict.problem]
+def test_robots_keep_their_contracts() -> None:
+    for preset in ROBOTS:
+        study = simbias.load([f"preset={preset}", "tracking=none"])
+        found = list(verdicts(study, {"task", "nominal", "hardware", "policy"}))
+        assert len(found) > 8
+        assert not [verdict for verdict in found if verdict.problem], preset
 
 
+@pytest.mark.slow
 def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() -> None:
     """MuJoCo and the published equations, each by steps of its own."""
     study = simbias.load(["preset=acrobot", "tracking=none"])
@@ -45,6 +44,7 @@ def test_the_acrobots_engine_is_its_model_without_friction_rotors_and_delay() ->
     np.testing.assert_allclose(predicted, made.states[1:], atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_biped_stands_by_contact_under_stiff_joints_and_falls_without_torque() -> None:
     """As the model and as the hardware; its plate moves meanwhile."""
@@ -58,26 +58,16 @@ def test_a_biped_stands_by_contact_under_stiff_joints_and_falls_without_torque()
     assert study.experiment(np.zeros(8), np.random.default_rng(0)).failure == "leans"
 
 
-@pytest.fixture(scope="module")
-def cartpole() -> tuple[Study, list[Iteration]]:
-    """A trial of the pole on a cart, on Gymnasium's environment."""
-    study = simbias.load(["preset=cartpole", "tracking=none"])
-    return study, list(run_trial(study).iterations)
-
-
 @pytest.mark.slow
-def test_a_pole_is_held_upright_after_few_experiments(cartpole: tuple[Study, list[Iteration]]) -> None:
-    _, iterations = cartpole
+def test_a_pole_is_held_upright_after_few_experiments() -> None:
+    """Its drawing is in every picture: the overview's snapshots have its parts, the animation moves them."""
+    study = simbias.load(["preset=cartpole", "tracking=none"])
+    iterations = list(run_trial(study).iterations)
     assert iterations[-1].succeeded
     assert iterations[-1].total_experiments <= 6
-
-
-@pytest.mark.slow
-def test_a_declared_drawing_is_in_every_picture(cartpole: tuple[Study, list[Iteration]]) -> None:
-    """The overview's snapshots have the parts of the drawing, the animation moves them."""
-    study, iterations = cartpole
-    figure = overview(study, iterations)
-    drawn = [axes for axes in figure.axes if len(axes.patches) == len(study.task.drawing)]
+    drawn = [
+        axes for axes in overview(study, iterations).axes if len(axes.patches) == len(study.task.drawing)
+    ]
     assert len(drawn) >= 2
     file = BytesIO()
     save_animation(study, iterations, file)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -111,16 +110,14 @@ def test_they_have_no_noise(study: Study) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bias", ["mean", "gp"])
-def test_compiled_rollouts_are_the_plain_ones(study: Study, bias: str) -> None:
-    learner = simbias.load(["preset=cartpole", "tracking=none", f"bias={bias}"]).bias
+def test_compiled_rollouts_are_the_plain_ones(study: Study) -> None:
     rng = np.random.default_rng(0)
     data = Transitions(rng.standard_normal((9, 5)), 1e-3 * rng.standard_normal((9, 4)))
-    model = replace(study, bias=learner).model(learner.fit(data))
     noise = Noise(study.task, {"velocity_variance": 0.01}).draw(rng)
     some, starts = thetas(study, 4), np.array([study.task.draw_start(each) for each in rng.spawn(4)])
+    model = study.model(study.bias.fit(data))
     plain = PlainSimulator([model], [noise])
-    with interpreted() if bias == "mean" else nullcontext():
+    with interpreted():
         compiled = CompiledSimulator.of(model, noise, study.cost)
         assert compiled is not None
         made, (costs, _) = compiled.rollouts(some, starts), compiled.costs(study.cost, some, starts)
@@ -162,6 +159,7 @@ def test_a_hardware_has_none_and_its_policy_knows_them(still: Study) -> None:
     assert checked.run(still.policy, theta, START, np.random.default_rng(0)).states.shape[1] == 6
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_of_them(still: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is learned is what the robot's own states say."""
     made = still.experiment(thetas(still, 1)[0], np.random.default_rng(0), START)
@@ -175,6 +173,7 @@ def test_nothing_is_learned_of_them(still: Study, monkeypatch: pytest.MonkeyPatc
     assert np.shape(learner.identified([made]).step(START[:4], np.zeros(1))) == (4,)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still: Study) -> None:
     two = simbias.load(["optimizer.max_evaluations=2"]).optimizer
@@ -194,22 +193,18 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
     )
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+@pytest.mark.slow
+def test_what_cannot_be_is_one_line() -> None:
+    cases: list[tuple[dict[str, Any], str]] = [
         ({"failure": {"far": {"value": "position - place", "above": 1.0}}}, "failure.far: .* cannot depend"),
         ({"goal": None}, "targets: a goal, or outputs of a goal, have to depend on them"),
         ({"targets": {**TARGETS, "angle": {"unit": "rad"}}}, "targets.angle: a state has this name"),
         ({"targets": {"place": {"unit": "m", "uniform": [1, 0]}}}, "place: uniform is"),
-    ],
-)
-def test_what_cannot_be_is_one_line(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message) as error:
-        declared(**changes)
-    assert "\n" not in str(error.value)
-
-
-def test_a_policy_of_one_plan_is_refused() -> None:
+    ]
+    for changes, message in cases:
+        with pytest.raises(ConfigError, match=message) as error:
+            declared(**changes)
+        assert "\n" not in str(error.value)
     with pytest.raises(ConfigError, match="policy: follows one plan"):
         simbias.load(["preset=reacher", "policy=trajectory", "~policy.bound", "tracking=none"])
 

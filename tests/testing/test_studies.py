@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from in_numpy import predict_in_numpy
 from pendulum import pendulum
 
 import simbias
@@ -16,6 +17,8 @@ from simbias.core import Cost, Evaluation, Model
 from simbias.core.records import Array, Rollout
 from simbias.testing.conformance import verdicts
 from simbias.trial.study import Study
+
+FEW = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=2"]
 
 
 class Noting(Evaluation):
@@ -40,14 +43,17 @@ def problems(study: Study, group: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_what_rests_without_inputs_is_warmed_up() -> None:
+@pytest.mark.usefixtures("uncompiled")
+def test_what_rests_without_inputs_is_warmed_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hanging pendulum: nothing errs, so there is nothing to whiten by."""
-    study = pendulum("identification=posterior", "bias=window_gp")
+    predict_in_numpy(monkeypatch)
+    study = pendulum("identification=posterior", "bias=window_gp", "task.horizon=120", *FEW)
     assert not study.simulate(np.zeros(study.policy.n_parameters)).states.any()
     study.warm_up()
     assert problems(study, "identification") == []
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_the_warm_up_keeps_to_the_policys_box() -> None:
     study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
     policy, evaluation = copy(study.policy), Noting()
@@ -78,6 +84,7 @@ class Failing(Noting):
         return predicted
 
 
+@pytest.mark.slow
 def test_a_method_is_checked_by_a_short_trial() -> None:
     """However long its own are: on a model of many contacts they take minutes."""
     long = ["optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]

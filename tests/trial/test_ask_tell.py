@@ -41,6 +41,7 @@ def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
     assert point_mass.ask() is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_what_is_wrong_is_told_and_the_question_stays_open(point_mass: Study) -> None:
     with pytest.raises(ValueError, match=r"ask\(\) comes first"):

@@ -30,6 +30,7 @@ def spending(study: Study, budget: Budget) -> Study:
     return replace(study, method=method, cost=never, budget=budget)
 
 
+@pytest.mark.slow
 def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path) -> None:
     for budget, made in ((Budget(experiments=3), 3), (Budget(seconds=1e-3), 1), (Budget(), 10)):
         study = spending(point_mass, budget)
@@ -38,6 +39,7 @@ def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path
         assert record.outcome is Outcome.NOT_SUCCEEDED
         assert record.summary.experiments == made
         assert record.summary.max_experiments == (budget.experiments or 10)
+        assert record.summary.experiments_until_success == (budget.experiments or 10)
         assert len(record.iterations) == made // 2
         again = read_trial(study, folder)
         assert (again.summary, len(again.unfinished)) == (record.summary, made % 2)
@@ -64,8 +66,3 @@ def test_a_method_that_goes_its_own_way_is_stopped_too(point_mass: Study, tmp_pa
 def test_no_budget_changes_no_identity() -> None:
     assert compose(["budget.experiments=null"]).hash == compose().hash
     assert compose(["budget.experiments=5"]).hash != compose().hash
-
-
-def test_without_success_what_the_budget_allows_is_counted(point_mass: Study) -> None:
-    summary = run_trial(spending(point_mass, Budget(experiments=3))).summary
-    assert summary.experiments_until_success == pytest.approx(3)

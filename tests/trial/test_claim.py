@@ -12,7 +12,6 @@ import simbias
 from simbias.core import Hardware
 from simbias.core.records import Rollout
 from simbias.trial.claim import ERROR, claim_of, error_of, passes_for
-from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -45,13 +44,6 @@ def test_a_trial_goes_on_until_its_bound_holds(point_mass: Study) -> None:
     assert method.max_experiments == 16 + 22 + 26
 
 
-def test_every_method_that_asks_for_passes_counts_them_alike() -> None:
-    search, regulator = ModelBased(confidence=0.8), Lqr(confidence=0.8, identified=True)
-    assert search.max_experiments == regulator.max_experiments
-    assert Lqr(confidence=0.8).max_experiments == 16
-    assert Lqr(identified=True).max_experiments == 20
-
-
 def test_two_passes_claim_little(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=ModelBased(), hardware=Fickle(1.0)))
     claim = claim_of(record.iterations[-1])
@@ -66,7 +58,7 @@ def test_claims_are_wrong_at_most_as_often_as_they_say() -> None:
     method = ModelBased(max_iterations=10, confidence=0.8, stop_at_failure=True)
     short = ["tracking=none", "bias=none", "optimizer.max_evaluations=2", "task.horizon=2"]
     study = replace(simbias.load([*POINT_MASS, *short], OWN_CONF), method=method, hardware=Fickle(0.78, 2))
-    wrong = [run_trial(replace(study, seed=seed)).summary.claimed_share > 0.78 for seed in range(40)]
+    wrong = [run_trial(replace(study, seed=seed)).summary.claimed_share > 0.78 for seed in range(30)]
     assert np.mean(wrong) < ERROR + 2 * np.sqrt(ERROR * (1 - ERROR) / len(wrong))
 
 

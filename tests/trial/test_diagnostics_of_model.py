@@ -33,6 +33,7 @@ def of_spread(study: Study, open_deviation: float) -> tuple[Identified, list[str
 
 @pytest.mark.slow
 def test_it_is_told_and_the_direction_named(study: Study) -> None:
+    """Once in full in an iteration's events; also among a trial's diagnostics, which reports show."""
     nominal, said = of_spread(study, 6.0)
     (direction,) = undetermined(nominal)
     assert direction.weights == {"length": 1.0}
@@ -40,14 +41,7 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
         "this policy lasts in simulation, but not a standard deviation aside in 1.0 length, which "
         "the experiments do not determine"
     ]
-
-
-@pytest.mark.slow
-def test_a_trial_that_has_ended_tells_it_too(study: Study) -> None:
-    """Among its diagnostics, which reports and sweeps show; in an iteration's events in full once."""
-    names = [parameter.name for parameter in study.nominal.parameters]
-    spread = np.diag([6.0 if name == "length" else 0.01 for name in names])
-    model = study.model(None, Identified(study.nominal, np.zeros(len(names)), spread, {}))
+    model = study.model(None, nominal)
     (theta,) = lqr_policies(model, (INPUT_WEIGHTS[1],))
     made = [Iteration(index, theta, (), 0.0, False, 0, model) for index in range(2)]
     kind = "a policy stands on what the data do not determine"
@@ -57,6 +51,7 @@ def test_a_trial_that_has_ended_tells_it_too(study: Study) -> None:
     assert kind in second
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:
     assert of_spread(study, 0.6)[1] == []

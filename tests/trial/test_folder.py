@@ -36,9 +36,9 @@ from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 SHORT = [
-    *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=3"),
+    *("tracking=none", "task.horizon=100", "optimizer.max_evaluations=10", "method.max_iterations=3"),
     "cost.max_cost=1e-3",  # never reached
-    *("policy_test.episodes=2", "policy_test.long_episodes=1", "policy_test.long_seconds=0.4"),
+    *("policy_test.episodes=2", "policy_test.long_episodes=1", "policy_test.long_seconds=0.2"),
 ]
 ROBUST = [
     *SHORT,
@@ -71,15 +71,19 @@ def cut(whole: Path, folder: Path, lost: int) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_an_experiment_is_on_disk_before_it_is_used(short: Study, tmp_path: Path) -> None:
-    kept = []
+    """And while a process makes it, the trial is locked."""
+    kept, locked = [], []
 
     class Watching(Observer):
         def experimented(self, rollout: Rollout) -> None:
             kept.append(step_names(tmp_path).count("experiment"))
+            locked.append(is_locked(tmp_path / LOCK))
 
     run_trial(short, tmp_path, Watching())
-    assert kept == [1, 2, 3, 4, 5, 6]
+    assert (kept, locked) == ([1, 2, 3, 4, 5, 6], 6 * [True])
+    assert not is_locked(tmp_path / LOCK)
     assert step_names(tmp_path) == [*(3 * ["search", *2 * ["experiment"], "iteration"]), *2 * ["experiment"]]
 
 
@@ -126,6 +130,7 @@ def test_it_waits_for_each_result_and_resumes(short: Study, tmp_path: Path) -> N
     assert 0.0 < seconds[-1] < record.summary.seconds < sum(seconds)  # of all attempts, each once
 
 
+@pytest.mark.slow
 def test_a_trial_that_ended_touches_no_hardware(
     short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,6 +144,7 @@ def test_a_trial_that_ended_touches_no_hardware(
     assert {file: file.stat().st_mtime_ns for file in TrialFolder(whole[0]).files()} == before
 
 
+@pytest.mark.slow
 def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
     short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
 ) -> None:
@@ -164,34 +170,34 @@ def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
         read_folder(tmp_path)  # an untrusted module is not imported
 
 
+@pytest.mark.slow
 def test_what_cannot_be_read_is_one_line_that_names_the_file(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+    whole: tuple[Path, TrialRecord], tmp_path: Path
 ) -> None:
-    for number, name in enumerate(
-        [TRIAL, OUTCOME, "0000_search.json", "0001_experiment.npz", "0003_iteration.json"]
-    ):
+    folder = shutil.copytree(whole[0], tmp_path / "trial")
+    for name in (TRIAL, OUTCOME, "0000_search.json", "0001_experiment.npz", "0003_iteration.json"):
+        right = (folder / name).read_bytes()
         for content in (b"", b"{}", b"PK"):
-            folder = tmp_path / f"{number}{content!r}"
-            shutil.copytree(whole[0], folder)
             (folder / name).write_bytes(content)
             with pytest.raises(ConfigError, match=f"{name}: cannot be read") as caught:
                 read_folder(folder)
             assert "\n" not in str(caught.value)
+        (folder / name).write_bytes(right)
     with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
         read_folder(tmp_path)
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="devices and pipes")
-@pytest.mark.parametrize("name", [ATTEMPTS, "0000_search.json", "0001_experiment.npz"])
 def test_a_device_or_a_pipe_is_not_read_for_ever(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, name: str
+    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
 ) -> None:
-    folder = shutil.copytree(whole[0], tmp_path / "trial")
-    for kind in (os.mkfifo, lambda file: file.symlink_to("/dev/zero")):
-        (folder / name).unlink()
-        kind(folder / name)
-        with pytest.raises(ConfigError, match=rf"{re.escape(name)}: is no file"):
-            read_trial(short, folder)
+    for name in (ATTEMPTS, "0000_search.json", "0001_experiment.npz"):
+        folder = shutil.copytree(whole[0], tmp_path / name)
+        for kind in (os.mkfifo, lambda file: file.symlink_to("/dev/zero")):
+            (folder / name).unlink()
+            kind(folder / name)
+            with pytest.raises(ConfigError, match=rf"{re.escape(name)}: is no file"):
+                read_trial(short, folder)
 
 
 def test_an_experiment_that_no_hardware_can_have_made_is_named(
@@ -221,11 +227,8 @@ def test_steps_of_other_code_are_one_line(
         (iteration / "0003_iteration.json", {"succeeded": True}),
     ):
         file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    for folder, file in (
-        (kind, "0000_experiment.npz"),
-        (theta, "0001_experiment.npz"),
-        (iteration, "0003_iteration.json"),
-    ):
+    names = ("0000_experiment.npz", "0001_experiment.npz", "0003_iteration.json")
+    for folder, file in zip((kind, theta, iteration), names, strict=True):
         message = f"{file}: does not fit the trial: its code has changed since"
         with pytest.raises(ConfigError, match=message):
             read_trial(short, folder)
@@ -249,6 +252,7 @@ def test_changed_code_is_said(whole: tuple[Path, TrialRecord], tmp_path: Path) -
     assert changed_since(study, tmp_path / "none") == ""
 
 
+@pytest.mark.slow
 def test_another_platform_is_said_and_kept(
     short: Study,
     whole: tuple[Path, TrialRecord],
@@ -290,22 +294,19 @@ def test_a_full_disk_loses_nothing(
     assert_equal(timeless(run_trial(short, folder)), timeless(whole[1]))
 
 
-def test_a_file_is_there_in_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    write_whole(path, lambda file: file.write(b"old"))
+def test_a_folder_that_cannot_be_written_is_one_line(short: Study, tmp_path: Path) -> None:
+    """And a file is there in whole, or as it was."""
 
     def fail(file: object) -> None:
         raise OSError("disk full")
 
+    path = tmp_path / "file"
+    write_whole(path, lambda file: file.write(b"old"))
     with pytest.raises(OSError, match="disk full"):
         write_whole(path, fail)
     assert path.read_bytes() == b"old"
-
-
-def test_a_folder_that_cannot_be_written_is_one_line(short: Study, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match=r"file.*cannot be written"):
-        run_trial(short, tmp_path / "file" / "trial")
+        run_trial(short, path / "trial")
 
 
 def test_pandas_reads_it(whole: tuple[Path, TrialRecord]) -> None:
@@ -339,6 +340,7 @@ class Guessing(Method):
             yield Iteration(index, theta, made, cost, succeeded, np.int64(2 * index + 2))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_any_method_runs_resumes_and_is_read_back(point_mass: Study, tmp_path: Path) -> None:
     study = replace(point_mass, method=Guessing())
     uninterrupted = run_trial(study, tmp_path / "whole")
@@ -351,16 +353,3 @@ def test_any_method_runs_resumes_and_is_read_back(point_mass: Study, tmp_path: P
         for file in TrialFolder(folder).steps()[6 - lost :]:
             file.unlink()
         assert_equal(timeless(run_trial(study, folder)), timeless(uninterrupted))
-
-
-def test_a_lock_tells_whether_a_process_runs_the_trial(short: Study, tmp_path: Path) -> None:
-    seen = []
-
-    class Looking(Observer):
-        def iterated(self, iteration: Iteration) -> None:
-            seen.append(is_locked(tmp_path / LOCK))
-
-    assert not is_locked(tmp_path / LOCK)
-    run_trial(short, tmp_path, Looking())
-    assert seen == 3 * [True]
-    assert not is_locked(tmp_path / LOCK)

@@ -21,9 +21,9 @@ from simbias.trial.run import TrialRecord, read_trial, run_trial
 
 pytestmark = pytest.mark.slow
 
-KILLS = 4
+KILLS = 2
 SHORT = [
-    *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=6"),
+    *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=4"),
     "cost.max_cost=1e-3",  # never reached
     "hardware=logged",
 ]
@@ -33,7 +33,7 @@ SHORT = [
 def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("conf")
     (folder / "hardware").mkdir()
-    (folder / "hardware" / "logged.yaml").write_text("_target_: logged_hardware.Logged\nseconds: 0.1\n")
+    (folder / "hardware" / "logged.yaml").write_text("_target_: logged_hardware.Logged\nseconds: 0.05\n")
     (folder / "components.yaml").write_text("allow: [logged_hardware]\n")
     return folder
 
@@ -65,14 +65,14 @@ def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
     conf: Path, uninterrupted: tuple[TrialRecord, list[list[float]]], tmp_path: Path
 ) -> None:
     expected, starts = uninterrupted
-    assert len(starts) == 12
+    assert len(starts) == 8
     rng, folder = random.Random(2015), tmp_path / "trial"
     for number in range(KILLS + 1):
         safe, earlier = step_names(folder).count("experiment"), len(begun(tmp_path))
         process = start(folder, SHORT, conf)
         if number < KILLS:
             until_begun(process, tmp_path, earlier + 1)
-            time.sleep(rng.uniform(0.0, 0.2))
+            time.sleep(rng.uniform(0.0, 0.1))
             process.kill()
         process.join(120)
         assert process.exitcode == (-signal.SIGKILL if number < KILLS else 0)

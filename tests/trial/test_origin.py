@@ -32,6 +32,7 @@ def test_commit_of_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert commit() == {"commit": head, "changed": True}
 
 
+@pytest.mark.slow
 def test_what_comes_from_the_environment_is_written_in_clear_with_a_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -70,6 +71,7 @@ figure: {file: robot.xml}
 ROD = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.5\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
+@pytest.mark.slow
 def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, uncompiled: None) -> None:
     """A model with its includes and meshes, a figure, recordings; a file that nobody reads is not."""
     conf = tmp_path / "conf"

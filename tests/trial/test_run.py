@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from records import assert_equal, timeless
+from records import assert_equal
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from simbias.core import HardwareError, Waiting
@@ -112,6 +112,7 @@ def test_a_trial_that_ended(point_mass: Study) -> None:
         assert 0 < summary.seconds < 5
 
 
+@pytest.mark.slow
 def test_a_trial_that_stopped(point_mass: Study, tmp_path: Path) -> None:
     """It is read back as far as it went, though its method raises again."""
     for number, (raised, outcome, reason) in enumerate(
@@ -186,12 +187,3 @@ def test_linear_algebra_runs_on_one_thread(point_mass: Study) -> None:
         run_trial(scripted(point_mass), observer=Looking())
     assert seen
     assert all(threads and set(threads) == {1} for threads in seen)
-
-
-@pytest.mark.slow
-def test_a_trial_is_its_studys_run(point_mass: Study) -> None:
-    """Its records are those that the study yields."""
-    record = run_trial(point_mass)
-    same = replace(record, iterations=tuple(point_mass.run()))
-    assert_equal(timeless(record), timeless(same))
-    assert record.summary.max_experiments == point_mass.method.max_experiments

@@ -29,7 +29,7 @@ from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
 LOOSE = "0005_experiment.npz"  # the first of iteration 1
-SHORT = ["tracking=none", "optimizer.max_evaluations=100", "method.max_iterations=3"]
+SHORT = ["tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=3"]
 
 
 class Loose(Hardware):
@@ -66,6 +66,7 @@ def of_iterations(record: TrialRecord) -> TrialRecord:
     return replace(timeless(record), withdrawn=())
 
 
+@pytest.mark.slow
 def test_the_trial_goes_on_as_if_it_had_not_been(ended: Ended) -> None:
     """What does not depend on it is not made again, and nothing is deleted."""
     study, hardware, folder = ended
@@ -89,6 +90,7 @@ def test_the_trial_goes_on_as_if_it_had_not_been(ended: Ended) -> None:
         assert_equal(again, record)
 
 
+@pytest.mark.slow
 def test_it_may_be_withdrawn_again_and_again(ended: Ended) -> None:
     """Also an earlier one; each has noise of its own, and one that was superseded alone counts again."""
     study, hardware, folder = ended
@@ -109,6 +111,7 @@ def test_it_may_be_withdrawn_again_and_again(ended: Ended) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_stopped_anywhere_it_is_resumed_as_uninterrupted(ended: Ended, tmp_path: Path) -> None:
     study, _, folder = ended
     withdraw(folder / LOOSE)
@@ -127,6 +130,7 @@ def test_stopped_anywhere_it_is_resumed_as_uninterrupted(ended: Ended, tmp_path:
         assert log.count("made") == len(set(lost_experiments) - {"0013_experiment.npz"})  # kept superseded
 
 
+@pytest.mark.slow
 def test_killed_while_it_is_withdrawn_it_is_or_it_is_not(
     ended: Ended, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,6 +179,7 @@ def test_the_command_line_withdraws(ended: Ended, capsys: pytest.CaptureFixture[
     assert f"{LOOSE}: is no experiment that counts" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_lab_is_asked_anew(ended: Ended, tmp_path: Path) -> None:
     """By another request: the answer to the first one stays where it is."""
     study, _, folder = ended
