@@ -115,6 +115,17 @@ def test_compiled_rollouts_are_the_plain_ones() -> None:
 
 
 @pytest.mark.slow
+def test_a_compiled_frame_with_contacts_is_the_engines_to_the_last_bit() -> None:
+    study = simbias.load(["preset=biped", "tracking=none", "task.horizon=20"])
+    loop, (_, starts, _) = study.simulator(), candidates(study, 10)
+    assert isinstance(loop, CompiledSimulator)
+    for rollout in loop.rollouts(np.zeros((10, study.policy.n_parameters)), starts):
+        assert rollout.frames > 3
+        stepped = study.nominal.step(rollout.states[:-1], rollout.inputs)
+        np.testing.assert_array_equal(rollout.states[1:], stepped)
+
+
+@pytest.mark.slow
 def test_predictions_of_a_record_are_the_plain_ones() -> None:
     """As an identification asks for them: each model along the inputs of an experiment."""
     study = search()
