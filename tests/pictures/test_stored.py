@@ -60,12 +60,10 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     assert err.count("\n") == 1
 
 
-def test_trials_without_pictures(tmp_path: Path) -> None:
-    assert not pictures_of(trial_of(tmp_path, "tracking.pictures=false"))
-
-
 def test_a_sweeps_trials_keep_few_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An overview of the first of each cell; to draw one takes longer than to keep a trial."""
+    """An overview of the first of each cell, if any; to draw one takes longer than to keep a trial."""
+    assert not pictures_of(trial_of(tmp_path, "tracking.pictures=false"))
+    (tmp_path / "trials").rename(tmp_path / "others")
     monkeypatch.chdir(tmp_path)
     few = ["tracking=folders", "sweep.trials=2", "engine=sequential"]
     assert simbias(["+sweep=smoke", NO_FIGURES, *QUICK, *few]) == 0
