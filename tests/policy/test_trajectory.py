@@ -47,14 +47,7 @@ def around(study: Study, count: int, knots: int = KNOTS) -> tuple[Trajectory, Ar
 
 def test_a_table_is_linear_between_its_rows_and_ends_with_the_last() -> None:
     table = np.array([[[0.0, 1.0], [2.0, 1.0], [3.0, -1.0]]])
-    for t, row in (
-        (0.0, [0, 1]),
-        (0.25, [1, 1]),
-        (0.5, [2, 1]),
-        (0.75, [2.5, 0]),
-        (1.0, [3, -1]),
-        (9.0, [3, -1]),
-    ):
+    for t, row in ((0.0, [0, 1]), (0.25, [1, 1]), (0.75, [2.5, 0]), (1.0, [3, -1]), (9.0, [3, -1])):
         np.testing.assert_allclose(scheduled(table, t, 0.5), [row])
 
 
@@ -84,7 +77,7 @@ def test_gains_for_friction_are_cut_off_at_a_tenth_of_the_limits(cartpole: Study
 
 def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """With noise; in lanes that are at different times, as rollouts end and others begin."""
-    policy, thetas = around(cartpole, 40)
+    policy, thetas = around(cartpole, 24)
     thetas[::3, 8::9] *= -1.0  # these fall
     starts = np.array([cartpole.task.draw_start(np.random.default_rng(i)) for i in range(len(thetas))])
     noise = Noise(cartpole.task, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
