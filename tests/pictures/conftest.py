@@ -19,7 +19,7 @@ BALANCING = np.array([8.118, 4.783, -6.658, -0.366, -5.560])
 
 @pytest.fixture(scope="session")
 def short() -> Study:
-    return simbias.load(["task.horizon=2000"])
+    return simbias.load(["task.horizon=1000"])
 
 
 @pytest.fixture(scope="session")

@@ -33,7 +33,7 @@ def test_it_says_what_happened(short: Study, trial: list[Iteration], figure: Fig
     criterion = next(c for c in short.task.criteria if c.name == fallen.failure)
     for sentence in (
         f"Policy from simulation alone: fails on hardware after {fallen.failed_at / 1000:.2f} s",
-        "Policy after 2 hardware experiments: lasts all 2 s on hardware",
+        "Policy after 2 hardware experiments: lasts all 1 s on hardware",
         "simulation: nominal model + learned bias (gp)",
         "hardware: pymunk, worst of 2",
         short.task.words(fallen.failure),
@@ -101,7 +101,7 @@ def test_a_trial_of_one_iteration_and_a_method_without_search(
     assert "learned bias" not in words
     words = texts(overview(short, on_hardware))
     for index in (0, 1):
-        assert f"Policy of iteration {index}: lasts all 2 s on hardware" in words
+        assert f"Policy of iteration {index}: lasts all 1 s on hardware" in words
     assert "simulation" not in words
     with pytest.raises(NoPictureError, match="no policy was tried"):
         overview(short, [replace(on_hardware[0], experiments=())])
