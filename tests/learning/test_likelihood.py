@@ -109,27 +109,19 @@ def test_what_has_no_deviation_is_kept() -> None:
 def test_few_samples_and_constant_outputs_are_learned_from() -> None:
     options = ("gp_learned", "sparse_gp_learned")
     learners = [simbias.load(["tracking=none", f"bias={option}"]).bias for option in options]
-    kinds = ("zero", "constant", "one of them zero", "noise")
-    for bias, N, kind in product(learners, (0, 1, 2, 15), kinds):
+    for bias, N in product(learners, (0, 1, 2, 15)):
         rng = np.random.default_rng(N)
-        residuals = {
-            "zero": np.zeros((N, 6)),
-            "constant": np.full((N, 6), 1e-3),
-            "one of them zero": 1e-3 * rng.standard_normal((N, 6)) * (np.arange(6) != 2),
-            "noise": 1e-3 * rng.standard_normal((N, 6)),
-        }[kind]
-        inputs = rng.standard_normal((N, 7))
-        fitted = bias.fit(Transitions(inputs, residuals))
-        mean, variance = fitted.predict(inputs)
-        assert np.isfinite(mean).all()
-        assert (variance >= 0).all()
-        if kind == "constant":
-            np.testing.assert_allclose(mean, residuals, rtol=0.05)
-        if kind == "zero":
-            assert not mean.any()
-        values = [value for name, value in fitted.diagnostics.items() if name.startswith("length_scale_")]
-        assert len(values) == 7
-        assert (np.array(values) > 0).all()
+        inputs, noise = rng.standard_normal((N, 7)), 1e-3 * rng.standard_normal((N, 6))
+        for residuals in (np.zeros((N, 6)), np.full((N, 6), 1e-3), noise * (np.arange(6) != 2), noise):
+            fitted = bias.fit(Transitions(inputs, residuals))
+            mean, variance = fitted.predict(inputs)
+            assert np.isfinite(mean).all()
+            assert (variance >= 0).all()
+                if any(residuals is each for each in constant):
+                    np.testing.assert_allclose(mean, residuals, rtol=0.05)
+                names = [name for name in fitted.diagnostics if name.startswith("length_scale_")]
+                assert len(names) == 7
+                assert min(fitted.diagnostics[name] for name in names) > 0
 
 
 def test_it_is_deterministic_and_noise_stays_resolvable(study: Study) -> None:

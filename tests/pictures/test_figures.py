@@ -190,17 +190,7 @@ def test_a_method_without_search_shows_what_hardware_did(short: Study, on_hardwa
         assert not lines(axes, SIMULATION, "o")
 
 
-def test_costs_of_several_policies_are_simulated_each_with_its_own(
-    short: Study, trial: list[Iteration], on_hardware: list[Iteration]
-) -> None:
-    iteration = replace(on_hardware[0], model=trial[0].model, search=trial[0].search)
-    _, pairs = costs(short, [iteration, on_hardware[1]]).axes
-    models = [short.simulate(r.parameters, None, r.states[0]).cost for r in iteration.experiments]
-    (data,) = lines(pairs, HARDWARE, "o")
-    assert models[0] != pytest.approx(models[1])
-    np.testing.assert_allclose(data, np.column_stack([models, [r.cost for r in iteration.experiments]]))
-
-
+@pytest.mark.slow
 def test_a_search_without_learning_has_no_learned_bias(short: Study, trial: list[Iteration]) -> None:
     iterations = [replace(iteration, learning=None) for iteration in trial]
     assert not lines(forecast(short, iterations).axes[0], SIMULATION)
@@ -219,9 +209,3 @@ def test_no_policy_was_tried(short: Study, trial: list[Iteration]) -> None:
         with pytest.raises(NoPictureError):
             picture(short, [untried])
     png(costs(short, [trial[0], untried]))
-
-
-def test_names_are_read_as_symbols() -> None:
-    assert symbol("d_alpha_w") == r"$\dot{\alpha}_{w}$"
-    assert symbol("theta") == r"$\theta$"
-    assert symbol("board_angle") == "board angle"

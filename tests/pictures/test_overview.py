@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from figures import lines, texts
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
@@ -65,15 +64,6 @@ def test_it_compares_from_the_same_starts(short: Study, trial: list[Iteration], 
         short.simulate(r.parameters, i.model.bias, r.states[0]).cost for i in trial for r in i.experiments
     ]
     np.testing.assert_allclose(np.concatenate(lines(costs, SIMULATION, "o"))[:, 1], expected)
-
-
-def test_snapshots_stand_above_their_times(figure: Figure) -> None:
-    FigureCanvasAgg(figure).draw()
-    below = next(axes for axes in figure.axes if axes.get_xlabel() == "time (s)")
-    snapshots = [axes for axes in figure.axes if axes.get_aspect() == 1.0][:6]
-    ticks = below.transData.transform([(tick, 0.0) for tick in below.get_xticks()])[:, 0]
-    middles = [axes.get_window_extent().x0 + axes.get_window_extent().width / 2 for axes in snapshots]
-    np.testing.assert_allclose(middles, ticks, atol=0.01 * figure.bbox.width)
 
 
 def test_the_cost_is_shown_where_nothing_failed(short: Study, trial: list[Iteration]) -> None:

@@ -15,8 +15,7 @@ from simbias.learning.identification.rig import Motor, Rig
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import linearised, lqr_gains
 from simbias.simulation.closed_loop import join, simulator
-from simbias.simulation.compiler import Points, scheduled
-from simbias.simulation.compiler.tracing import of_policy
+from simbias.simulation.compiler import scheduled
 from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.study import Study
@@ -112,29 +111,3 @@ def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     made = files(request)
     assert "static const double v" in made[HEADER]
     assert "np.interp(t / " in made[MODULE]
-
-
-class Late(Trajectory):
-    """Looks up by what is no time."""
-
-    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
-        return super().act(theta, x, 2 * t, policy_state)
-
-
-class Twice(Trajectory):
-    """Looks up two tables."""
-
-    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
-        u, policy_state = super().act(theta, x, t, policy_state)
-        return u + scheduled(theta.reshape(*theta.shape[:-1], -1, 1), t, 0.1), policy_state
-
-
-def test_hundreds_of_knots_are_traced_and_other_lookups_say_why_they_are_not(cartpole: Study) -> None:
-    task, points = cartpole.task, Points.of(cartpole.task)
-    many = of_policy(Trajectory(task, cartpole.nominal, 501), task, points).kernel
-    few = of_policy(Trajectory(task, cartpole.nominal, 2), task, points).kernel
-    assert many.function is few.function  # so that one loop is compiled for both
-    assert many.size == few.size == 0
-    for policy, why in ((Late, "by another value than the time"), (Twice, "several tables, at other times")):
-        part = of_policy(policy(task, cartpole.nominal), task, points)
-        assert why in part.why_not

@@ -14,8 +14,8 @@ import pytest
 from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shipped import shipped
 
-from simbias.config import compose
 from simbias.config.build import construct
 from simbias.core import Objective, Optimizer
 from simbias.core.evaluations import EVALUATION_LIMIT, RELATIVE_TOLERANCE, Evaluations
@@ -23,7 +23,7 @@ from simbias.core.records import Array, Optimum
 from simbias.search.optimizer.nlopt import Algorithm
 
 SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "optimizer").glob("*.yaml"))
-CONFIGS = {name: compose(["tracking=none", f"optimizer={name}"]).config["optimizer"] for name in SHIPPED}
+CONFIGS = {name: shipped("optimizer", name) for name in SHIPPED}
 CONFIGS |= {name: {**CONFIGS["nlopt_direct"], "algorithm": name} for name in get_args(Algorithm)}
 DIRECT = [name for name in CONFIGS if "DIRECT" in name and "RAND" not in name]  # deterministic
 BOX = np.full(5, -10.0), np.full(5, 10.0)

@@ -16,7 +16,6 @@ import llvmlite.binding
 import numba
 import numpy as np
 import pytest
-from in_lanes import from_python
 from numba import njit
 
 from simbias.core import cache
@@ -100,35 +99,21 @@ def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: P
     assert run(tmp_path) == "2.0 7.0 0"  # what it was is still there, wherever it is now
 
 
-def test_closures_and_substitutes_are_part_of_it() -> None:
-    def power(exponent: int):
-        def function(x):
-            return x**exponent
-
-        return function
-
-    squared, cubed = from_python(power(2)), from_python(power(3))
-    assert (squared(3.0), cubed(3.0)) == (9.0, 27.0)
-
-
-def digest(*functions) -> str:
-    made = Compilation()
-    for function in functions:
-        made.compiled(function)
-    return made.digest
-
-
 def test_the_hash_is_of_what_a_function_does() -> None:
-    def made(text: str, **names: object):
+    def digest(text: str, **names: object) -> str:
         scope: dict = dict(names)
         exec(dedent(text), scope)
-        return scope["f"]
+        compilation = Compilation()
+        compilation.compiled(scope["f"])
+        return compilation.digest
 
     text = "def f(x):\n    return x * a"
-    assert digest(made(text, a=1.0)) == digest(made("\n\n" + text, a=1.0, b=2.0))
-    assert digest(made(text, a=1.0)) != digest(made(text, a=2.0))
-    assert digest(made(text, a=np.ones(2))) != digest(made(text, a=np.zeros(2)))
-    assert digest(made(text, a=1.0)) != digest(made("def f(x):\n    return x + a", a=1.0))
+    assert digest(text, a=1.0) == digest("\n\n" + text, a=1.0, b=2.0)
+    assert digest(text, a=1.0) != digest(text, a=2.0)
+    assert digest(text, a=np.ones(2)) != digest(text, a=np.zeros(2))
+    assert digest(text, a=1.0) != digest("def f(x):\n    return x + a", a=1.0)
+    closure = "def g(n):\n    def f(x):\n        return x**n\n    return f\nf = g({})"
+    assert digest(closure.format(2)) != digest(closure.format(3))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="temporary folders are a user's own")
