@@ -112,16 +112,17 @@ def test_few_samples_and_constant_outputs_are_learned_from() -> None:
     for bias, N in product(learners, (0, 1, 2, 15)):
         rng = np.random.default_rng(N)
         inputs, noise = rng.standard_normal((N, 7)), 1e-3 * rng.standard_normal((N, 6))
-        for residuals in (np.zeros((N, 6)), np.full((N, 6), 1e-3), noise * (np.arange(6) != 2), noise):
+        constant = np.zeros((N, 6)), np.full((N, 6), 1e-3)
+        for residuals in (*constant, noise * (np.arange(6) != 2), noise):
             fitted = bias.fit(Transitions(inputs, residuals))
             mean, variance = fitted.predict(inputs)
             assert np.isfinite(mean).all()
             assert (variance >= 0).all()
-                if any(residuals is each for each in constant):
-                    np.testing.assert_allclose(mean, residuals, rtol=0.05)
-                names = [name for name in fitted.diagnostics if name.startswith("length_scale_")]
-                assert len(names) == 7
-                assert min(fitted.diagnostics[name] for name in names) > 0
+            if any(residuals is each for each in constant):
+                np.testing.assert_allclose(mean, residuals, rtol=0.05)
+            names = [name for name in fitted.diagnostics if name.startswith("length_scale_")]
+            assert len(names) == 7
+            assert min(fitted.diagnostics[name] for name in names) > 0
 
 
 def test_it_is_deterministic_and_noise_stays_resolvable(study: Study) -> None:
