@@ -81,13 +81,6 @@ def test_aggregate_and_screening(table: list[list[float]], worst: int, screening
         assert costs[policy] == pytest.approx(np.mean(sorted(seen)[-worst:]))
 
 
-def test_together_is_one_by_one_and_random_numbers_repeat(study: Study) -> None:
-    thetas = np.random.default_rng(1).uniform(-3, 3, (5, 5))
-    made, again, other = (objective(study, seed, rollouts=3, sample_nominal=True) for seed in (0, 0, 1))
-    costs = made.together(thetas)
-    np.testing.assert_allclose(costs, [made(theta) for theta in thetas], rtol=1e-9)
-    np.testing.assert_array_equal(costs, again.together(thetas))
-    assert (costs != other.together(thetas)).all()
 
 
 def test_the_declared_noise_is_the_hardwares() -> None:
