@@ -81,8 +81,6 @@ def test_aggregate_and_screening(table: list[list[float]], worst: int, screening
         assert costs[policy] == pytest.approx(np.mean(sorted(seen)[-worst:]))
 
 
-
-
 def test_the_declared_noise_is_the_hardwares() -> None:
     """By default; that of a hardware without any is none."""
     noisy = ["tracking=none", "evaluation=robust", "hardware.noise.torque_variance=0.1", "task.horizon=50"]
@@ -175,10 +173,8 @@ def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> No
     unmet = tester.evaluation.objective(tester.first_model(), tester.cost, np.random.default_rng(5))
     held = {}
     for name in ("nominal_start", "fresh_randomization"):
-        study, fell = simbias.load([*options, f"evaluation={name}"]), []
-        for seed in (1, 2):
-            made = search(study, study.first_model(), np.random.default_rng(seed), Observer())
-            runs = [each.simulator.rollout(made.optimum.parameters, each.start) for each in unmet.scenarios]
-            fell += [run.failed_at is not None for run in runs]
-        held[name] = 1 - np.mean(fell)
+        study = simbias.load([*options, f"evaluation={name}"])
+        made = search(study, study.first_model(), np.random.default_rng(1), Observer())
+        runs = [each.simulator.rollout(made.optimum.parameters, each.start) for each in unmet.scenarios]
+        held[name] = np.mean([run.failed_at is None for run in runs])
     assert held["fresh_randomization"] > max(0.9, held["nominal_start"])

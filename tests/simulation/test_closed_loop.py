@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from contextlib import redirect_stdout
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pytest
@@ -307,29 +304,3 @@ def test_a_policy_with_a_state_and_time(study: Study) -> None:
         np.testing.assert_allclose(first.states, states, rtol=0, atol=1e-9)
         np.testing.assert_array_equal(first.states, third.states)
         assert fall.failure is not None
-
-
-NUMBERS = """
-import hashlib, numpy as np, simbias
-from simbias.core.records import Transitions
-study = simbias.load(["tracking=none", "task.horizon=300"])
-rng = np.random.default_rng(0)
-scale = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])
-data = Transitions(rng.normal(size=(100, 7)) * scale, 1e-4 * rng.normal(size=(100, 6)))
-thetas, starts = rng.uniform(-5, 5, (20, 5)), np.array([study.task.draw_start(rng) for _ in range(20)])
-rollouts = study.simulator(study.bias.fit(data)).rollouts(thetas, starts)
-print(hashlib.sha256(b"".join(rollout.states.tobytes() for rollout in rollouts)).hexdigest())
-"""
-
-
-@pytest.mark.slow
-def test_numbers_do_not_depend_on_the_kind_of_processor() -> None:
-    """As long as it has AVX2 and fused products and sums: what vectors are wide as, and what is inlined."""
-    environment = os.environ | {"NUMBA_CPU_NAME": "haswell", "OPENBLAS_NUM_THREADS": "1"}
-    made = subprocess.run([sys.executable, "-c", NUMBERS], env=environment, capture_output=True, text=True)
-    if "Invalid" in made.stderr or made.returncode < 0:
-        pytest.skip("this machine cannot run code for processors with vectors of 256 bits")
-    assert made.returncode == 0, made.stderr
-    with redirect_stdout(StringIO()) as here:
-        exec(NUMBERS, {})
-    assert here.getvalue() == made.stdout

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 from interpreted import interpreted
 
-import simbias
 from simbias.core import Kernel, Nominal
 from simbias.core.records import Array, Rollout
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
@@ -61,21 +57,6 @@ def test_written_agrees_with_plain(study: Study) -> None:
     with interpreted():
         made = predict(models(study), windows)
     np.testing.assert_allclose(made, plain(models(study), windows), rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_compiled_agrees_with_plain() -> None:
-    """With a bias that corrects all lanes at once."""
-    study = simbias.load(["tracking=none", "bias=sparse_gp"])
-    windows = Windows.of(experiments(study), 12, 3)
-    rng = np.random.default_rng(2)
-    data = replace(
-        study.no_data, inputs=rng.standard_normal((30, 7)), residuals=1e-3 * rng.standard_normal((30, 6))
-    )
-    fitted = study.bias.fit(data)
-    made = predict(models(study), windows, fitted)
-    assert made.shape == (17, 3 + 0 + 5 + 0, 4, 6)
-    np.testing.assert_allclose(made, plain(models(study), windows, fitted), atol=1e-6)
 
 
 def test_memory_runs_on_where_the_state_is_reset() -> None:
