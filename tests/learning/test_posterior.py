@@ -81,6 +81,7 @@ def test_a_robot_at_rest_says_nothing_of_its_parameters(study: Study) -> None:
     np.testing.assert_array_equal(fitted.covariance, np.eye(len(fitted.mode)))
 
 
+@pytest.mark.slow
 def test_an_outlier_counts_little_and_a_fall_not_at_all(study: Study) -> None:
     """A blow that no model knows, in one window; experiments that end by a failure count as others."""
     rng = np.random.default_rng(2)
@@ -114,6 +115,7 @@ def test_the_posterior_covers_the_truth() -> None:
     assert kstest(every.ravel(), "uniform").statistic < 0.14
 
 
+@pytest.mark.slow
 def test_windows_that_count_twice_tell_nothing_more(study: Study) -> None:
     """The same windows twice have the likelihood of once; of two durations each window counts alike."""
     robot, _ = truth(study.nominal, np.random.default_rng(0))

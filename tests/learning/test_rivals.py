@@ -31,6 +31,7 @@ def smooth(inputs: Array) -> Array:
     return 1e-2 * np.sin(3.0 * inputs[:, :4]) + 3e-3
 
 
+@pytest.mark.slow
 def test_permuted_residuals_carry_no_state() -> None:
     """They have the size of the true ones, and predict them no better than their mean does."""
     data, held_out = Transitions(points(150), smooth(points(150))), points(200, seed=1)

@@ -126,6 +126,7 @@ def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
     assert [axes.get_ylabel().split(" (")[-1] for axes in figure.axes[::2]] == ["rad)", "rad/s)"]
 
 
+@pytest.mark.slow
 def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: list[Iteration]) -> None:
     first = trial[0].experiments[0]
     cut = replace(first, states=first.states[:11], inputs=first.inputs[:10], failed_at=10)

@@ -30,6 +30,7 @@ def cartpole() -> Study:
     return simbias.load(["preset=cartpole", "policy=integral_feedback", "tracking=none"]).with_horizon(400)
 
 
+@pytest.mark.slow
 def test_a_steady_disturbance_leaves_no_error(cartpole: Study, uncompiled: None) -> None:
     """The model is not told of it; without the integral the cart stays aside."""
     pushed = Pushed(cartpole.nominal, 5.0)
