@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 import simbias
 from simbias.core.cache import cache_folder
+from simbias.simulation import closed_loop
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.study import Study
 
@@ -114,8 +115,13 @@ def study() -> Study:
 
 @pytest.fixture
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate in NumPy: to compile a robot's loop takes longer than a few short rollouts."""
-    monkeypatch.setattr(CompiledSimulator, "of", lambda *_: None)
+    """Simulate in NumPy: to compile a robot's loop, or a bias, takes longer than a few short rollouts."""
+    simulate_in_numpy(monkeypatch)
+
+
+def simulate_in_numpy(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(CompiledSimulator, "of", lambda *_: None)
+    patch.setattr(closed_loop, "corrections", lambda bias, x, u: bias.correction(x, u))
 
 
 @pytest.fixture

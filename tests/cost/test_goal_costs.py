@@ -49,14 +49,14 @@ def expected(x: Array, u: Array, task: Task) -> list[float]:
 
 
 def test_they_are_their_formulas_and_summed_up_frame_by_frame() -> None:
-    task, study = task_of(failure=None), simbias.load(["preset=cartpole"])
+    task, study = task_of(failure=None, horizon=25), simbias.load(["preset=cartpole"])
     model = Model(task, study.policy, study.nominal, study.bias.fit(study.no_data))
     starts = np.array([[0.0, 0.1, 0.0, 0.0], [0.1, 0.0, 0.1, 0.0]])
+    thetas = np.full((2, 4), 0.5)
     for index, cost in enumerate(costs(task)):
         simulator = CompiledSimulator.of(model, None, cost)
         assert simulator is not None
         assert simulator.sums_up(cost)
-        thetas = np.full((2, 4), 0.5)
         with interpreted():
             found, _ = simulator.costs(cost, thetas, starts)
             rollouts = simulator.rollouts(thetas, starts)
@@ -81,26 +81,22 @@ def test_a_failure_costs_what_it_takes_away() -> None:
 
 def test_what_it_does_not_know_is_refused() -> None:
     task = task_of()
-    with pytest.raises(ValueError, match="widths: nothing is called torque"):
-        Saturating(task, {"torque": 1.0}, 0.5)
-    with pytest.raises(ValueError, match="widths: one has to be more than 0"):
-        Saturating(task, {}, 0.5)
-    with pytest.raises(ValueError, match="widths: those above 0 have to be 1e-09 at least, got 1e-300"):
-        Saturating(task, {task.goals[0].name: 1e-300}, 0.5)
-    with pytest.raises(ValueError, match="running: 'power': nothing is called power"):
+    for widths, words in (
+        ({"torque": 1.0}, "nothing is called torque"),
+        ({}, "one has to be more than 0"),
+        ({task.goals[0].name: 1e-300}, "those above 0 have to be 1e-09 at least"),
+    ):
+        with pytest.raises(ValueError, match=f"widths: {words}"):
+            Saturating(task, widths, 0.5)
+    with pytest.raises(ValueError, match="running: 'power'"):
         Declared(task, 1.0, 1.0, running="power")
 
 
-@pytest.mark.parametrize("far", [1e160, np.inf, np.nan])
-def test_a_state_beyond_all_numbers_costs_a_finite_number(far: float) -> None:
-    """As of a model that explodes within a frame."""
+def test_what_is_no_number_costs_a_finite_number() -> None:
+    """As of a model that explodes within a frame; totals leave it out."""
     task = task_of()
-    states = np.array([task.start_mean, np.full(4, far)])
-    rollout = Rollout(states, np.zeros((1, 1)), failed_at=1, failure="state")
-    for cost in costs(task):
-        assert np.isfinite(cost.of(rollout))
-
-
-@pytest.mark.parametrize("reduction", REDUCTIONS)
-def test_what_is_no_number_is_left_out_of_totals(reduction: str) -> None:
-    assert eval(REDUCTIONS[reduction].format("total", "term"), {"total": 2.5, "term": np.nan}) == 2.5
+    for far in (1e160, np.inf, np.nan):
+        rollout = Rollout(np.array([task.start_mean, np.full(4, far)]), np.zeros((1, 1)), 1, "state")
+        assert all(np.isfinite(cost.of(rollout)) for cost in costs(task)), far
+    for reduction in REDUCTIONS.values():
+        assert eval(reduction.format("total", "term"), {"total": 2.5, "term": np.nan}) == 2.5

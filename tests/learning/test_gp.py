@@ -37,30 +37,22 @@ def queries(k: int) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [1, 50, 571])
-def test_agrees_with_scikit_learn(study: Study, n: int) -> None:
+def test_agrees_with_scikit_learn(study: Study) -> None:
     from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    gp = GaussianProcess(study.task, length_scale=[0.5, 1, 1, 2, 1, 1, 0.7], signal_variance=1.3)
-    transitions, inputs = data(n), queries(200)
-    mean, variance = gp.fit(transitions).predict(inputs)
-    scale = np.array([1, 1, 1, 1, 1, 1, 100])
-    kernel = ConstantKernel(1.3) * RBF([0.5, 1, 1, 2, 1, 1, 0.7]) + WhiteKernel(np.exp(-4))
-    reference = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
-    reference.fit(transitions.inputs / scale, transitions.residuals)
-    their_mean, their_deviation = reference.predict(inputs / scale, return_std=True)
-    np.testing.assert_allclose(mean, their_mean, rtol=0, atol=1e-8)
-    relative = variance / np.mean(transitions.residuals**2, axis=0)
-    np.testing.assert_allclose(relative, their_deviation**2, rtol=0, atol=1e-8)
-
-
-def test_without_data_the_bias_is_zero(study: Study) -> None:
-    fitted = study.bias.fit(study.no_data)
-    mean, variance = fitted.predict(queries(3))
-    assert not mean.any()
-    np.testing.assert_allclose(variance, 1 + np.exp(-4))
-    assert not fitted.correction(queries(1)[0, :6], queries(1)[0, 6:]).any()
+    lengths, scale = [0.5, 1, 1, 2, 1, 1, 0.7], np.array([1, 1, 1, 1, 1, 1, 100])
+    gp, inputs = GaussianProcess(study.task, length_scale=lengths, signal_variance=1.3), queries(200)
+    for n in (1, 50, 571):
+        transitions = data(n)
+        mean, variance = gp.fit(transitions).predict(inputs)
+        kernel = ConstantKernel(1.3) * RBF(lengths) + WhiteKernel(np.exp(-4))
+        reference = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
+        reference.fit(transitions.inputs / scale, transitions.residuals)
+        their_mean, their_deviation = reference.predict(inputs / scale, return_std=True)
+        np.testing.assert_allclose(mean, their_mean, rtol=0, atol=1e-8)
+        relative = variance / np.mean(transitions.residuals**2, axis=0)
+        np.testing.assert_allclose(relative, their_deviation**2, rtol=0, atol=1e-8)
 
 
 def test_far_from_data_the_model_is_trusted(study: Study) -> None:
@@ -103,7 +95,7 @@ def test_correction_is_equation_7(study: Study) -> None:
 @pytest.mark.filterwarnings("ignore::simbias.core.SlowWarning")
 def test_kernel_agrees_with_plain_correction(study: Study) -> None:
     """Single precision: 1e-6, of sums of 1200 terms whose sizes add up to 20 (residuals here are random)."""
-    for n in (1, 2, 3, 4, 5, 97, 571, 1200):
+    for n in (1, 2, 3, 5, 97, 1200):
         fitted = GaussianProcess(study.task, d=0.1).fit(data(n))
         inputs = queries(LANES)
         plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
@@ -122,13 +114,14 @@ def test_kernel_takes_more_states_than_its_panels_have_rows() -> None:
 
 def test_without_data_the_kernel_is_that_of_no_bias() -> None:
     """Searches before the first experiment are as fast as without learning."""
+    kernel = ZeroBias(6).kernel
+    assert kernel is not None
     for option in ("gp", "sparse_gp", "gp_learned", "sparse_gp_learned"):
         study = simbias.load(["tracking=none", f"bias={option}"])
         fitted = study.bias.fit(study.no_data)
-        kernel = ZeroBias(6).kernel
+        np.testing.assert_allclose(fitted.predict(queries(3))[1], 1 + np.exp(-4))
         for bias in (fitted, fitted.draw(np.random.default_rng(0))):
             assert bias.kernel is not None
-            assert kernel is not None
             assert bias.kernel.function is kernel.function
             np.testing.assert_array_equal(bias.kernel.parameters, kernel.parameters)
 
@@ -148,7 +141,7 @@ def test_a_correction_does_not_depend_on_those_beside_it(study: Study) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_variance_shrinks_with_data(study: Study, seed: int, n: int) -> None:
     """More data never makes the posterior less certain (Eq. 5)."""
     transitions, inputs = data(n + 1, seed), queries(20)
@@ -160,27 +153,24 @@ def test_variance_shrinks_with_data(study: Study, seed: int, n: int) -> None:
 
 
 @pytest.mark.slow
-def test_where_the_exact_posterior_is_too_slow_it_says_so(study: Study) -> None:
-    """Once a fit, with the number of samples and what to use; the default threshold is at N = 1198."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        study.bias.fit(data(1000))
+def test_where_the_exact_posterior_is_too_slow_it_says_so(
+    study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Once a fit, in one line for a person; the default threshold is at N = 1198."""
     with pytest.warns(SlowWarning) as caught:
         study.bias.fit(data(1200))
     (warning,) = caught
     assert "1200 samples" in str(warning.message)
     assert str(warning.message).endswith("use bias=sparse_gp")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        GaussianProcess(study.task, inducing=Inducing(20)).fit(data(1200))
-
-
-def test_a_person_reads_it_in_one_line(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
     with slowness_in_one_line():
         study.bias.fit(data(1200))
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("simbias: exact GP, 1200 samples: a search takes about 1 min")
+    assert line.startswith("simbias: exact GP, 1200 samples")
     assert len(line) <= 80
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        study.bias.fit(data(1000))
+        GaussianProcess(study.task, inducing=Inducing(20)).fit(data(1200))
 
 
 @pytest.mark.slow
@@ -198,12 +188,12 @@ def test_a_sweeps_workers_keep_it_to_themselves(monkeypatch: pytest.MonkeyPatch)
         assert run_plan(Plan(trial)).summary.outcome.final
 
 
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
-def test_repeated_points_need_jitter_and_get_it(size: float) -> None:
+def test_repeated_points_need_jitter_and_get_it() -> None:
     """A singular covariance is factorised all the same, whatever its unit."""
-    K = np.full((50, 50), size)
-    L = stable_cholesky(K)
-    np.testing.assert_allclose(L @ L.T, K, atol=1e-6 * size)
+    for size in (1e-6, 1.0, 1e6):
+        K = np.full((50, 50), size)
+        L = stable_cholesky(K)
+        np.testing.assert_allclose(L @ L.T, K, atol=1e-6 * size)
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         stable_cholesky(-np.eye(3))
 

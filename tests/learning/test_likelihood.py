@@ -51,7 +51,7 @@ def scikit_learn(theta: Array, data: Transitions, **options) -> GaussianProcessR
 
 
 @given(st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5), st.integers(1, 25), st.integers(0, 100))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_likelihood_is_scikit_learns_and_its_gradient_is_that_of_finite_differences(
     theta: list[float], N: int, seed: int
 ) -> None:
@@ -77,29 +77,6 @@ def test_optimum_is_scikit_learns() -> None:
     np.testing.assert_allclose(hyper.length_scale, reference.k1.k2.length_scale, rtol=1e-3)
     assert hyper.signal_variance == pytest.approx(reference.k1.k1.constant_value, rel=1e-3)
     assert hyper.noise_variance == pytest.approx(reference.k2.noise_level, rel=1e-3)
-
-
-def test_known_hyperparameters_are_found_again() -> None:
-    """With shared hyper-parameters, 200 points of six outputs fix them to 15%, but the signal's variance."""
-    truth = Hyperparameters(np.ones(3), np.array([0.5, 1.0, 3.0]), 1.0, 0.05, 1.0)
-    data = drawn(truth, 200, 6)
-    hyper = learn(medians(3), data, FLAT)
-    per_mean_square = np.mean(1 / np.mean(data.residuals**2, axis=0))  # the unit of the learned variances
-    np.testing.assert_allclose(hyper.length_scale, truth.length_scale, rtol=0.15)
-    assert hyper.signal_variance == pytest.approx(truth.signal_variance * per_mean_square, rel=0.3)
-    assert hyper.noise_variance == pytest.approx(truth.noise_variance * per_mean_square, rel=0.15)
-
-
-def test_prior_rules_without_data_and_yields_to_it() -> None:
-    truth = Hyperparameters(np.ones(3), np.full(3, 0.3), 1.0, 0.05, 1.0)
-    data = drawn(truth, 150, 3)
-    nothing = Transitions(data.inputs[:0], data.residuals[:0])
-    np.testing.assert_allclose(learn(medians(3), nothing, Learning()).length_scale, 1.0)
-    sure, unsure = (
-        np.abs(np.log(learn(medians(3), data, Learning(deviation)).length_scale / 0.3)).max()
-        for deviation in (1e-2, 1.0)
-    )
-    assert unsure < 0.2 < sure
 
 
 def test_what_is_learned_is_the_mode_of_likelihood_and_prior() -> None:
@@ -132,27 +109,20 @@ def test_what_has_no_deviation_is_kept() -> None:
 def test_few_samples_and_constant_outputs_are_learned_from() -> None:
     options = ("gp_learned", "sparse_gp_learned")
     learners = [simbias.load(["tracking=none", f"bias={option}"]).bias for option in options]
-    kinds = ("zero", "constant", "one of them zero", "noise")
-    for bias, N, kind in product(learners, (0, 1, 2, 15), kinds):
+    for bias, N in product(learners, (0, 1, 2, 15)):
         rng = np.random.default_rng(N)
-        residuals = {
-            "zero": np.zeros((N, 6)),
-            "constant": np.full((N, 6), 1e-3),
-            "one of them zero": 1e-3 * rng.standard_normal((N, 6)) * (np.arange(6) != 2),
-            "noise": 1e-3 * rng.standard_normal((N, 6)),
-        }[kind]
-        inputs = rng.standard_normal((N, 7))
-        fitted = bias.fit(Transitions(inputs, residuals))
-        mean, variance = fitted.predict(inputs)
-        assert np.isfinite(mean).all()
-        assert (variance >= 0).all()
-        if kind == "constant":
-            np.testing.assert_allclose(mean, residuals, rtol=0.05)
-        if kind == "zero":
-            assert not mean.any()
-        values = [value for name, value in fitted.diagnostics.items() if name.startswith("length_scale_")]
-        assert len(values) == 7
-        assert (np.array(values) > 0).all()
+        inputs, noise = rng.standard_normal((N, 7)), 1e-3 * rng.standard_normal((N, 6))
+        constant = np.zeros((N, 6)), np.full((N, 6), 1e-3)
+        for residuals in (*constant, noise * (np.arange(6) != 2), noise):
+            fitted = bias.fit(Transitions(inputs, residuals))
+            mean, variance = fitted.predict(inputs)
+            assert np.isfinite(mean).all()
+            assert (variance >= 0).all()
+            if any(residuals is each for each in constant):
+                np.testing.assert_allclose(mean, residuals, rtol=0.05)
+            names = [name for name in fitted.diagnostics if name.startswith("length_scale_")]
+            assert len(names) == 7
+            assert min(fitted.diagnostics[name] for name in names) > 0
 
 
 def test_it_is_deterministic_and_noise_stays_resolvable(study: Study) -> None:

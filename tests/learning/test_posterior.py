@@ -26,46 +26,38 @@ def study() -> Study:
     return pendulum("identification=posterior", "nominal.uncertainty.bodies=false")  # normal, not cut
 
 
-def identified(study: Study, seed: int, frames: int = 1000) -> tuple[Identified, Array, Rollout]:
-    """A model identified from one experiment, the robot's parameters, another experiment with it."""
-    rng = np.random.default_rng(seed)
-    robot, values = truth(study.nominal, rng)
-    fitted = study.identification.fit(study.nominal, [experiment(robot, rng, frames)])
-    assert isinstance(fitted, Identified)
-    return fitted, values, experiment(robot, rng, 300, np.zeros(4))
+@pytest.fixture(scope="module")
+def fitted(study: Study) -> tuple[Identified, Rollout]:
+    """A model identified from one experiment, and another experiment with that robot."""
+    rng = np.random.default_rng(4)
+    robot, _ = truth(study.nominal, rng)
+    found = study.identification.fit(study.nominal, [experiment(robot, rng, 300)])
+    assert isinstance(found, Identified)
+    return found, experiment(robot, rng, 300, np.zeros(4))
 
 
 def prediction_error(nominal: object, rollout: Rollout) -> float:
     return float(np.abs(nominal.step(rollout.states[:-1], rollout.inputs) - rollout.states[1:])[:, 2:].mean())  # type: ignore[attr-defined]
 
 
-def test_it_predicts_what_it_has_not_seen(study: Study) -> None:
-    fitted, _, other = identified(study, 3)
-    assert prediction_error(fitted, other) < 0.1 * prediction_error(study.nominal, other)
+def test_it_predicts_what_it_has_not_seen(study: Study, fitted: tuple[Identified, Rollout]) -> None:
+    found, other = fitted
+    assert prediction_error(found, other) < 0.25 * prediction_error(study.nominal, other)
     x, u = other.states[5], other.inputs[5]
-    np.testing.assert_array_equal(fitted.advance(x, u, np.empty(0))[0], fitted.step(x, u))
+    np.testing.assert_array_equal(found.advance(x, u, np.empty(0))[0], found.step(x, u))
 
 
-def test_draws_are_as_uncertain_as_the_estimates(study: Study) -> None:
-    fitted, _, _ = identified(study, 4, 300)
-    names = [estimate.name for estimate in fitted.estimates]
-    values = np.array(
-        [fitted.draw(np.random.default_rng(i))._values[name] for i in range(300) for name in names]
-    )  # type: ignore[attr-defined]
-    inside = [
-        np.mean((own >= estimate.low) & (own <= estimate.high))
-        for own, estimate in zip(values.reshape(300, -1).T, fitted.estimates, strict=True)
-    ]
-    np.testing.assert_allclose(inside, 0.9, atol=0.06)
-
-
-def test_narrowed_draws_lie_nearer_to_the_mode(study: Study) -> None:
-    """The same draw, at half of the distance in the coordinates in which the posterior is normal."""
-    fitted, _, _ = identified(study, 4, 300)
-    narrow = fitted.narrowed(0.5)
-    np.testing.assert_array_equal(narrow.mode, fitted.mode)
-    np.testing.assert_allclose(narrow.covariance, fitted.covariance / 4, rtol=1e-12)
-    for far, near in zip(fitted.estimates, narrow.estimates, strict=True):
+def test_draws_are_as_uncertain_as_the_estimates(fitted: tuple[Identified, Rollout]) -> None:
+    """Narrowed, they lie nearer to the mode: at half of the distance where the posterior is normal."""
+    found, _ = fitted
+    draws = [found.draw(np.random.default_rng(i))._values for i in range(300)]  # type: ignore[attr-defined]
+    for estimate in found.estimates:
+        inside = np.mean([estimate.low <= draw[estimate.name] <= estimate.high for draw in draws])
+        assert inside == pytest.approx(0.9, abs=0.06), estimate.name
+    narrow = found.narrowed(0.5)
+    np.testing.assert_array_equal(narrow.mode, found.mode)
+    np.testing.assert_allclose(narrow.covariance, found.covariance / 4, rtol=1e-12)
+    for far, near in zip(found.estimates, narrow.estimates, strict=True):
         assert far.low < near.low <= near.value == far.value <= near.high < far.high
 
 
@@ -82,54 +74,48 @@ def test_without_a_whole_window_or_parameters_it_is_the_model_itself(study: Stud
 
 def test_a_robot_at_rest_says_nothing_of_its_parameters(study: Study) -> None:
     """It hangs without torque, whatever they are: the posterior is the prior, exactly."""
-    rest = Rollout(np.zeros((501, 4)), np.zeros((500, 2)))
+    rest = Rollout(np.zeros((201, 4)), np.zeros((200, 2)))
     fitted = study.identification.fit(study.nominal, [rest])
     assert isinstance(fitted, Identified)
     np.testing.assert_array_equal(fitted.mode, 0.0)
     np.testing.assert_array_equal(fitted.covariance, np.eye(len(fitted.mode)))
 
 
-def test_experiments_that_fell_count_as_others(study: Study) -> None:
-    rng = np.random.default_rng(1)
-    robot, _ = truth(study.nominal, rng)
-    whole = experiment(robot, rng, 250)
-    one, other = (study.identification.fit(study.nominal, [r]) for r in (whole, with_a_fall(whole)))
-    assert one.estimates == other.estimates
-
-
-def test_an_outlier_counts_little(study: Study) -> None:
-    """A blow that no model knows, in one window."""
+@pytest.mark.slow
+def test_an_outlier_counts_little_and_a_fall_not_at_all(study: Study) -> None:
+    """A blow that no model knows, in one window; experiments that end by a failure count as others."""
     rng = np.random.default_rng(2)
     robot, _ = truth(study.nominal, rng)
-    clean = experiment(robot, rng, 500)
+    clean = experiment(robot, rng, 300)
     hit = clean.states.copy()
-    hit[310:] += np.array([0.3, 0.3, 5.0, 5.0])
-    models = [study.identification.fit(study.nominal, [r]) for r in (clean, Rollout(hit, clean.inputs))]
+    hit[210:] += np.array([0.3, 0.3, 5.0, 5.0])
+    records = (clean, with_a_fall(clean), Rollout(hit, clean.inputs))
+    one, fallen, struck = (study.identification.fit(study.nominal, [each]) for each in records)
+    assert one.estimates == fallen.estimates
     other = experiment(robot, rng, 200, np.zeros(4))
-    before, after = (prediction_error(model, other) for model in models)
-    assert after < 0.3 * prediction_error(study.nominal, other)
-    assert before < 0.3 * prediction_error(study.nominal, other)
+    assert prediction_error(one, other) < 0.3 * prediction_error(study.nominal, other)
+    assert prediction_error(struck, other) < 0.3 * prediction_error(study.nominal, other)
 
 
 @pytest.mark.slow
 def test_the_posterior_covers_the_truth() -> None:
-    """Ranks of true parameters in their posteriors are uniform, as far as 16 robots tell."""
+    """Ranks of true parameters in their posteriors are uniform, as far as 12 robots tell."""
     from scipy.stats import kstest  # lazily: it takes a second
 
     study, ranks = pendulum(*QUICK, "nominal.uncertainty.bodies=false"), []
-    for seed in range(16):
+    for seed in range(12):
         rng = np.random.default_rng(100 + seed)
         robot, values = truth(study.nominal, rng)
-        fitted = study.identification.fit(study.nominal, [experiment(robot, rng, 300)])
-        draws = [fitted.draw(np.random.default_rng(i)) for i in range(99)]
+        fitted = study.identification.fit(study.nominal, [experiment(robot, rng, 200)])
+        draws = [fitted.draw(np.random.default_rng(i))._values for i in range(99)]  # type: ignore[attr-defined]
         names = [parameter.name for parameter in fitted.parameters]
-        drawn = np.array([[draw._values[name] for name in names] for draw in draws])  # type: ignore[attr-defined]
-        ranks.append(np.mean(drawn < values, axis=0))
+        ranks.append(np.mean([[draw[name] for name in names] < values for draw in draws], axis=0))
     every = np.array(ranks)
     assert 0.82 < np.mean((every > 0.05) & (every < 0.95)) < 0.98
-    assert kstest(every.ravel(), "uniform").statistic < 0.12
+    assert kstest(every.ravel(), "uniform").statistic < 0.14
 
 
+@pytest.mark.slow
 def test_windows_that_count_twice_tell_nothing_more(study: Study) -> None:
     """The same windows twice have the likelihood of once; of two durations each window counts alike."""
     robot, _ = truth(study.nominal, np.random.default_rng(0))
@@ -155,7 +141,7 @@ def test_the_posterior_is_that_of_markov_chains(study: Study) -> None:
     """The density's normal approximation against walkers, which use neither derivatives nor normality."""
     rng = np.random.default_rng(7)
     robot, _ = truth(study.nominal, rng)
-    rollout = experiment(robot, rng, 500)
+    rollout = experiment(robot, rng, 300)
     fitted = study.identification.fit(study.nominal, [rollout])
     assert isinstance(fitted, Identified)
     windows = Windows.of([rollout], 50, 5)
@@ -175,7 +161,7 @@ def walk(
     covariance: Array,
     rng: np.random.Generator,
     walkers: int = 64,
-    steps: int = 450,
+    steps: int = 360,
 ) -> Array:
     """Draws by stretch moves of an ensemble, from a wide start (J. Goodman and J. Weare, 2010)."""
     p, half = len(start), walkers // 2
@@ -220,42 +206,15 @@ def test_likelihood_is_students() -> None:
     np.testing.assert_allclose(errors.log_likelihoods(e), exact.logpdf(e.reshape(40, 4)), rtol=1e-9)
 
 
-def test_model_selection_prefers_what_predicts(study: Study) -> None:
-    """Wrong masses and friction: identified parameters. Nothing is left for a bias, which is then none."""
-    rng = np.random.default_rng(5)
-    robot, _ = truth(study.nominal, rng)
-    rollouts = [experiment(robot, rng, 150) for _ in range(3)]
-    study = pendulum(*QUICK, "bias=none")
-    values = log_likelihoods(study, rollouts)
-    assert list(values) == list(VARIANTS)
-    assert values["identified parameters"] > values["declared models"] + 5
-    assert most_likely(values).identifies
-    assert learn(study, rollouts, [rollouts], most_likely(values)).model.nominal.estimates
-    assert log_likelihoods(study, [experiment(robot, rng, 30)]) == {}
-    assert most_likely({}) == VARIANTS["parameters and residual"]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("declared_is_true", [True, False])
-def test_the_margin_lets_through_what_is_there_alone(declared_is_true: bool) -> None:
-    """By one standard error, of three short experiments: twice of twice as it should."""
-    study = pendulum(*QUICK, "bias=none")
-    chosen = []
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        robot = study.nominal if declared_is_true else truth(study.nominal, rng)[0]
-        values = log_likelihoods(study, [experiment(robot, rng, 100) for _ in range(3)], margin=1.0)
-        chosen.append(most_likely(values).identifies)
-    assert chosen == 2 * [not declared_is_true]
+def test_model_selection_prefers_what_predicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wrong masses and friction: identified parameters. Nothing is left for a bias, which is then none.
 
-
-def test_the_margin_is_taken_off_the_gain_of_what_is_less_simple(
-    study: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rng, known, errors = np.random.default_rng(5), {}, model_selection._errors
-    robot, _ = truth(study.nominal, rng)
-    rollouts = [experiment(robot, rng, 100) for _ in range(3)]
-    study = pendulum(*QUICK, "bias=none")
+    The margin is taken off the gain of what is less simple; by one standard error, the declared model is
+    kept where it is true.
+    """
+    known, errors = {}, model_selection._errors
+    study, rng = pendulum(*QUICK, "bias=none"), np.random.default_rng(5)
 
     def once(study: Study, variant: ModelVariant, kept: list[Rollout], left_out: Windows) -> Array:
         key = (variant, *map(id, kept))  # no margin changes the fits
@@ -264,42 +223,42 @@ def test_the_margin_is_taken_off_the_gain_of_what_is_less_simple(
         return known[key]
 
     monkeypatch.setattr(model_selection, "_errors", once)
+    rollouts = [experiment(truth(study.nominal, np.random.default_rng(5))[0], rng, 120) for _ in range(3)]
     without, one, two = (log_likelihoods(study, rollouts, margin) for margin in (0.0, 1.0, 2.0))
+    assert list(without) == list(VARIANTS)
     first, second = "declared models", "identified parameters"
+    assert without[second] > without[first] + 5
     assert without[first] == one[first] == two[first]
     error = without[second] - one[second]
     assert 0.1 < error < 30.0  # nats
     assert two[second] == pytest.approx(without[second] - 2 * error)
+    assert most_likely(one).identifies
+    assert learn(study, rollouts, [rollouts], most_likely(one)).model.nominal.estimates
+    right = [experiment(study.nominal, rng, 100) for _ in range(3)]
+    assert not most_likely(log_likelihoods(study, right, margin=1.0)).identifies
+    assert log_likelihoods(study, [experiment(study.nominal, rng, 30)]) == {}
+    assert most_likely({}) == VARIANTS["parameters and residual"]
 
 
 @pytest.mark.slow
 def test_lag_and_delay_of_the_bongoboard_are_identified() -> None:
-    """Hidden states: simulated from the commands, through true and measured states."""
+    """Hidden states: simulated from the commands, through measured states."""
     spreads = {"lag": 0.02, "delay": 0.02, "motor_gain": 0.3}
-    study = simbias.load(
-        ["tracking=none", "identification=posterior"]
-        + [f"nominal.uncertainty.{name}={value}" for name, value in spreads.items()]
-    )
-    names = [parameter.name for parameter in study.nominal.parameters]
-    values = np.array([parameter.value for parameter in study.nominal.parameters])
-    values[[names.index(name) for name in ("lag", "delay", "motor_gain", "foot_mass")]] = (
-        0.015,
-        0.008,
-        0.8,
-        0.5,
-    )
-    robot = study.nominal.with_parameters(values)
-    for noise in (np.zeros(6), np.array([1e-3] * 3 + [0.03] * 3)):
-        rng, rollouts = np.random.default_rng(0), []
-        for _ in range(4):
-            x, memory, states = study.task.draw_start(rng), np.zeros(robot.state_size), []
-            u = np.repeat(20.0 * rng.standard_normal((15, 1)), 40, axis=0)
-            for each in u:
-                states.append(x)
-                x, memory = robot.advance(x, each, memory)
-            measured = np.array([*states, x]) + noise * rng.standard_normal((len(u) + 1, 6))
-            rollouts.append(Rollout(measured, u, sensed=bool(noise.any())))
-        fitted = study.identification.fit(study.nominal, rollouts)
-        found = {estimate.name: estimate.value for estimate in fitted.estimates}
-        assert found["lag"] == pytest.approx(0.015, abs=0.002)
-        assert found["delay"] == pytest.approx(0.008, abs=0.002)
+    uncertain = [f"nominal.uncertainty.{name}={value}" for name, value in spreads.items()]
+    study = simbias.load(["tracking=none", "identification=posterior", *uncertain])
+    true = {"lag": 0.015, "delay": 0.008, "motor_gain": 0.8, "foot_mass": 0.5}
+    values = [true.get(each.name, each.value) for each in study.nominal.parameters]
+    robot, rng, rollouts = study.nominal.with_parameters(np.array(values)), np.random.default_rng(0), []
+    for _ in range(4):
+        x, memory, states = study.task.draw_start(rng), np.zeros(robot.state_size), []
+        u = np.repeat(20.0 * rng.standard_normal((15, 1)), 40, axis=0)
+        for each in u:
+            states.append(x)
+            x, memory = robot.advance(x, each, memory)
+        noise = np.array([1e-3] * 3 + [0.03] * 3)
+        measured = np.array([*states, x]) + noise * rng.standard_normal((len(u) + 1, 6))
+        rollouts.append(Rollout(measured, u, sensed=True))
+    fitted = study.identification.fit(study.nominal, rollouts)
+    found = {estimate.name: estimate.value for estimate in fitted.estimates}
+    assert found["lag"] == pytest.approx(0.015, abs=0.002)
+    assert found["delay"] == pytest.approx(0.008, abs=0.002)

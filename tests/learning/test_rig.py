@@ -46,36 +46,27 @@ def recorded(rig: Nominal, rng: np.random.Generator, frames: int = 1000, noise: 
     return Rollout(np.array(states) + noise * rng.standard_normal((frames + 1, 4)), u)
 
 
-def test_an_ideal_rig_is_the_model(study: Study) -> None:
-    rig, rng = Rig(study.task, study.nominal, {"tau1": MOTOR}, SENSORS), np.random.default_rng(0)
-    x, u = rng.standard_normal((20, 4)), rng.standard_normal((20, 2))
-    np.testing.assert_allclose(rig.step(x, u), study.nominal.step(x, u), rtol=1e-12)
-
-
-def test_the_rigs_kernel_is_the_plain_one(study: Study) -> None:
-    """With all that a rig may have, and with sensors alone."""
+def test_a_rig_is_the_model_behind_motors_and_sensors_and_its_kernel_the_plain_one(study: Study) -> None:
+    """With all that a rig may have, and with sensors alone; an ideal one is the model."""
     rng = np.random.default_rng(0)
+    x, u = rng.standard_normal((20, 4)), rng.standard_normal((20, 2))
+    ideal = Rig(study.task, study.nominal, {"tau1": MOTOR}, SENSORS)
+    np.testing.assert_allclose(ideal.step(x, u), study.nominal.step(x, u), rtol=1e-12)
     whole = at(
-        Rig(study.task, study.nominal, {"tau1": MOTOR}, SENSORS),
+        ideal,
         **{"tau1.gain": 0.8, "tau1.offset": 0.05, "tau1.lag": 0.01, "tau1.delay": 0.005},
         **{"tau1.stribeck": 0.1, "tau1.load": 0.2, "pos1.offset": 0.05, "vel2.gain": 1.1},
     )
-    seen = at(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.05, "vel2.gain": 1.1})
+    seen = at(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.1, "vel2.gain": 1.2})
+    gain, offset = [1, 1, 1, 1.2], [0.1, 0, 0, 0]
+    there = study.nominal.step(x, u) * gain + offset
+    np.testing.assert_allclose(seen.step(x * gain + offset, u), there, rtol=1e-9)
     for rig in (whole, seen):
         assert rig.kernel is not None
         windows = Windows.of([recorded(rig, rng, 100)], 50, 5)
         with interpreted():
             made = predict([PredictionModel(rig)], windows)
         np.testing.assert_allclose(made, plain([PredictionModel(rig)], windows), rtol=1e-8, atol=1e-10)
-
-
-def test_what_sensors_say_is_offset_and_scaled(study: Study) -> None:
-    rig = at(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.1, "vel2.gain": 1.2})
-    x, u = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.1, 0.2])
-    y = x * [1, 1, 1, 1.2] + [0.1, 0, 0, 0]
-    np.testing.assert_allclose(
-        rig.step(y, u), study.nominal.step(x, u) * [1, 1, 1, 1.2] + [0.1, 0, 0, 0], rtol=1e-12
-    )
 
 
 def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
@@ -90,29 +81,6 @@ def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
     assert changes[0] < 0
     assert changes[1] == pytest.approx(2 * changes[0], rel=1e-3)
     assert changes[2] == pytest.approx(changes[0], rel=1e-3)  # half of 0.1 N m, and a tenth of 0.5 N m
-
-
-@pytest.mark.slow
-def test_they_come_back() -> None:
-    """All of them together, beside the pendulum's eleven parameters, from two seconds."""
-    true = {"tau1.offset": 0.15, "tau1.lag": 0.015, "tau1.load": 0.25, "pos1.offset": 0.08}
-    true |= {"tau2.gain": 0.75, "tau2.delay": 0.006, "tau2.stribeck": 0.2}
-    study = pendulum(
-        *QUICK,
-        "+identification.motors.tau1={offset: 0.2, lag: 0.02, velocity: vel1, load: 0.3}",
-        "+identification.motors.tau2={gain: 0.3, delay: 0.01, velocity: vel2, stribeck: 0.3}",
-        "+identification.sensors={pos1: {offset: 0.1}}",
-    )
-    rig, rng = study.identification.prior(study.nominal), np.random.default_rng(2)  # type: ignore[attr-defined]
-    robot = at(rig, friction_1=0.1, friction_2=0.1, damping_1=0.01, damping_2=0.01, **true)
-    fitted = study.identification.fit(study.nominal, [recorded(robot, rng)])
-    assert isinstance(fitted, Identified)
-    found = {estimate.name: estimate for estimate in fitted.estimates}
-    for name, value in true.items():
-        width = found[name].high - found[name].low
-        assert abs(found[name].value - value) < 1.5 * width
-        assert abs(found[name].value - value) < 0.25 * value
-    assert set(found) == {parameter.name for parameter in rig.parameters}
 
 
 def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
@@ -162,43 +130,55 @@ def test_a_motors_zero_is_an_offset_of_one_recording(study: Study) -> None:
     assert set(deviations.values()) == {SHIFT}
 
 
-@pytest.mark.slow
-def test_a_load_is_of_one_recording_and_all_else_is_shared() -> None:
-    """Put on in the second of two recordings, it comes back there, beside what both share."""
+SHARED = {"tau1.offset": 0.15, "tau1.lag": 0.015, "tau1.load": 0.25, "pos1.offset": 0.08}
+SHARED |= {"tau2.gain": 0.75, "tau2.delay": 0.006, "tau2.stribeck": 0.2}
+ZEROS, LOADS = (0.08, -0.05), (0.002, 0.04)  # of each recording
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Identified:
+    """A rig with all that it may have, beside the pendulum's parameters, from two recordings."""
     study = pendulum(
-        *("identification=posterior", "identification.starts=4", "identification.rounds=2"),
+        *QUICK,
+        "+identification.motors.tau1={offset: 0.2, lag: 0.02, velocity: vel1, load: 0.3}",
+        "+identification.motors.tau2={gain: 0.3, delay: 0.01, velocity: vel2, stribeck: 0.3}",
+        "+identification.sensors={pos1: {offset: 0.1}, pos2: {zero: 0.05}}",
         "identification.each=[damping_2]",
     )
     rig, rng = study.identification.prior(study.nominal), np.random.default_rng(0)  # type: ignore[attr-defined]
-    loads = (0.002, 0.04)
-    robots = [at(rig, friction_1=0.1, friction_2=0.1, damping_2=load) for load in loads]
-    fitted = study.identification.fit(study.nominal, [recorded(robot, rng) for robot in robots])
-    assert isinstance(fitted, Identified)
-    for i, load in enumerate(loads):
-        found = {estimate.name: estimate.value for estimate in fitted.of_recording(i).estimates}
-        assert found["damping_2"] == pytest.approx(load, abs=0.01)
-        assert found["friction_1"] == pytest.approx(0.1, abs=0.02)
+    joints = {"friction_1": 0.1, "friction_2": 0.1, "damping_1": 0.01}
+    own = [{"pos2.zero": zero, "damping_2": load} for zero, load in zip(ZEROS, LOADS, strict=True)]
+    records = [recorded(at(rig, **joints, **SHARED, **each), rng) for each in own]
+    found = study.identification.fit(study.nominal, records)
+    assert isinstance(found, Identified)
+    assert {each.name for each in found.estimates} == {each.name for each in rig.parameters}
+    return found
 
 
 @pytest.mark.slow
-def test_recordings_that_are_fitted_together_have_their_own_zeros() -> None:
+def test_a_load_is_of_one_recording_and_all_else_is_shared(fitted: Identified) -> None:
+    """Put on in the second of two recordings, it comes back there, and so does what both share."""
+    for i, load in enumerate(LOADS):
+        found = {estimate.name: estimate for estimate in fitted.of_recording(i).estimates}
+        assert found["damping_2"].value == pytest.approx(load, abs=0.01)
+        assert found["friction_1"].value == pytest.approx(0.1, abs=0.02)
+        for name, value in SHARED.items():
+            width = found[name].high - found[name].low
+            assert abs(found[name].value - value) < min(1.5 * width, 0.25 * value), name
+
+
+@pytest.mark.slow
+def test_recordings_that_are_fitted_together_have_their_own_zeros(fitted: Identified) -> None:
     """Each zero comes back; of yet another recording the prior alone is known."""
-    study = pendulum(
-        *QUICK,
-        "+identification.sensors={pos2: {zero: 0.05}}",
-    )
-    rig, rng = study.identification.prior(study.nominal), np.random.default_rng(1)  # type: ignore[attr-defined]
-    zeros = (0.08, -0.05, 0.0)
-    robots = [at(rig, friction_1=0.1, friction_2=0.1, **{"pos2.zero": zero}) for zero in zeros]
-    fitted = study.identification.fit(study.nominal, [recorded(robot, rng) for robot in robots])
-    assert isinstance(fitted, Identified)
-    for i, zero in enumerate(zeros):
-        found = fitted.of_recording(i).estimates[-1]
+    for i, zero in enumerate(ZEROS):
+        found = {estimate.name: estimate for estimate in fitted.of_recording(i).estimates}["pos2.zero"]
         assert found.value == pytest.approx(zero, abs=0.02)
         assert found.low < found.value < found.high < found.low + 0.03
-    assert fitted.estimates[-1].value == 0.0
+    elsewhere = {estimate.name: estimate.value for estimate in fitted.estimates}
+    assert elsewhere["pos2.zero"] == 0.0
     assert not any("pos2.zero" in direction.weights for direction in undetermined(fitted))
-    assert [p.of_recording for p in KnownPrior(rig, fitted.known).parameters] == [False] * 11 + [True]
+    prior = KnownPrior(fitted.model, fitted.known).parameters
+    assert {each.name for each in prior if each.of_recording} == {"pos2.zero", "damping_2"}
 
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:

@@ -31,22 +31,16 @@ def smooth(inputs: Array) -> Array:
     return 1e-2 * np.sin(3.0 * inputs[:, :4]) + 3e-3
 
 
+@pytest.mark.slow
 def test_permuted_residuals_carry_no_state() -> None:
     """They have the size of the true ones, and predict them no better than their mean does."""
     data, held_out = Transitions(points(150), smooth(points(150))), points(200, seed=1)
-    errors = {
-        name: np.mean((bias_of(name).fit(data).predict(held_out)[0] - smooth(held_out)) ** 2)
-        for name in ("gp", "permuted_gp", "mean")
-    }
+    fitted = {name: bias_of(name).fit(data) for name in ("gp", "permuted_gp", "mean")}
+    errors = {k: np.mean((each.predict(held_out)[0] - smooth(held_out)) ** 2) for k, each in fitted.items()}
     assert errors["gp"] < 0.1 * errors["mean"]
     assert errors["permuted_gp"] > errors["mean"]
-
-
-def test_the_mean_is_the_same_everywhere() -> None:
-    data = Transitions(points(50), smooth(points(50)))
-    fitted = bias_of("mean").fit(data)
-    added = fitted.correction(points(7)[:, :4], points(7)[:, 4:])
-    np.testing.assert_allclose(added, np.tile(data.residuals.mean(axis=0), (7, 1)))
+    added = fitted["mean"].correction(held_out[:, :4], held_out[:, 4:])
+    np.testing.assert_allclose(added, np.tile(data.residuals.mean(axis=0), (200, 1)))
 
 
 def test_a_motor_gain_is_a_residual_of_the_input(cartpole: Study) -> None:
@@ -65,9 +59,10 @@ def test_a_motor_gain_is_a_residual_of_the_input(cartpole: Study) -> None:
     assert error < 0.5 * np.abs(residual(held_out)).mean()
 
 
+@pytest.mark.slow
 def test_a_residual_of_accelerations_moves_positions_by_a_part_of_a_frame() -> None:
     """Where forces alone are missing, half a frame's; what positions have besides is left to the model."""
-    inputs = points(300)
+    inputs = points(150)
     pushes = np.sin(inputs[:, 2:4]) + 0.3
     forced = Transitions(inputs, np.concatenate([0.025 * pushes, pushes], axis=1))
     fitted, whole = (bias_of(name).fit(forced) for name in ("acceleration_residual", "sparse_gp"))
@@ -76,10 +71,11 @@ def test_a_residual_of_accelerations_moves_positions_by_a_part_of_a_frame() -> N
     mean, _ = bias_of("acceleration_residual").fit(moved).predict(inputs)
     ratios = mean[:, :2] / mean[:, 2:]
     np.testing.assert_allclose(ratios, np.broadcast_to(ratios[0], ratios.shape), rtol=1e-6)
-    still = Transitions(inputs, np.zeros((300, 4)))
+    still = Transitions(inputs, np.zeros((150, 4)))
     assert not bias_of("acceleration_residual").fit(still).predict(inputs)[0].any()
 
 
+@pytest.mark.slow
 def test_lscde_finds_a_known_conditional_density() -> None:
     """A mixture whose two branches part with the state: no Gaussian process has such a density."""
     rng = np.random.default_rng(3)
@@ -103,6 +99,7 @@ def test_lscde_finds_a_known_conditional_density() -> None:
     assert variance[0, 0] == pytest.approx(1.0 + deviation**2, rel=0.25)
 
 
+@pytest.mark.slow
 def test_lscde_predicts_means_and_is_zero_far_from_data() -> None:
     data, held_out = Transitions(points(300), smooth(points(300))), points(100, seed=1)
     fitted = bias_of("lscde").fit(data)

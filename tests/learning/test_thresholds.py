@@ -25,46 +25,42 @@ def rollout_through(study: Study, states: list[list[float]], deviation: float = 
     return Rollout(np.array(rows), np.zeros((len(rows) - 1, 1)))
 
 
-@pytest.mark.parametrize(
-    ("state", "criterion"),
-    [
-        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], None),
-        ([0.0, 0.0, 0.51, 0.0, 0.0, 0.0], "distance"),
-        ([0.1, 0.0, 0.21, 0.0, 0.0, 0.0], "body_angle"),
-        ([0.21, 0.0, -0.2, 0.0, 0.0, 0.0], "board_angle"),
-        ([0.0, 0.0, 0.0, 1.5, 1.5, 0.0], "speed"),
-        ([0.0, 0.38, -0.3, 0.0, 0.0, 0.0], "board_angle"),
-        ([2.7, -2.7, 0.0, 0.0, 0.0, 0.0], "board_leaves_wheel"),
-        ([0.9, 0.0, 0.0, 0.0, 0.0, 0.0], "board_touches_ground"),
-    ],
-)
-def test_each_criterion_rejects_and_is_counted(
-    study: Study, state: list[float], criterion: str | None
-) -> None:
+STATES: list[tuple[list[float], str | None]] = [
+    ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], None),
+    ([0.0, 0.0, 0.51, 0.0, 0.0, 0.0], "distance"),
+    ([0.1, 0.0, 0.21, 0.0, 0.0, 0.0], "body_angle"),
+    ([0.21, 0.0, -0.2, 0.0, 0.0, 0.0], "board_angle"),
+    ([0.0, 0.0, 0.0, 1.5, 1.5, 0.0], "speed"),
+    ([0.0, 0.38, -0.3, 0.0, 0.0, 0.0], "board_angle"),
+    ([2.7, -2.7, 0.0, 0.0, 0.0, 0.0], "board_leaves_wheel"),
+    ([0.9, 0.0, 0.0, 0.0, 0.0, 0.0], "board_touches_ground"),
+]
+
+
+def test_each_criterion_rejects_and_is_counted(study: Study) -> None:
     samples = Thresholds(study.task, stride=2, limits=LIMITS, residual=0.01)
-    selection = samples.select([rollout_through(study, [state])], study.nominal)
-    assert selection.sampled == 1
-    assert {name for name, count in selection.rejected.items() if count} == (
-        {criterion} if criterion else set()
+    for state, criterion in STATES:
+        selection = samples.select([rollout_through(study, [state])], study.nominal)
+        assert selection.sampled == 1
+        rejected = [name for name, count in selection.rejected.items() if count]
+        assert rejected == ([criterion] if criterion else [])
+        assert len(selection.transitions) == (criterion is None)
+
+
+def test_outliers_are_rejected_and_a_state_at_a_limit_is_within_it(study: Study) -> None:
+    """Criterion 7: the distance from the Lagrangian model's prediction."""
+    samples = Thresholds(study.task, stride=2, residual=0.01)
+    kept, lost = (
+        samples.select([rollout_through(study, [[0.0] * 6], deviation)], study.nominal)
+        for deviation in (0.0099, 0.0101)
     )
-    assert len(selection.transitions) == (criterion is None)
-
-
-def test_a_state_at_a_limit_is_within_it(study: Study) -> None:
+    np.testing.assert_allclose(kept.transitions.residuals, [[0, 0, 0, 0.0099, 0, 0]], atol=1e-12)
+    assert lost.rejected["residual"] == 1
     samples = Thresholds(study.task, stride=1, limits=LIMITS, residual=1.0)
     for angle, rejected in ((0.2, 0), (np.nextafter(0.2, 1.0), 2)):
         states = np.tile([angle, 0.0, -0.2, 0.0, 0.0, 0.0], (3, 1))
         selection = samples.select([Rollout(states, np.zeros((2, 1)))], Still())
         assert selection.rejected["board_angle"] == rejected
-
-
-def test_outliers_are_rejected(study: Study) -> None:
-    """Criterion 7: the distance from the Lagrangian model's prediction."""
-    samples = Thresholds(study.task, stride=2, residual=0.01)
-    kept = samples.select([rollout_through(study, [[0.0] * 6], 0.0099)], study.nominal)
-    lost = samples.select([rollout_through(study, [[0.0] * 6], 0.0101)], study.nominal)
-    np.testing.assert_allclose(kept.transitions.residuals, [[0, 0, 0, 0.0099, 0, 0]], atol=1e-12)
-    assert lost.rejected["residual"] == 1
 
 
 def test_residuals_are_equation_6(study: Study) -> None:
@@ -86,13 +82,6 @@ def test_the_failing_contact_is_rejected_by_its_own_criterion(study: Study) -> N
     assert len(selection.transitions) == rollout.frames - 1
 
 
-def test_downsampling(study: Study) -> None:
-    for stride, expected in ((1, 100), (35, 3), (99, 2), (100, 1), (1000, 1)):
-        rollout = Rollout(np.zeros((101, 6)), np.zeros((100, 1)))
-        selection = Thresholds(study.task, stride=stride).select([rollout], study.nominal)
-        assert (selection.frames, selection.sampled) == (100, expected)
-
-
 # Measured states
 
 
@@ -108,26 +97,24 @@ def measured(states: Array, inputs: Array | None = None) -> Rollout:
     return Rollout(states, inputs, measured=states, sensed=True)
 
 
-@pytest.mark.parametrize("window", [1, 2, 35, 71])
-def test_weights_are_those_of_the_least_squares_line(window: int) -> None:
-    weights, states = line_weights(window), np.random.default_rng(0).normal(size=window + 1)
-    assert weights.sum() == pytest.approx(1)
-    assert weights @ np.diff(states) == pytest.approx(np.polyfit(np.arange(window + 1), states, 1)[0])
+def test_weights_are_those_of_the_least_squares_line() -> None:
+    for window in (1, 2, 35, 71):
+        weights, states = line_weights(window), np.random.default_rng(0).normal(size=window + 1)
+        assert weights.sum() == pytest.approx(1)
+        assert weights @ np.diff(states) == pytest.approx(np.polyfit(np.arange(window + 1), states, 1)[0])
 
 
-@pytest.mark.parametrize("window", [1, 35, 71])
-def test_noise_in_the_residuals_falls_as_the_line_has_it(study: Study, window: int) -> None:
-    """12 s^2 / (w (w+1) (w+2)), in 99.9 % of all seeds: the samples are independent."""
-    from scipy.stats import chi2  # lazily: it takes a second
-
+def test_noise_in_the_residuals_falls_as_the_line_has_it(study: Study) -> None:
+    """12 s^2 / (w (w+1) (w+2)), to four standard errors: the samples are independent."""
     deviation, count = 1e-3, 200
-    states = deviation * np.random.default_rng(0).standard_normal((count * (window + 1) + 1, 6))
-    samples = Thresholds(study.task, stride=window + 1, window=Windows(measured=window))
-    residuals = samples.select([measured(states)], Still()).transitions.residuals
-    assert residuals.shape == (count, 6)
-    variance = 12 * deviation**2 / (window * (window + 1) * (window + 2))
-    lower, upper = chi2.interval(0.999, residuals.size)
-    assert lower < np.sum(residuals**2) / variance < upper
+    for window in (1, 71):
+        states = deviation * np.random.default_rng(0).standard_normal((count * (window + 1) + 1, 6))
+        samples = Thresholds(study.task, stride=window + 1, window=Windows(measured=window))
+        residuals = samples.select([measured(states)], Still()).transitions.residuals
+        assert residuals.shape == (count, 6)
+        variance = 12 * deviation**2 / (window * (window + 1) * (window + 2))
+        ratio, error = np.mean(residuals**2) / variance, np.sqrt(2 / residuals.size)
+        assert ratio == pytest.approx(1.0, abs=4 * error), window
 
 
 def test_a_window_finds_an_affine_bias_at_its_mean_state_and_input(study: Study) -> None:
@@ -145,38 +132,36 @@ def test_a_window_finds_an_affine_bias_at_its_mean_state_and_input(study: Study)
     np.testing.assert_allclose(found.inputs[0], [*(weights @ states[:window]), *(weights @ inputs[:window])])
 
 
-@pytest.mark.parametrize("sensed", [False, True])
-def test_only_measured_states_are_averaged(study: Study, sensed: bool) -> None:
-    states = 0.001 * np.random.default_rng(0).normal(size=(101, 6))
-    rollout = replace(measured(states), sensed=sensed)
+def test_how_many_are_sampled(study: Study) -> None:
+    """Only measured states are averaged; an experiment shorter than a window teaches nothing."""
+    for stride, expected in ((1, 100), (35, 3), (99, 2), (100, 1), (1000, 1)):
+        rollout = Rollout(np.zeros((101, 6)), np.zeros((100, 1)))
+        selection = Thresholds(study.task, stride=stride).select([rollout], study.nominal)
+        assert (selection.frames, selection.sampled) == (100, expected)
     samples = Thresholds(study.task, stride=10, window=Windows(true_state=1, measured=20))
-    assert samples.select([rollout], Still()).sampled == (9 if sensed else 10)
-
-
-def test_an_experiment_shorter_than_a_window_teaches_nothing(study: Study) -> None:
-    assert study.samples.select([measured(np.zeros((71, 6)))], study.nominal).sampled == 0
-    assert study.samples.select([measured(np.zeros((72, 6)))], study.nominal).sampled == 1
+    for sensed, expected in ((False, 10), (True, 9)):
+        rollout = replace(measured(np.zeros((101, 6))), sensed=sensed)
+        assert samples.select([rollout], Still()).sampled == expected
+    for states, expected in ((71, 0), (72, 1)):
+        assert study.samples.select([measured(np.zeros((states, 6)))], study.nominal).sampled == expected
+    nothing = study.samples.select([], study.nominal)
+    assert nothing.transitions.inputs.shape == (0, 7)
+    assert nothing.rejected.keys() == {c.name for c in study.task.criteria} | {"residual"}
 
 
 def test_windows_recover_the_residual_that_single_steps_lose(study: Study) -> None:
     """Table II's fifth row on the real thing: the error of the residuals against the truth's, in a window."""
     noise = ["hardware.noise.angle_variance=1e-6", "hardware.noise.velocity_variance=1e-3"]
     noisy = simbias.load(["tracking=none", "task.horizon=1500", *noise])
-    theta = np.array([8.1, 4.8, -6.7, -0.4, -5.6])
-    true = noisy.experiment(theta, np.random.default_rng(0))
+    true = noisy.experiment(np.array([8.1, 4.8, -6.7, -0.4, -5.6]), np.random.default_rng(0))
     assert true.measured is not None
-    real = replace(true, states=true.measured, sensed=True)
-
-    def residuals(rollout: Rollout, window: int) -> Array:
+    for window, least, most in ((1, 5.0, np.inf), (71, 0.0, 0.2)):
         samples = Thresholds(study.task, residual=1e9, window=Windows(window, window))
-        return samples.select([rollout], study.nominal).transitions.residuals[:, 3:]
-
-    def error(window: int) -> float:
-        truth = residuals(true, window)
-        return float(np.linalg.norm(residuals(real, window) - truth) / np.linalg.norm(truth))
-
-    assert error(1) > 5
-    assert error(71) < 0.2
+        truth, seen = (
+            samples.select([rollout], study.nominal).transitions.residuals[:, 3:]
+            for rollout in (true, replace(true, states=true.measured, sensed=True))
+        )
+        assert least < np.linalg.norm(seen - truth) / np.linalg.norm(truth) < most, window
 
 
 # Selection by information
@@ -204,19 +189,10 @@ def test_information_chooses_as_many_the_farthest_again_and_again(study: Study) 
 def test_information_never_chooses_what_the_criteria_reject(study: Study) -> None:
     states = np.zeros((101, 6))
     states[1::2, 2] = 0.6  # farther than the limit, every other frame
-    limits = {"body_angle": 0.5}
-    samples = Thresholds(study.task, stride=5, limits=limits, residual=1.0, selection="information")
     steady = np.repeat(states[::2], 2, axis=0)[:101] + np.linspace(0, 0.1, 101)[:, None]
-    selection = samples.select(
-        [Rollout(states, np.zeros((100, 1))), Rollout(steady, np.zeros((100, 1)))], Still()
+    samples = Thresholds(
+        study.task, stride=5, limits={"body_angle": 0.5}, residual=1.0, selection="information"
     )
-    assert selection.rejected["body_angle"] == 20
-    assert len(selection.transitions) == 20
+    selection = samples.select([Rollout(each, np.zeros((100, 1))) for each in (states, steady)], Still())
+    assert selection.rejected["body_angle"] == len(selection.transitions) == 20
     assert np.abs(selection.transitions.inputs[:, 2]).max() < 0.5
-
-
-def test_nothing_comes_from_nothing(study: Study) -> None:
-    selection = study.samples.select([], study.nominal)
-    assert selection.transitions.inputs.shape == (0, 7)
-    assert selection.transitions.residuals.shape == (0, 6)
-    assert set(selection.rejected) == {c.name for c in study.task.criteria} | {"residual"}

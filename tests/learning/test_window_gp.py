@@ -30,22 +30,18 @@ def study() -> Study:
     return pendulum("bias=window_gp", "bias.points=30", *damping)
 
 
-@pytest.fixture(scope="module")
-def sprung(study: Study) -> tuple[list[Rollout], Rollout]:
-    """Two experiments to learn from, another to predict."""
-    rng, robot = np.random.default_rng(0), Sprung(study.nominal)
-    return [experiment(robot, rng, 1500) for _ in range(2)], experiment(robot, rng, 500, np.zeros(4))
-
-
 def error(study: Study, fitted: object, rollouts: list[Rollout]) -> float:
     windows = Windows.of(rollouts, 50, 5)
-    e = predict([PredictionModel(study.nominal)], windows, fitted)[0] - windows.means  # type: ignore[arg-type]
+    e = plain([PredictionModel(study.nominal)], windows, fitted)[0] - windows.means  # type: ignore[arg-type]
     return float(np.sqrt(np.mean(e[:, -1, 2:] ** 2)))
 
 
 @pytest.mark.slow
-def test_it_finds_what_the_model_lacks(study: Study, sprung: tuple[list[Rollout], Rollout]) -> None:
-    learned, other = sprung
+def test_it_finds_what_the_model_lacks(study: Study) -> None:
+    """Its mean is weighted by Eq. 7 if asked for."""
+    rng, robot = np.random.default_rng(0), Sprung(study.nominal)
+    learned = [experiment(robot, rng, 1500) for _ in range(2)]
+    other = experiment(robot, rng, 500, np.zeros(4))
     fitted = study.bias.learn(study.no_data, learned, study.nominal)
     assert isinstance(fitted, WindowPosterior)
     without = error(study, study.bias.fit(study.no_data), [other])
@@ -56,28 +52,16 @@ def test_it_finds_what_the_model_lacks(study: Study, sprung: tuple[list[Rollout]
     draws = np.array([fitted.draw(np.random.default_rng(i)).predict(inputs)[0] for i in range(200)])
     np.testing.assert_allclose(draws.mean(axis=0), mean, atol=5 * np.sqrt(variance.max() / 200))
     assert (draws.std(axis=0) <= 1.3 * np.sqrt(variance) + 1e-9).all()
-    windows = Windows.of([other], 50, 5)
-    both = (run([PredictionModel(study.nominal)], windows, fitted) for run in (predict, plain))
-    np.testing.assert_allclose(*both, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_its_mean_is_weighted_by_equation_7_if_asked_for(
-    study: Study, sprung: tuple[list[Rollout], Rollout]
-) -> None:
-    learned, other = sprung
-    fitted = WindowGP(study.task, points=30, d=1.0).learn(study.no_data, learned, study.nominal)
-    assert isinstance(fitted, WindowPosterior)
-    inputs = np.concatenate([other.states[:-1], other.inputs], axis=1)[::50]
+    weighted = WindowGP(study.task, points=30, d=1.0).learn(study.no_data, learned, study.nominal)
+    assert isinstance(weighted, WindowPosterior)
     inputs = np.concatenate([inputs, inputs * 3.0, inputs + 100.0])
-    mean, variance = fitted.predict(inputs)
+    mean, variance = weighted.predict(inputs)
     weight = np.exp(-np.sum(variance / variance[-1], axis=1, keepdims=True))  # the last is the prior's
     assert weight[0] > 10 * weight[-1]
     np.testing.assert_allclose(weight[-1], np.exp(-4.0))
-    np.testing.assert_allclose(fitted.correction(inputs[:, :4], inputs[:, 4:]), weight * mean, rtol=1e-6)
-    windows = Windows.of([other], 50, 5)
-    both = (run([PredictionModel(study.nominal)], windows, fitted) for run in (predict, plain))
-    np.testing.assert_allclose(*both, atol=1e-4)
+    np.testing.assert_allclose(weighted.correction(inputs[:, :4], inputs[:, 4:]), weight * mean, rtol=1e-6)
+    asked = [PredictionModel(study.nominal)], Windows.of([other], 50, 5), weighted
+    np.testing.assert_allclose(predict(*asked), plain(*asked), atol=1e-4)
 
 
 @pytest.mark.slow

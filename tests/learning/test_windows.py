@@ -14,8 +14,7 @@ from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.bias.covariance import Hyperparameters
 from simbias.learning.bias.posterior import GPSample
 from simbias.learning.bias.sensitivity import BATCH, sensitivities
-from simbias.learning.bias.window_gp import WindowGP, WindowPosterior, _Fits, _outlier_limits, features, root
-from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
+from simbias.learning.bias.window_gp import WindowGP, WindowPosterior, features, root
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 NO_DATA = Transitions(np.empty((0, 3)), np.empty((0, 2)))
@@ -85,80 +84,6 @@ def test_sensitivities_are_those_of_differences() -> None:
     np.testing.assert_allclose(got, expected, atol=1e-4 * np.abs(expected).max())
 
 
-def fits(fold: Array) -> tuple[_Fits, Array, Array, Array]:
-    """Regressions of random numbers; their rows, weighted as they should be, and what else they share."""
-    rng, w = np.random.default_rng(3), len(fold)
-    parts, left = rng.standard_normal((w, 2, 2, 6)), rng.standard_normal((w, 2, 2))
-    left[::4] *= 5.0
-    factor = np.tril(rng.uniform(1, 2, (4, 4)))
-    errors, experiments = ErrorDistribution(factor, independent_share=0.5), np.repeat([0, 1], [w - 5, 5])
-    made = _Fits.of(parts, left, errors, fold, experiments)
-    A = np.linalg.solve(factor, parts.reshape(w, 4, 6))
-    b = np.linalg.solve(factor, left.reshape(w, 4, 1))[..., 0]
-    weights = np.sqrt(2.0 / (1.0 + np.mean(b**2, axis=1)))  # Student's t, of freedom 1
-    return made, A * weights[:, None, None], b * weights[:, None], experiments
-
-
-def ridge(A: Array, b: Array, signal: Array) -> tuple[Array, Array]:
-    A, b = A.reshape(-1, 6), b.ravel()
-    precision = 0.5 * A.T @ A + np.diag(np.repeat(1 / signal**2, 3))
-    return np.linalg.solve(precision, 0.5 * A.T @ b), np.linalg.inv(precision)
-
-
-def test_weights_have_the_posterior_of_what_is_not_left_out() -> None:
-    """Half of each window is told anew, so its products count half."""
-    for without in (None, 0, 2):
-        fold, signal = np.repeat([0, 1, 2], 4), np.array([0.5, 3.0])
-        made, A, b, _ = fits(fold)
-        expected = ridge(A[fold != without], b[fold != without], signal)
-        for got, each in zip(made.posterior(signal, without), expected, strict=True):
-            np.testing.assert_allclose(got, each, rtol=1e-9, atol=1e-12)
-
-
-def test_the_gain_is_that_of_windows_that_were_left_out() -> None:
-    """Window by window, each predicted by a fit without its fold; less one standard error."""
-    fold, signal = np.repeat([0, 1, 2], 4), np.array([0.5, 3.0])
-    made, A, b, experiments = fits(fold)
-    gains = []
-    for i, own in enumerate(fold):
-        mean, _ = ridge(A[fold != own], b[fold != own], signal)
-        gains.append(np.sum(b[i] ** 2) - np.sum((b[i] - A[i] @ mean) ** 2))
-    deviations = np.array(gains) - np.mean(gains)
-    error = np.std(gains) * np.sqrt(correlation_time(deviations[:, None], experiments) / len(gains))
-    assert made.gain(signal) == pytest.approx(np.mean(gains) - error, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("options", "window", "chunk", "segment"),
-    [
-        ({}, 5, 1, 10),
-        ({"chunks": 2}, 4, 2, 10),  # whole chunks
-        ({"window": 0.2, "chunks": 3}, 9, 3, 5),
-        ({"window": 0.001, "segment": 0.0004}, 1, 1, 1),  # shorter than a frame
-    ],
-)
-def test_durations_are_rounded_to_frames(options: Any, window: int, chunk: int, segment: int) -> None:
-    bias = WindowGP(task(), **options)
-    assert (bias._window, bias._chunk, bias._segment) == (window, chunk, segment)
-
-
-@pytest.mark.parametrize(
-    ("folds", "expected"),
-    [(9, [0, 0, 0, 1, 1, 1, 2, 3, 3, 3, 4, 4]), (2, [0] * 7 + [1] * 5), (1, [0] * 12)],
-)
-def test_segments_of_an_experiment_are_left_out_in_turn(folds: int, expected: list[int]) -> None:
-    """None is in two fits, nor of two experiments; the frames before the first window are in none."""
-    zeros = [Rollout(np.zeros((frames + 1, 2)), np.zeros((frames, 1))) for frames in (36, 25)]
-    windows = Windows.of(zeros, 5, 1)
-    assert WindowGP(task(), segment=0.3, folds=folds)._fold(windows).tolist() == expected
-
-
-def test_outlier_limits_are_beyond_four_standard_deviations() -> None:
-    values = np.random.default_rng(0).standard_normal((20_000, 1)) * 3.0
-    least, most = _outlier_limits(values)
-    np.testing.assert_allclose([least, most], [[-12.0], [12.0]], rtol=0.03)
-
-
 def learned(missing: float = 2.0, **options: Any) -> Any:
     robot = Oscillator(missing)
     rollouts = [experiment(robot, frames, frames) for frames in (160, 140)]
@@ -166,49 +91,25 @@ def learned(missing: float = 2.0, **options: Any) -> Any:
     return WindowGP(task(), **given).learn(NO_DATA, rollouts, Oscillator()), rollouts
 
 
-def test_what_is_learned_is_scaled_by_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Inputs by their standard deviation in windows, the signal by what is left of the last chunks."""
-    fitted, rollouts = learned(points=12)
-    assert isinstance(fitted, WindowPosterior)
-    windows = Windows.of(rollouts, 5, 1)
-    left = (windows.means - predict([PredictionModel(Oscillator())], windows)[0])[:, -1]
-    expected = np.sqrt(np.mean(np.clip(left, *_outlier_limits(left)) ** 2, axis=0)) / 5
-    np.testing.assert_allclose(fitted._signal, expected, rtol=1e-9)
-    inputs = np.concatenate([np.concatenate([r.states[:-1], r.inputs], axis=1) for r in rollouts])
-    np.testing.assert_allclose(fitted._hyper.input_scale, inputs.std(axis=0))
-    assert (fitted._hyper.length_scale == 2.0).all()
-    assert fitted._hyper.prior_variance == 1.0
-    assert fitted.diagnostics["inducing_points"] == len(fitted._Z) <= 12
-    mean = fitted.predict(inputs)[0][:, 1]
-    missing = 0.02 * 2.0 * np.cos(inputs[:, 0])
-    assert np.sqrt(np.mean((mean - missing) ** 2)) < 0.4 * np.sqrt(np.mean(missing**2))
-    monkeypatch.setattr("simbias.learning.bias.window_gp.CANDIDATES", 50)  # of many inputs, some
-    np.testing.assert_allclose(learned(points=12)[0]._hyper.input_scale, inputs[::6].std(axis=0))
-
-
 def test_the_shortest_length_and_the_best_signal_are_taken() -> None:
     assert learned(length_scales=(4.0, 2.0))[0].diagnostics["length_scale"] == 2.0
     signals = (0.01, 1.0, 0.1)
     gains = [learned(signals=(each,))[0].diagnostics["gain"] for each in signals]
     assert gains[1] == max(gains) > 1.1 * gains[2] > 1.1**2 * gains[0] > 0
-    together = learned(signals=signals)[0]
-    assert together.diagnostics["gain"] == gains[1]
-    np.testing.assert_array_equal(together._signal, learned()[0]._signal)
-    np.testing.assert_allclose(learned(signals=(0.1,))[0]._signal, 0.1 * together._signal)
+    fitted, rollouts = learned(signals=signals)
+    assert fitted.diagnostics["gain"] == gains[1]
+    inputs = np.concatenate([np.concatenate([r.states[:-1], r.inputs], axis=1) for r in rollouts])
+    missing = 0.02 * 2.0 * np.cos(inputs[:, 0])
+    error = fitted.predict(inputs)[0][:, 1] - missing
+    assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(missing**2))
 
 
-def test_two_folds_are_enough_and_one_is_not() -> None:
+def test_two_folds_are_enough_and_an_input_may_never_change() -> None:
     assert isinstance(learned(folds=2)[0], WindowPosterior)
-    assert not isinstance(learned(folds=1)[0], WindowPosterior)
-
-
-def test_an_input_that_never_changes_has_a_scale_all_the_same() -> None:
-    robot = Oscillator(2.0)
-    rollouts = [
-        Rollout(each.states, np.zeros_like(each.inputs))
-        for each in (experiment(robot, 150, 1), experiment(robot, 150, 2))
-    ]
-    fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, rollouts, Oscillator())
+    nothing, rollouts = learned(folds=1)
+    assert not isinstance(nothing, WindowPosterior)
+    still = [Rollout(each.states, np.zeros_like(each.inputs)) for each in rollouts]
+    fitted = WindowGP(task(), segment=0.5).learn(NO_DATA, still, Oscillator())
     assert np.isfinite(fitted.predict(np.zeros((2, 3)))[0]).all()
 
 
@@ -242,17 +143,12 @@ def test_a_state_that_is_predicted_exactly_has_no_bias(missing: float) -> None:
     assert np.abs(draw[0, 0]) < 1e-9
 
 
-def test_features_have_the_covariance_of_the_points() -> None:
-    """Their weights are independent: Phi Phi^T is the covariance, at the points themselves."""
-    Z = points(5)
-    phi = features(hyper(), Z)(Z * hyper().input_scale * hyper().length_scale)
-    np.testing.assert_allclose(phi @ phi.T, hyper().covariance(Z, Z), atol=1e-5)
-
-
 def test_before_data_the_variance_is_the_signals() -> None:
     """Everywhere; known weights leave only what the points do not see: nothing at them, all far away."""
     Z, signal = points(5), np.array([0.5, 3.0])
     at_points = Z * hyper().input_scale * hyper().length_scale
+    phi = features(hyper(), Z)(at_points)  # whose weights are independent
+    np.testing.assert_allclose(phi @ phi.T, hyper().covariance(Z, Z), atol=1e-5)
     inputs = np.concatenate([at_points, at_points + 0.2, at_points + 100.0])
 
     def variance(covariance: Array) -> Array:

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import OWN_CONF, POINT_MASS
+from conftest import OWN_CONF, POINT_MASS, simulate_in_numpy
 
 import simbias
 from simbias.core.records import Iteration, Learning, Optimum, Search
-from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.study import Study
@@ -19,7 +18,7 @@ BALANCING = np.array([8.118, 4.783, -6.658, -0.366, -5.560])
 
 @pytest.fixture(scope="session")
 def short() -> Study:
-    return simbias.load(["task.horizon=2000"])
+    return simbias.load(["task.horizon=1000"])
 
 
 @pytest.fixture(scope="session")
@@ -62,7 +61,7 @@ def of_point_mass(
 def trial_of_point_mass() -> tuple[Study, list[Iteration]]:
     study = simbias.load([*POINT_MASS, "optimizer.max_evaluations=50"], OWN_CONF)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a session
+        simulate_in_numpy(patch)  # for a session
         return study, list(study.run())
 
 

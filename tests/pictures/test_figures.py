@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from figures import lines, texts
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from simbias.core import FittedBias, Quantity
-from simbias.core.records import Array, Iteration, Rollout
+from simbias.core import Quantity
+from simbias.core.records import Iteration, Rollout
 from simbias.pictures import costs, forecast, phases, prediction_errors, rejections
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, png, symbol
@@ -30,39 +29,24 @@ def again(study: Study, iteration: Iteration) -> list[Rollout]:
 
 def test_bounds_of_states_are_the_smallest_that_a_criterion_says(short: Study) -> None:
     """The norms of criteria 3 and 6 bound each angle and rate; a short board bounds alpha_b before them."""
-    limits, task = short.task.limits, short.task
-    np.testing.assert_array_equal(state_bounds(task), np.repeat([limits.distance, limits.speed], 3))
+    limits, task, rng = short.task.limits, short.task, np.random.default_rng(0)
+    bounds = state_bounds(task)
+    np.testing.assert_array_equal(bounds, np.repeat([limits.distance, limits.speed], 3))
     narrow = type(task)(replace(task.robot, board_length=0.3), limits, Start([0.0] * 6, 0.02))
     assert state_bounds(narrow)[1] == pytest.approx(1.0)
-
-
-def test_no_state_beyond_its_bounds_is_allowed(short: Study) -> None:
-    """A criterion says of itself only what holds whatever the other states are."""
-    rng = np.random.default_rng(0)
-    for i, bound in enumerate(state_bounds(short.task)):
+    for i, bound in enumerate(bounds):  # whatever the other states are
         for sign in (-1.0, 1.0):
             x = rng.uniform(-1.0, 1.0, 6)
             x[i] = sign * 1.001 * bound
-            assert short.task.failure(x) is not None
+            assert task.failure(x) is not None
 
 
-@pytest.mark.slow
-def test_a_state_that_no_criterion_bounds(of_point_mass: tuple[Study, list[Iteration]]) -> None:
-    assert state_bounds(of_point_mass[0].task)[1] == np.inf
-
-
-def test_phases_pair_states_with_their_rates(short: Study) -> None:
-    assert phase_pairs(short.task) == [(0, 3), (1, 4), (2, 5)]
-
-
-@pytest.fixture(scope="module")
-def portrait(short: Study, trial: list[Iteration]) -> Figure:
-    return phases(short, trial)
-
-
-def test_phases_show_every_rollout(short: Study, trial: list[Iteration], portrait: Figure) -> None:
+def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None:
+    """And shade what is beyond a limit that came near."""
+    portrait, pairs = phases(short, trial), [(0, 3), (1, 4), (2, 5)]
+    assert phase_pairs(short.task) == pairs
     for row, iteration in enumerate((trial[0], trial[-1])):
-        for column, (i, rate) in enumerate(phase_pairs(short.task)):
+        for column, (i, rate) in enumerate(pairs):
             axes = portrait.axes[3 * row + column]
             measured = [rollout.states[:, (i, rate)] for rollout in iteration.experiments]
             models = [rollout.states[:, (i, rate)] for rollout in again(short, iteration)]
@@ -74,24 +58,15 @@ def test_phases_show_every_rollout(short: Study, trial: list[Iteration], portrai
             crosses = sum(rollout.failed_at is not None for rollout in iteration.experiments)
             assert len(lines(axes, HARDWARE, "X")) == crosses
     assert any(rollout.failed_at is not None for rollout in trial[0].experiments)
-
-
-def test_phases_shade_what_is_beyond_a_limit_that_came_near(
-    short: Study, trial: list[Iteration], portrait: Figure
-) -> None:
-    shaded = {}
-    for axes in portrait.axes[:3]:
-        edges = [patch.get_x() for patch in axes.patches if isinstance(patch, Rectangle)]
-        edges += [patch.get_x() + patch.get_width() for patch in axes.patches if isinstance(patch, Rectangle)]
-        shaded[axes.get_xlabel()] = edges
-    reached = max(np.abs(r.states[:, :3]).max(axis=0).max() for r in trial[0].experiments)
-    assert reached > 0.5 * short.task.limits.distance
-    assert any(abs(edge) == pytest.approx(2.0) for edges in shaded.values() for edge in edges)
+    shaded = [patch for axes in portrait.axes[:3] for patch in axes.patches if isinstance(patch, Rectangle)]
+    edges = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in shaded]
+    assert short.task.limits.distance in np.abs(edges)
 
 
 def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[Iteration]]) -> None:
-    """As of a target that stays where it is."""
+    """As of a target that stays where it is; without rates, there are none."""
     study, iterations = of_point_mass
+    assert state_bounds(study.task)[1] == np.inf
     first = iterations[0]
     still = tuple(
         replace(each, states=np.zeros_like(each.states), measured=None) for each in first.experiments
@@ -100,10 +75,6 @@ def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[I
         warnings.simplefilter("error")
         (axes,) = phases(study, [replace(first, experiments=still, model=None)]).axes
     assert axes.get_ylim()[0] < 0.0 < axes.get_ylim()[1]
-
-
-def test_a_task_without_rates_has_no_phases(of_point_mass: tuple[Study, list[Iteration]]) -> None:
-    study, iterations = of_point_mass
     task = type(study.task)()
     task.states = (Quantity("position", "m"), Quantity("mass", "kg"))
     with pytest.raises(NoPictureError, match="per second"):
@@ -124,51 +95,21 @@ def test_costs_are_those_of_the_records(short: Study, trial: list[Iteration]) ->
     assert low < min(min(ys) for ys in measured) <= max(max(ys) for ys in measured) < high
 
 
-class Perfect(FittedBias):
-    """Knows how experiments go on: the residual of the recorded transition that is nearest."""
-
-    def __init__(self, study: Study, iteration: Iteration) -> None:
-        rollouts = iteration.experiments
-        self._x = np.concatenate([r.states[:-1] for r in rollouts])
-        self._u = np.concatenate([r.inputs for r in rollouts])
-        after = np.concatenate([r.states[1:] for r in rollouts])
-        steps = [study.nominal.step(x, u) for x, u in zip(self._x, self._u, strict=True)]
-        self._residuals = after - np.array(steps)
-
-    def predict(self, inputs: Array) -> tuple[Array, Array]:
-        raise NotImplementedError
-
-    def correction(self, x: Array, u: Array) -> Array:
-        known, asked = np.hstack([self._x, self._u]), np.concatenate([x, u], axis=-1)
-        return self._residuals[np.argmin(((known - asked[..., None, :]) ** 2).sum(axis=-1), axis=-1)]
-
-
-def test_a_perfect_bias_predicts_without_error(short: Study, trial: list[Iteration]) -> None:
-    pieces = windows(short, trial[0], 20)
-    errors = prediction_error(short, Perfect(short, trial[0]), pieces, [1, 5, 20])
-    np.testing.assert_allclose(errors, 0.0, atol=1e-9)
-    assert errors.shape == (3, len(pieces.states), 6)
-
-
-def test_without_bias_the_error_is_the_residual(short: Study, trial: list[Iteration]) -> None:
+def test_errors_are_those_of_steps_one_by_one(short: Study, trial: list[Iteration]) -> None:
     """Eq. 6, one frame ahead; and many frames ahead as stepping through them one by one gives it."""
-    pieces, zero = windows(short, trial[0], 30), short.bias.fit(short.no_data)
-    one, many = prediction_error(short, zero, pieces, [1, 30])
-    for piece, (states, inputs) in enumerate(zip(pieces.states, pieces.inputs, strict=True)):
-        x = states[0]
-        for frame, u in enumerate(inputs):
-            x = short.nominal.step(x, u)
-            if frame == 0:
-                np.testing.assert_allclose(one[piece], x - states[1], atol=1e-15)
-        np.testing.assert_allclose(many[piece], x - states[30], rtol=1e-9, atol=1e-12)
-
-
-def test_what_was_learned_predicts_otherwise(short: Study, trial: list[Iteration]) -> None:
-    pieces, zero = windows(short, trial[-1], 10), short.bias.fit(short.no_data)
-    corrected, nominal = (
-        prediction_error(short, bias, pieces, [1, 10]) for bias in (trial[-1].model.bias, zero)
-    )
-    assert np.abs(corrected - nominal).max() > 1e-5
+    pieces = windows(short, trial[-1], 30)
+    zero, learned = short.bias.fit(short.no_data), trial[-1].model.bias
+    for bias in (zero, learned):
+        one, many = prediction_error(short, bias, pieces, [1, 30])
+        for piece, (states, inputs) in enumerate(zip(pieces.states[:5], pieces.inputs, strict=False)):
+            path = [states[0]]
+            for u in inputs:
+                path.append(short.nominal.step(path[-1], u) + bias.correction(path[-1], u))
+            np.testing.assert_allclose(one[piece], path[1] - states[1], rtol=1e-6, atol=1e-9)
+            np.testing.assert_allclose(many[piece], path[30] - states[30], rtol=1e-4, atol=1e-7)
+        if bias is zero:
+            without = many
+    assert np.abs(many - without).max() > 1e-5
 
 
 def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
@@ -185,13 +126,10 @@ def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
     assert [axes.get_ylabel().split(" (")[-1] for axes in figure.axes[::2]] == ["rad)", "rad/s)"]
 
 
+@pytest.mark.slow
 def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: list[Iteration]) -> None:
-    cut = replace(
-        trial[0].experiments[0],
-        states=trial[0].experiments[0].states[:11],
-        inputs=trial[0].experiments[0].inputs[:10],
-        failed_at=10,
-    )
+    first = trial[0].experiments[0]
+    cut = replace(first, states=first.states[:11], inputs=first.inputs[:10], failed_at=10)
     brief = replace(trial[0], experiments=(cut,))
     assert len(windows(short, brief, 10).states) == 1
     assert len(windows(short, brief, 11).states) == 0
@@ -199,38 +137,21 @@ def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: 
     with pytest.raises(NoPictureError, match="lasted"):
         prediction_errors(short, [brief], [11])
     assert len(prediction_errors(short, [brief, trial[0]], [1, 20]).axes) == 4  # of the other iteration's
+    exact = replace(trial[0], experiments=tuple(again(short, trial[0])))  # hardware that is the model
+    png(prediction_errors(short, [exact], [1, 5]))  # on a logarithmic scale
 
 
 @pytest.mark.slow
-def test_no_error_at_all_can_be_shown(short: Study, trial: list[Iteration]) -> None:
-    """Hardware that is the nominal model leaves nothing for a logarithmic scale."""
-    exact = replace(trial[0], experiments=tuple(again(short, trial[0])))
-    png(prediction_errors(short, [exact], [1, 5]))
-
-
-@pytest.fixture(scope="module")
-def forecasted(short: Study, trial: list[Iteration]) -> Figure:
-    return forecast(short, trial)
-
-
-def test_forecast_shows_the_experiment_and_its_predictions(
-    short: Study, trial: list[Iteration], forecasted: Figure
-) -> None:
-    last = trial[-1]
+def test_forecast_shows_the_experiment_and_its_predictions(short: Study, trial: list[Iteration]) -> None:
+    """A band begins at the start, known for sure, and grows; bars show where it leaves the axes."""
+    last, figure, left = trial[-1], forecast(short, trial), []
     measured = worst_experiment(last)
     corrected = short.simulate(last.parameters, last.model.bias, measured.states[0])
     nominal = short.simulate(last.parameters, None, measured.states[0])
-    for i, axes in enumerate(forecasted.axes):
+    for i, axes in enumerate(figure.axes):
         for color, rollout in ((HARDWARE, measured), (SIMULATION, corrected), (NOMINAL, nominal)):
             (curve,) = lines(axes, color)
             np.testing.assert_array_equal(curve[:, 1], rollout.states[:, i])
-    assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)  # nothing was learned
-
-
-def test_a_band_that_leaves_the_axes_shows_it(forecasted: Figure) -> None:
-    """By a bar at their edge; it begins at the start, known for sure, and grows."""
-    left = []
-    for axes in forecasted.axes:
         band, *bars = axes.collections
         (path,) = band.get_paths()
         at, values = path.vertices.T
@@ -240,8 +161,9 @@ def test_a_band_that_leaves_the_axes_shows_it(forecasted: Figure) -> None:
         bottom, top = axes.get_ylim()
         assert len(bars) == int(values.max() > top) + int(values.min() < bottom)
         left += bars
-    assert ("leaves the axes" in texts(forecasted)) == bool(left)
     assert left
+    assert "leaves the axes" in texts(figure)
+    assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)  # nothing was learned
 
 
 def test_rejections_count_every_sample(short: Study, trial: list[Iteration]) -> None:
@@ -254,6 +176,7 @@ def test_rejections_count_every_sample(short: Study, trial: list[Iteration]) -> 
         assert any(text.startswith(f"{len(iteration.learning.data)} in D") for text in texts)
 
 
+@pytest.mark.slow
 def test_a_method_without_search_shows_what_hardware_did(short: Study, on_hardware: list[Iteration]) -> None:
     """No prediction, no learned bias; of several policies, that at which an iteration arrived."""
     for picture in (costs, rejections):
@@ -268,17 +191,7 @@ def test_a_method_without_search_shows_what_hardware_did(short: Study, on_hardwa
         assert not lines(axes, SIMULATION, "o")
 
 
-def test_costs_of_several_policies_are_simulated_each_with_its_own(
-    short: Study, trial: list[Iteration], on_hardware: list[Iteration]
-) -> None:
-    iteration = replace(on_hardware[0], model=trial[0].model, search=trial[0].search)
-    _, pairs = costs(short, [iteration, on_hardware[1]]).axes
-    models = [short.simulate(r.parameters, None, r.states[0]).cost for r in iteration.experiments]
-    (data,) = lines(pairs, HARDWARE, "o")
-    assert models[0] != pytest.approx(models[1])
-    np.testing.assert_allclose(data, np.column_stack([models, [r.cost for r in iteration.experiments]]))
-
-
+@pytest.mark.slow
 def test_a_search_without_learning_has_no_learned_bias(short: Study, trial: list[Iteration]) -> None:
     iterations = [replace(iteration, learning=None) for iteration in trial]
     assert not lines(forecast(short, iterations).axes[0], SIMULATION)
@@ -287,6 +200,7 @@ def test_a_search_without_learning_has_no_learned_bias(short: Study, trial: list
         rejections(short, iterations)
 
 
+@pytest.mark.slow
 def test_no_policy_was_tried(short: Study, trial: list[Iteration]) -> None:
     """The last of them may be left for another day; if none was tried, there is nothing to show."""
     untried = replace(trial[1], experiments=(), total_experiments=2)
@@ -296,9 +210,3 @@ def test_no_policy_was_tried(short: Study, trial: list[Iteration]) -> None:
         with pytest.raises(NoPictureError):
             picture(short, [untried])
     png(costs(short, [trial[0], untried]))
-
-
-def test_names_are_read_as_symbols() -> None:
-    assert symbol("d_alpha_w") == r"$\dot{\alpha}_{w}$"
-    assert symbol("theta") == r"$\theta$"
-    assert symbol("board_angle") == "board angle"

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from figures import lines, texts
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from PIL import Image
 
 from simbias.core.records import Iteration
-from simbias.pictures import NoPictureError, overview, save
+from simbias.pictures import NoPictureError, overview
 from simbias.pictures.elements.style import HARDWARE, SIMULATION
 from simbias.trial.study import Study
 
@@ -35,7 +32,7 @@ def test_it_says_what_happened(short: Study, trial: list[Iteration], figure: Fig
     criterion = next(c for c in short.task.criteria if c.name == fallen.failure)
     for sentence in (
         f"Policy from simulation alone: fails on hardware after {fallen.failed_at / 1000:.2f} s",
-        "Policy after 2 hardware experiments: lasts all 2 s on hardware",
+        "Policy after 2 hardware experiments: lasts all 1 s on hardware",
         "simulation: nominal model + learned bias (gp)",
         "hardware: pymunk, worst of 2",
         short.task.words(fallen.failure),
@@ -69,54 +66,38 @@ def test_it_compares_from_the_same_starts(short: Study, trial: list[Iteration], 
     np.testing.assert_allclose(np.concatenate(lines(costs, SIMULATION, "o"))[:, 1], expected)
 
 
-def test_snapshots_stand_above_their_times(figure: Figure) -> None:
-    FigureCanvasAgg(figure).draw()
-    below = next(axes for axes in figure.axes if axes.get_xlabel() == "time (s)")
-    snapshots = [axes for axes in figure.axes if axes.get_aspect() == 1.0][:6]
-    ticks = below.transData.transform([(tick, 0.0) for tick in below.get_xticks()])[:, 0]
-    middles = [axes.get_window_extent().x0 + axes.get_window_extent().width / 2 for axes in snapshots]
-    np.testing.assert_allclose(middles, ticks, atol=0.01 * figure.bbox.width)
-
-
 def test_the_cost_is_shown_where_nothing_failed(short: Study, trial: list[Iteration]) -> None:
-    """It grows until it is that of the whole experiment; no criterion is shown."""
-    last = replace(trial[-1], index=0)
+    """It grows until it is that of the whole experiment; one that is too costly is no success."""
+    costly = replace(trial[1].experiments[0], cost=345.6)
+    last = replace(trial[-1], index=0, experiments=(costly,))
     shown = overview(short, [last])
-    axes = panel(shown, "cost Z so far")
-    (values,) = (data[:, 1] for data in lines(axes, HARDWARE) if len(data) > 2)
-    assert values[-1] == max(rollout.cost for rollout in last.experiments)
+    assert "too costly on hardware (Z = 346)" in texts(shown)
+    (values,) = (data[:, 1] for data in lines(panel(shown, "cost Z so far"), HARDWARE) if len(data) > 2)
+    assert values[-1] == trial[1].experiments[0].cost
     assert (np.diff(values) >= 0).all()
     names = [criterion.name.replace("_", " ") for criterion in short.task.criteria]
     assert not any(axes.get_ylabel().startswith(tuple(names)) for axes in shown.axes)
 
 
-def test_a_policy_that_is_too_costly(short: Study, trial: list[Iteration]) -> None:
-    """No failure is no success yet (line 10 of Algorithm 1)."""
-    costly = replace(trial[1].experiments[0], cost=345.6)
-    shown = overview(short, [trial[0], replace(trial[1], experiments=(costly,))])
-    assert "too costly on hardware (Z = 346)" in texts(shown)
-    assert panel(shown, "cost Z so far")
-
-
-def test_a_trial_of_one_iteration(short: Study, trial: list[Iteration]) -> None:
-    """Its hardware has a failure of its own."""
+@pytest.mark.slow
+def test_a_trial_of_one_iteration_and_a_method_without_search(
+    short: Study, trial: list[Iteration], on_hardware: list[Iteration]
+) -> None:
+    """Its hardware has a failure of its own; hardware alone, and the policy of each iteration."""
     fallen = replace(trial[0].experiments[0], failure="the_physics_engine_blew_up")
     words = texts(overview(short, [replace(trial[0], experiments=(fallen,), total_experiments=1)]))
     assert "the physics engine blew up" in words
     assert "simulation alone" in words
     assert "learned bias" not in words
-
-
-def test_a_method_without_search(short: Study, on_hardware: list[Iteration]) -> None:
-    """Hardware alone, and the policy that each iteration arrived at, of those that it tried."""
     words = texts(overview(short, on_hardware))
-    assert "Policy of iteration 0: lasts all 2 s on hardware" in words
-    assert "Policy of iteration 1: lasts all 2 s on hardware" in words
+    for index in (0, 1):
+        assert f"Policy of iteration {index}: lasts all 1 s on hardware" in words
     assert "simulation" not in words
     with pytest.raises(NoPictureError, match="no policy was tried"):
         overview(short, [replace(on_hardware[0], experiments=())])
 
 
+@pytest.mark.slow
 def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> None:
     def draw_mass(axes, task, state, *, color="0.4", muted=False):
         return {"mass": axes.add_patch(Circle((state[0], 0.0), 0.05, color=color))}
@@ -125,18 +106,3 @@ def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> 
         shown = overview(*of_point_mass, draw)
         blocks = sum(axes.get_xlabel() == "time (s)" for axes in shown.axes)
         assert sum(axes.get_aspect() == 1.0 for axes in shown.axes) == snapshots * blocks
-
-
-@pytest.mark.slow
-def test_same_figure_gives_the_same_file(short: Study, trial: list[Iteration], tmp_path: Path) -> None:
-    """And at twice a README's width, in few bytes, in true colours."""
-    for name in ("one.png", "two.png"):
-        save(overview(short, trial), tmp_path / name)
-    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
-    assert (tmp_path / "one.png").stat().st_size < 200_000
-    picture = Image.open(tmp_path / "one.png").convert("RGB")
-    assert picture.width == 1800
-    colours = np.array([colour for _, colour in picture.getcolors()])
-    for colour in (HARDWARE, SIMULATION, "#FFFFFF"):
-        wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
-        assert np.abs(colours - wanted).max(axis=1).min() < 4

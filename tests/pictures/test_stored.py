@@ -42,8 +42,11 @@ def pictures_of(trial: Path) -> set[str]:
     return {path.name for path in (trial / "pictures").glob("*")}
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As PNG and SVG; an error is one line."""
+    (tmp_path / "other").mkdir()
+    assert not pictures_of(trial_of(tmp_path / "other", "tracking.pictures=false"))
     trial, folder = trial_of(tmp_path), tmp_path / "pictures" / "new"
     assert pictures_of(trial) == {f"{name}.png" for name in AT_REST}
     capsys.readouterr()
@@ -60,10 +63,6 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     assert err.count("\n") == 1
 
 
-def test_trials_without_pictures(tmp_path: Path) -> None:
-    assert not pictures_of(trial_of(tmp_path, "tracking.pictures=false"))
-
-
 def test_a_sweeps_trials_keep_few_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An overview of the first of each cell; to draw one takes longer than to keep a trial."""
     monkeypatch.chdir(tmp_path)
@@ -73,6 +72,7 @@ def test_a_sweeps_trials_keep_few_pictures(tmp_path: Path, monkeypatch: pytest.M
     assert drawn.count({"overview.png"}) == drawn.count(set()) == len(drawn) / 2
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_broken_pictures_lose_no_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(study: Study, iterations: Sequence[Iteration]) -> Figure:
         raise IndexError("no such panel")

@@ -50,17 +50,6 @@ def inputs(policy: DynamicOutputFeedback, theta: list[float], states: Array) -> 
     return np.array([controller(x)[0] for x in states])
 
 
-def test_with_all_of_it_off_it_is_output_feedback() -> None:
-    task = simbias.load(["tracking=none"]).task
-    plain, dynamic = OutputFeedback(task), DynamicOutputFeedback(task)
-    rng = np.random.default_rng(0)
-    theta, x = rng.uniform(-5, 5, (7, 5)), 0.1 * rng.normal(size=(7, 6))
-    np.testing.assert_array_equal(dynamic.bounds, plain.bounds)
-    u, memory = dynamic.act(theta, x, 0.0, np.zeros((7, dynamic.state_size)))
-    np.testing.assert_allclose(u, plain.act(theta, x, 0.0, np.zeros((7, 0)))[0], rtol=1e-12)
-    assert not memory[:, 5:].any()
-
-
 def test_the_filters_step_response_is_that_of_its_time_constant() -> None:
     policy = DynamicOutputFeedback(Cart(), filter_seconds=0.1)
     tau, frames = 0.02, np.arange(1, 101)
@@ -117,6 +106,7 @@ ALL += ["constant=0.1"]
 
 
 def test_written_rollouts_are_the_plain_ones() -> None:
+    """With all of it off, it is output feedback."""
     settings = [f"policy.{each}" for each in ALL]
     study = simbias.load(["tracking=none", "task.horizon=100", "policy=dynamic_output_feedback", *settings])
     assert study.policy.state_size == 14
@@ -134,18 +124,21 @@ def test_written_rollouts_are_the_plain_ones() -> None:
         np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-6, atol=1e-8)
         np.testing.assert_allclose(fast.states, slow.states, rtol=1e-7, atol=1e-10)
         assert (np.abs(slow.inputs) == 100.0).any()  # at its limit, where the integral rests
+    off, linear = DynamicOutputFeedback(study.task), OutputFeedback(study.task)
+    np.testing.assert_array_equal(off.bounds, linear.bounds)
+    theta, x = rng.uniform(-5, 5, (7, 5)), 0.1 * rng.normal(size=(7, 6))
+    u, memory = off.act(theta, x, 0.0, np.zeros((7, off.state_size)))
+    np.testing.assert_allclose(u, linear.act(theta, x, 0.0, np.zeros((7, 0)))[0], rtol=1e-12)
+    assert not memory[:, 5:].any()
+    with pytest.raises(ValueError, match="no output is called height"):
+        DynamicOutputFeedback(study.task, integral_rate=1.0, integrated=["height"])
 
 
-def test_an_unknown_output_cannot_be_integrated() -> None:
-    with pytest.raises(ValueError, match="no output is called height; there are position, velocity"):
-        DynamicOutputFeedback(Cart(), integral_rate=1.0, integrated=["height"])
-
-
-@pytest.mark.parametrize("rate", [0.0, 0.7])
-def test_it_imitates_its_own_inputs(rate: float) -> None:
+def test_it_imitates_its_own_inputs() -> None:
     """Of records of a law with an integral, a constant and a memory of inputs, the parameters come back."""
     policy = DynamicOutputFeedback(Cart(), integral_rate=1.0, delay_seconds=0.01, constant=1.0)
-    theta = np.array([*hat(-4.0, 2.0), rate, -30.0, 7.0])
     states = np.random.default_rng(0).normal(size=(3, 50, 2))
-    answers = np.array([inputs(policy, theta.tolist(), record) for record in states])[..., None]
-    np.testing.assert_allclose(policy.imitating(states, answers), theta, rtol=1e-6, atol=1e-9)
+    for rate in (0.0, 0.7):
+        theta = np.array([*hat(-4.0, 2.0), rate, -30.0, 7.0])
+        answers = np.array([inputs(policy, theta.tolist(), record) for record in states])[..., None]
+        np.testing.assert_allclose(policy.imitating(states, answers), theta, rtol=1e-6, atol=1e-9)

@@ -14,6 +14,7 @@ from omegaconf import OmegaConf
 import simbias
 from simbias.config.components import construct
 from simbias.core import Model, Policy, Task
+from simbias.core.records import Array, Rollout
 from simbias.learning.identification.rig import Motor, Rig
 from simbias.policy.network import Network
 from simbias.policy.observer import DISTURBANCE, ELSEWHERE, OBSERVERS, KalmanFilter, ObserverKind
@@ -39,12 +40,10 @@ def turning() -> Task:
     return construct({**CARTPOLE, "states": states, "failure": None, "horizon": 30}, Task, "task")
 
 
-def drawn(policy: Policy, count: int, scale: float = 0.3) -> np.ndarray:
-    lower, upper = policy.bounds
-    centre = (lower + upper) / 2
-    return centre + scale * np.random.default_rng(0).uniform(
-        lower - centre, upper - centre, (count, len(lower))
-    )
+def drawn(policy: Policy, count: int, scale: float = 0.3) -> Array:
+    centre = np.mean(policy.bounds, axis=0)
+    half = policy.bounds[1] - centre
+    return centre + scale * np.random.default_rng(0).uniform(-half, half, (count, len(half)))
 
 
 def test_a_perceptron_and_radial_basis_functions_are_their_formulas(cartpole: Study) -> None:
@@ -71,39 +70,39 @@ def late(task: Task, study: Study, frames: float) -> Rig:
     return rig.with_parameters(np.array([delay.get(each.name, each.value) for each in rig.parameters]))
 
 
-@pytest.mark.parametrize("observer", OBSERVERS)
-def test_written_they_are_what_they_are_in_numpy(
-    cartpole: Study, turning: Task, observer: ObserverKind
-) -> None:
-    """With noise, and around a turn; every other observer is a switched policy's. Kalman's looks ahead."""
-    with interpreted():
-        expect_the_same(cartpole, turning, observer)
-
-
-@pytest.mark.slow
-def test_compiled_too(cartpole: Study, turning: Task) -> None:
-    """A switch, radial basis functions and a filter, with noise: most of what there is, in one loop."""
-    expect_the_same(cartpole, turning, "filter")
-
-
-def expect_the_same(cartpole: Study, turning: Task, observer: ObserverKind) -> None:
-    """The lanes' loop against NumPy's."""
+def written(cartpole: Study, turning: Task, observer: ObserverKind) -> tuple[list[Rollout], list[Rollout]]:
+    """Rollouts by the lanes' loop and by NumPy's."""
     policy: Policy = Network(turning, cartpole.nominal, errors=True, observer=observer)
     if observer in ("filter", "model", "kalman"):
         policy = Switched(turning, cartpole.nominal, "rbf", units=5, observer=observer)
         policy = policy.designed_on(late(turning, cartpole, 1.3))
     noise = Noise(turning, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
-    starts = np.array([[0.0, 3.0, 0.0, 1.0], [0.0, 0.02, 0.0, 0.0]])
+    asked = drawn(policy, 2), np.array([[0.0, 3.0, 0.0, 1.0], [0.0, 0.02, 0.0, 0.0]])
     model = Model(turning, policy, cartpole.nominal, cartpole.bias.fit(cartpole.no_data))
     compiled, plain = CompiledSimulator.of(model, noise), PlainSimulator([model], [noise])
     assert compiled is not None
-    thetas = drawn(policy, 2)
-    for one, other in zip(compiled.rollouts(thetas, starts), plain.rollouts(thetas, starts), strict=True):
-        np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-5, atol=1e-4)
-        np.testing.assert_allclose(one.states, other.states, rtol=1e-5, atol=1e-6)
+    return compiled.rollouts(*asked), plain.rollouts(*asked)
+
+
+@pytest.mark.slow
+def test_written_they_are_what_they_are_in_numpy(cartpole: Study, turning: Task) -> None:
+    """With noise, and around a turn; every other observer is a switched policy's. Kalman's looks ahead.
+
+    Compiled is most of what there is: a switch, radial basis functions and a filter.
+    """
+    made = [written(cartpole, turning, "filter")]
+    with interpreted():
+        made += [written(cartpole, turning, observer) for observer in OBSERVERS]
+    for fast, slow in made:
+        for one, other in zip(fast, slow, strict=True):
+            np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-5, atol=1e-4)
+            np.testing.assert_allclose(one.states, other.states, rtol=1e-5, atol=1e-6)
 
 
 def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: Study, turning: Task) -> None:
+    task = construct({**CARTPOLE, "goal": {"position": "sin(t)"}, "failure": None}, Task, "task")
+    with pytest.raises(ValueError, match="goal has to be about all states"):
+        Switched(task, cartpole.nominal)
     policy = Switched(turning, cartpole.nominal, hysteresis=4.0)
     theta = np.zeros(policy.n_parameters)  # the network's inputs are zero; level 1
     A, B = linearization(cartpole.nominal, np.zeros(4), np.zeros(1), turning.input_limit)
@@ -197,9 +196,3 @@ def test_the_policy_that_runs_is_that_of_the_model(cartpole: Study, turning: Tas
         assert study.designed_on(model).policy is model.policy
         assert study.designed_on(study.model()) is study
         assert model.policy.state_size == study.policy.state_size + other.state_size
-
-
-def test_a_switched_policy_needs_a_goal_about_all_states(cartpole: Study) -> None:
-    task = construct({**CARTPOLE, "goal": {"position": "sin(t)"}, "failure": None}, Task, "task")
-    with pytest.raises(ValueError, match="goal has to be about all states"):
-        Switched(task, cartpole.nominal)

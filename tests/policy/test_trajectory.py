@@ -15,8 +15,7 @@ from simbias.learning.identification.rig import Motor, Rig
 from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import linearised, lqr_gains
 from simbias.simulation.closed_loop import join, simulator
-from simbias.simulation.compiler import Points, scheduled
-from simbias.simulation.compiler.tracing import of_policy
+from simbias.simulation.compiler import scheduled
 from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.study import Study
@@ -47,14 +46,7 @@ def around(study: Study, count: int, knots: int = KNOTS) -> tuple[Trajectory, Ar
 
 def test_a_table_is_linear_between_its_rows_and_ends_with_the_last() -> None:
     table = np.array([[[0.0, 1.0], [2.0, 1.0], [3.0, -1.0]]])
-    for t, row in (
-        (0.0, [0, 1]),
-        (0.25, [1, 1]),
-        (0.5, [2, 1]),
-        (0.75, [2.5, 0]),
-        (1.0, [3, -1]),
-        (9.0, [3, -1]),
-    ):
+    for t, row in ((0.0, [0, 1]), (0.25, [1, 1]), (0.75, [2.5, 0]), (1.0, [3, -1]), (9.0, [3, -1])):
         np.testing.assert_allclose(scheduled(table, t, 0.5), [row])
 
 
@@ -84,7 +76,7 @@ def test_gains_for_friction_are_cut_off_at_a_tenth_of_the_limits(cartpole: Study
 
 def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """With noise; in lanes that are at different times, as rollouts end and others begin."""
-    policy, thetas = around(cartpole, 40)
+    policy, thetas = around(cartpole, 24)
     thetas[::3, 8::9] *= -1.0  # these fall
     starts = np.array([cartpole.task.draw_start(np.random.default_rng(i)) for i in range(len(thetas))])
     noise = Noise(cartpole.task, {"velocity_variance": 1e-4}).draw(np.random.default_rng(0))
@@ -119,29 +111,3 @@ def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     made = files(request)
     assert "static const double v" in made[HEADER]
     assert "np.interp(t / " in made[MODULE]
-
-
-class Late(Trajectory):
-    """Looks up by what is no time."""
-
-    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
-        return super().act(theta, x, 2 * t, policy_state)
-
-
-class Twice(Trajectory):
-    """Looks up two tables."""
-
-    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
-        u, policy_state = super().act(theta, x, t, policy_state)
-        return u + scheduled(theta.reshape(*theta.shape[:-1], -1, 1), t, 0.1), policy_state
-
-
-def test_hundreds_of_knots_are_traced_and_other_lookups_say_why_they_are_not(cartpole: Study) -> None:
-    task, points = cartpole.task, Points.of(cartpole.task)
-    many = of_policy(Trajectory(task, cartpole.nominal, 501), task, points).kernel
-    few = of_policy(Trajectory(task, cartpole.nominal, 2), task, points).kernel
-    assert many.function is few.function  # so that one loop is compiled for both
-    assert many.size == few.size == 0
-    for policy, why in ((Late, "by another value than the time"), (Twice, "several tables, at other times")):
-        part = of_policy(policy(task, cartpole.nominal), task, points)
-        assert why in part.why_not

@@ -124,18 +124,16 @@ def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
     uncompiled: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ilqr, "ITERATIONS", 15)
-    ends = []
-    for resting in (0.0, 1.0):
-        study = simbias.load([*NEAR, f"policy.resting={resting}"])
-        theta = next(trajectory_candidates(study.first_model(), 1))
-        assert study.simulate(theta, start=study.task.start_mean).failed_at is None
-        ends.append(theta.reshape(101, -1))
-    plan, rests = ends
-    assert np.abs(plan[50, :2]).max() > 1e-4  # on its way
-    np.testing.assert_allclose(rests[50:, :3], 0.0, atol=1e-9)
-    assert (rests[50:, 3:] == rests[-1, 3:]).all()
-    assert (rests[40, 3:] != rests[-1, 3:]).all()
-    assert np.abs(study.simulate(theta, start=study.task.start_mean).states[50:, 0]).max() < 0.05
+    study = simbias.load([*NEAR, "policy.resting=1.0"])
+    theta = next(trajectory_candidates(study.first_model(), 1))
+    rows = theta.reshape(101, -1)
+    assert np.abs(rows[40, :2]).max() > 1e-4  # on its way
+    np.testing.assert_allclose(rows[50:, :3], 0.0, atol=1e-9)
+    assert (rows[50:, 3:] == rows[-1, 3:]).all()
+    assert (rows[40, 3:] != rows[-1, 3:]).all()
+    rollout = study.simulate(theta, start=study.task.start_mean)
+    assert rollout.failed_at is None
+    assert np.abs(rollout.states[50:, 0]).max() < 0.05
 
 
 def test_a_rest_that_cannot_be_is_one_line() -> None:

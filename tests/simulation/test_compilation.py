@@ -16,9 +16,10 @@ import llvmlite.binding
 import numba
 import numpy as np
 import pytest
-from in_lanes import from_python
 from numba import njit
 
+from simbias.core import cache
+from simbias.simulation.compiler import compilation
 from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 
 pytestmark = pytest.mark.slow
@@ -38,6 +39,8 @@ def half(x):
 RUN = """
 from numba import njit
 from own import own
+from simbias.core import cache
+from simbias.simulation.compiler import compilation
 from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 
 compilation = Compilation()
@@ -87,74 +90,42 @@ def test_a_change_anywhere_is_compiled_and_nothing_is_compiled_twice(tmp_path: P
     assert run_with_other_hashes(tmp_path) == "2.0 7.0 0"
     write(helper=HELPER.replace("0.5", "0.25"))
     assert run(tmp_path) == "1.0 7.0 1"
-    write(helper=HELPER.replace("0.5", "0.25"), own=OWN.replace("7.0", "8.0"))
-    assert run(tmp_path) == "1.0 8.0 1"
-    write(own=OWN.replace("min", "max"))
-    assert run(tmp_path) == "7.0 20.0 1"
+    write(own=OWN.replace("7.0", "8.0").replace("min", "max"))
+    assert run(tmp_path) == "8.0 20.0 1"
     write()
-    assert run(tmp_path) == "2.0 7.0 0"  # what it was is still there
     (tmp_path / "helper.py").rename(tmp_path / "moved.py")
     write_own = OWN.replace("from helper", "from moved")
     (tmp_path / "own.py").write_text(write_own)
-    assert run(tmp_path) == "2.0 7.0 0"  # wherever it is now
-
-
-def test_closures_and_substitutes_are_part_of_it() -> None:
-    def power(exponent: int):
-        def function(x):
-            return x**exponent
-
-        return function
-
-    squared, cubed = from_python(power(2)), from_python(power(3))
-    assert (squared(3.0), cubed(3.0)) == (9.0, 27.0)
-
-
-def digest(*functions) -> str:
-    compilation = Compilation()
-    for function in functions:
-        compilation.compiled(function)
-    return compilation.digest
+    assert run(tmp_path) == "2.0 7.0 0"  # what it was is still there, wherever it is now
 
 
 def test_the_hash_is_of_what_a_function_does() -> None:
-    def made(text: str, **names: object):
+    def digest(text: str, **names: object) -> str:
         scope: dict = dict(names)
         exec(dedent(text), scope)
-        return scope["f"]
+        compilation = Compilation()
+        compilation.compiled(scope["f"])
+        return compilation.digest
 
     text = "def f(x):\n    return x * a"
-    assert digest(made(text, a=1.0)) == digest(made("\n\n" + text, a=1.0, b=2.0))
-    assert digest(made(text, a=1.0)) != digest(made(text, a=2.0))
-    assert digest(made(text, a=np.ones(2))) != digest(made(text, a=np.zeros(2)))
-    assert digest(made(text, a=1.0)) != digest(made("def f(x):\n    return x + a", a=1.0))
-
-
-@pytest.mark.parametrize("where", ["beside", "elsewhere"])
-def test_without_a_folder_to_write_to_it_is_kept_elsewhere(where: str, tmp_path: Path, monkeypatch) -> None:
-    """As of a package that an administrator has installed."""
-    from simbias.core import cache
-    from simbias.simulation.compiler import compilation
-
-    if where == "elsewhere":
-        monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-        monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", "")
-        assert compilation._folder() == tmp_path / "simbias" / "closed_loops"
-    else:
-        monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", str(tmp_path))
-        assert compilation._folder() == tmp_path / "closed_loops"
+    assert digest(text, a=1.0) == digest("\n\n" + text, a=1.0, b=2.0)
+    assert digest(text, a=1.0) != digest(text, a=2.0)
+    assert digest(text, a=np.ones(2)) != digest(text, a=np.zeros(2))
+    assert digest(text, a=1.0) != digest("def f(x):\n    return x + a", a=1.0)
+    closure = "def g(n):\n    def f(x):\n        return x**n\n    return f\nf = g({})"
+    assert digest(closure.format(2)) != digest(closure.format(3))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="temporary folders are a user's own")
-def test_nothing_is_read_from_a_temporary_folder_of_another_user(tmp_path: Path, monkeypatch) -> None:
+def test_nothing_is_read_from_a_folder_of_another_user(tmp_path: Path, monkeypatch) -> None:
     """Numba runs what it finds in its cache."""
-    from simbias.core import cache
-    from simbias.simulation.compiler import compilation
-
-    monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert compilation._folder() == tmp_path / "closed_loops"
+    monkeypatch.setattr(cache, "__file__", "/proc/nowhere/cache.py")  # as an administrator installs it
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert compilation._folder() == tmp_path / "simbias" / "closed_loops"
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
-    monkeypatch.setattr(compilation.numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(cache.tempfile, "tempdir", str(tmp_path))
     private = tmp_path / f"simbias-{os.getuid()}"
     assert compilation._folder() == private / "closed_loops"

@@ -3,7 +3,6 @@
 import llvmlite
 import numba
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -36,7 +35,7 @@ def exponentials(z):
 exponentials = from_python(exponentials)
 
 
-@settings(deadline=None)  # the first example compiles
+@settings(deadline=None, max_examples=30)  # the first example compiles
 @given(rows, rows, st.floats(-10, 10, width=32))
 def test_operations_are_numpys(a: np.ndarray, b: np.ndarray, scale: float) -> None:
     exact = (a.astype(float) - b) * scale + a.astype(float) * b
@@ -53,15 +52,6 @@ def test_exponential() -> None:
     least = exponentials(beyond)
     assert (least < 1e-17).all()
     assert (least**2 >= np.finfo(np.float32).smallest_normal).all()  # others take a hundred times as long
-
-
-def test_lanes_do_not_mix_with_numbers() -> None:
-    @njit
-    def wrong(a):
-        return load(a, 0) + 1.0
-
-    with pytest.raises(Exception, match="No implementation of function"):
-        wrong(np.ones((1, LANES), np.float32))
 
 
 def test_it_is_known_to_work_with_these_versions() -> None:

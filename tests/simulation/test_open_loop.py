@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 from interpreted import interpreted
 
-import simbias
 from simbias.core import Kernel, Nominal
 from simbias.core.records import Array, Rollout
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
@@ -52,7 +48,7 @@ def models(study: Study) -> list[PredictionModel]:
     rng = np.random.default_rng(1)
     return [
         PredictionModel(study.nominal.draw(rng), weight, 0.01 * rng.standard_normal(6))
-        for weight in np.linspace(0, 1, 21)
+        for weight in np.linspace(0, 1, 17)
     ]
 
 
@@ -61,21 +57,6 @@ def test_written_agrees_with_plain(study: Study) -> None:
     with interpreted():
         made = predict(models(study), windows)
     np.testing.assert_allclose(made, plain(models(study), windows), rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_compiled_agrees_with_plain() -> None:
-    """With a bias that corrects all lanes at once."""
-    study = simbias.load(["tracking=none", "bias=sparse_gp"])
-    windows = Windows.of(experiments(study), 12, 3)
-    rng = np.random.default_rng(2)
-    data = replace(
-        study.no_data, inputs=rng.standard_normal((30, 7)), residuals=1e-3 * rng.standard_normal((30, 6))
-    )
-    fitted = study.bias.fit(data)
-    made = predict(models(study), windows, fitted)
-    assert made.shape == (21, 3 + 0 + 5 + 0, 4, 6)
-    np.testing.assert_allclose(made, plain(models(study), windows, fitted), atol=1e-6)
 
 
 def test_memory_runs_on_where_the_state_is_reset() -> None:
@@ -102,9 +83,5 @@ def test_a_prediction_is_the_models_steps(study: Study) -> None:
         (made,) = predict([PredictionModel(study.nominal)], windows)
     np.testing.assert_allclose(made[0], expected, rtol=1e-12)
     np.testing.assert_allclose(windows.means[0, 0], rollout.states[4:6].mean(axis=0), rtol=1e-12)
-
-
-def test_without_a_whole_window_nothing_is_predicted(study: Study) -> None:
-    windows = Windows.of(experiments(study, (3, 0)), 12, 3)
-    assert len(windows) == 0
-    assert predict([PredictionModel(study.nominal)], windows).shape == (1, 0, 4, 6)
+    none = Windows.of(experiments(study, (3, 0)), 12, 3)  # no whole one
+    assert predict([PredictionModel(study.nominal)], none).shape == (1, 0, 4, 6)
