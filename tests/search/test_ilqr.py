@@ -9,7 +9,10 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import simbias
+from simbias.core import FittedBias
 from simbias.core.errors import ConfigError
+from simbias.core.records import Transitions
+from simbias.learning.bias.none import ConstantBias, NoBias
 from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
@@ -114,6 +117,14 @@ def test_small_gains_count_on_the_friction_of_a_joint_without_a_motor() -> None:
     assert (ends[1][:2] < 0.5 * ends[0][:2]).all()
 
 
+class Wrecking(NoBias):
+    """What it learns throws a cart-pole off its rail."""
+
+    def fit(self, transitions: Transitions) -> FittedBias:
+        size = 10.0 if len(transitions.residuals) else 0.0
+        return ConstantBias(np.full(4, size), np.zeros(4))
+
+
 NEAR = ["preset=cartpole_trajectory", *(f"{group}=pendulum_swingup" for group in ("task", "cost"))]
 NEAR += ["nominal=pendulum", "hardware=pendulum", "identification=none", "tracking=none", "policy.knots=101"]
 NEAR += ["task.states.angle.mean=0.3", "task.horizon=100"]  # 2 s, from a lean that the motor overcomes
@@ -125,7 +136,7 @@ def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
 ) -> None:
     monkeypatch.setattr(ilqr, "ITERATIONS", 15)
     study = simbias.load([*NEAR, "policy.resting=1.0"])
-    theta = next(trajectory_candidates(study.first_model(), 1))
+    theta = next(trajectory_candidates([study.first_model()], 1))
     rows = theta.reshape(101, -1)
     assert np.abs(rows[40, :2]).max() > 1e-4  # on its way
     np.testing.assert_allclose(rows[50:, :3], 0.0, atol=1e-9)
@@ -141,13 +152,32 @@ def test_a_rest_that_cannot_be_is_one_line() -> None:
         simbias.load([*NEAR, "policy.resting=2.0"])
     moving = simbias.load(["preset=arm_eight", "tracking=none", "policy.resting=0.5"])
     with pytest.raises(ConfigError, match=r"^policy\.resting: the task's goal moves"):
-        next(trajectory_candidates(moving.first_model(), 1))
+        run_trial(moving)  # before it begins
+
+
+@pytest.mark.slow
+def test_where_a_correction_lets_no_plan_exist_it_is_of_the_model_without(
+    cartpole: Study, uncompiled: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ilqr, "ITERATIONS", 2)
+    model = cartpole.first_model()
+    wrecked = replace(model, bias=ConstantBias(np.full(4, 10.0), np.zeros(4)))
+    with pytest.raises(ConfigError, match=r"^method\.trajectories: the model fails whatever inputs"):
+        next(trajectory_candidates([wrecked], 1))
+    (first, second) = (list(trajectory_candidates(models, 1)) for models in ([wrecked, model], [model]))
+    np.testing.assert_array_equal(first, second)
+    study = replace(cartpole, bias=Wrecking(), method=ModelBased(trajectories=1, max_iterations=2))
+    before, after = run_trial(study).iterations
+    np.testing.assert_array_equal(after.parameters, before.parameters)
+    assert after.search is not None
+    assert before.search is not None
+    assert after.search.predicted_cost > before.search.predicted_cost
 
 
 def test_without_a_policy_that_follows_it_is_one_line(cartpole: Study) -> None:
     other = simbias.load(["preset=cartpole", "tracking=none"])
     with pytest.raises(ConfigError, match="OutputFeedback follows no trajectory; policy=trajectory does"):
-        next(trajectory_candidates(other.first_model(), 1))
+        next(trajectory_candidates([other.first_model()], 1))
     with pytest.raises(ConfigError, match=r"^method\.trajectories: OutputFeedback follows no trajectory"):
         run_trial(replace(other, method=ModelBased(trajectories=1)))  # before it begins
-    assert not list(trajectory_candidates(other.first_model(), 0))
+    assert not list(trajectory_candidates([other.first_model()], 0))
