@@ -209,7 +209,7 @@ class KalmanFilter(Observer):
 
 
 class LookAhead(Observer):
-    """What another observer estimates, carried on by the time in s by which measurements are late.
+    """The estimate of another observer, carried on by the time in s by which measurements are late.
 
     x + (latency / dt) (f'(x, u) - x), where u is the mean of the inputs that were sent in this time: one step
     of the nominal model as declared, however late they are.

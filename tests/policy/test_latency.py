@@ -11,7 +11,7 @@ from simbias.core.records import Array
 from simbias.policy.observer import LookAhead, Measured
 from simbias.trial.study import Study
 
-BOARD = ["preset=acrobot_board", "tracking=none"]
+BOARD = ["preset=acrobot_board", "policy.latency=0", "policy.input_weight=100", "tracking=none"]
 
 
 def board(*overrides: str) -> Study:
