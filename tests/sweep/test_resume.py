@@ -28,7 +28,7 @@ from simbias.__main__ import main
 
 pytestmark = pytest.mark.slow
 
-COMMAND = ["--config-dir", "conf", "+sweep=mine", "sweep.trials=3", "tracking=folders"]
+COMMAND = ["--config-dir", "conf", "+sweep=mine", "sweep.trials=2", "tracking=folders"]
 ONE_PROCESS = "engine=sequential"  # where it is the parent that something happens to
 
 
@@ -45,8 +45,8 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_sweep(folder, "mine", FOUR_CELLS)
     status, out, err = run(*COMMAND, ONE_PROCESS, folder=folder)
     assert (status, err) == (0, "")
-    assert "[12/12]" in out
-    assert len(trial_by_trial(folder)) == 12
+    assert "[8/8]" in out
+    assert len(trial_by_trial(folder)) == 8
     return folder
 
 
@@ -67,9 +67,9 @@ def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
     """By Ctrl-C, politely, for good, and one of its workers."""
     done: dict[str, int] = {}
     orphans: list[int] = []
-    for number, engine in ((signal.SIGINT, []), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])):
+    for number, engine in ((signal.SIGINT, [ONE_PROCESS]), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])):
         process = start(*COMMAND, *engine, folder=folder)
-        until_trials(process, 2)
+        until_trials(process, 1)
         orphans += workers(process)
         process.send_signal(number)
         status, _, err = finish(process)
