@@ -57,7 +57,7 @@ def shortened(command: str) -> list[str]:
         "hardware=arm": "hardware=point_mass",
         "my_conf": str(OWN_CONF),
         "hardware.port=/dev/arm1": "seed=1",
-        "evaluation.seconds=5": "evaluation.seconds=0.5",
+        "evaluation.seconds=5": "evaluation.seconds=0.1",
         "RECORDINGS": str(ROOT / "tests" / "recordings"),
     }
     arguments = [own.get(word, word) for word in arguments]

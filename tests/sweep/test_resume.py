@@ -67,7 +67,11 @@ def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
     """By Ctrl-C, politely, for good, and one of its workers."""
     done: dict[str, int] = {}
     orphans: list[int] = []
-    for number, engine in ((signal.SIGINT, [ONE_PROCESS]), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])):
+    for number, engine in (
+        (signal.SIGINT, [ONE_PROCESS]),
+        (signal.SIGTERM, [ONE_PROCESS]),
+        (signal.SIGKILL, []),
+    ):
         process = start(*COMMAND, *engine, folder=folder)
         until_trials(process, 1)
         orphans += workers(process)

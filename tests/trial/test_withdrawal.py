@@ -156,7 +156,10 @@ def test_killed_while_it_is_withdrawn_it_is_or_it_is_not(
     assert len(run_trial(study, folder).withdrawn) == 1
 
 
-def test_what_is_no_experiment_that_counts_is_one_line(ended: Ended, tmp_path: Path) -> None:
+def test_what_is_no_experiment_that_counts_is_one_line(
+    ended: Ended, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simbias.trial.folder.LOCK_SECONDS", 0.1)
     _, _, folder = ended
     withdraw(folder / LOOSE)
     for name in ("0000_search.json", LOOSE, "0006_experiment.npz", "0099_experiment.npz", OUTCOME):
