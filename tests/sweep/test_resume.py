@@ -65,6 +65,7 @@ def finished(folder: Path) -> dict[str, int]:
 
 def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
     """By Ctrl-C, politely, for good, and one of its workers."""
+    interruptions = (signal.SIGINT, [ONE_PROCESS]), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])
     done: dict[str, int] = {}
     orphans: list[int] = []
     for number, engine in (
