@@ -68,11 +68,7 @@ def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
     interruptions = (signal.SIGINT, [ONE_PROCESS]), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])
     done: dict[str, int] = {}
     orphans: list[int] = []
-    for number, engine in (
-        (signal.SIGINT, [ONE_PROCESS]),
-        (signal.SIGTERM, [ONE_PROCESS]),
-        (signal.SIGKILL, []),
-    ):
+    for number, engine in interruptions:
         process = start(*COMMAND, *engine, folder=folder)
         until_trials(process, 1)
         orphans += workers(process)
