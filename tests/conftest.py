@@ -10,12 +10,11 @@ from typing import Any
 
 import pytest
 from filelock import FileLock
+from in_numpy import simulate_in_numpy
 from threadpoolctl import threadpool_limits
 
 import simbias
 from simbias.core.cache import cache_folder
-from simbias.simulation import closed_loop
-from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -117,11 +116,6 @@ def study() -> Study:
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate in NumPy: to compile a robot's loop, or a bias, takes longer than a few short rollouts."""
     simulate_in_numpy(monkeypatch)
-
-
-def simulate_in_numpy(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(CompiledSimulator, "of", lambda *_: None)
-    patch.setattr(closed_loop, "corrections", lambda bias, x, u: bias.correction(x, u))
 
 
 @pytest.fixture

@@ -41,8 +41,8 @@ class Network(Policy):
         Variances of what is measured, by name (`simbias.simulation.noise.Noise`), which the Kalman filter
         reckons with.
     latency
-        Time in s by which measurements are late, or inputs, as far as is known: the network acts on the state
-        that the nominal model predicts from the inputs that were sent since.
+        Time in s by which measurements or inputs are late, besides what a Kalman filter knows of its model:
+        the network acts on the state that the nominal model predicts from the inputs that were sent since.
     """
 
     def __init__(

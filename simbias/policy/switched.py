@@ -59,7 +59,9 @@ class Switched(Policy):
         if task.goals != task.states:
             raise ValueError("the task's goal has to be about all states, in their order")
         self._task, self._hysteresis, self._input_weight = task, hysteresis, input_weight
-        self._swing_up = Network(task, nominal, kind, units, bound, False, observer, noise, latency)
+        self._swing_up = Network(
+            task, nominal, kind, units, bound, observer=observer, noise=noise, latency=latency
+        )
         self._K, self._S = _regulator(task, nominal, input_weight)
         lower, upper = self._swing_up.bounds
         self.bounds = np.append(lower, LEVELS[0]), np.append(upper, LEVELS[1])

@@ -46,7 +46,7 @@ def search(
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model
-    models = model, replace(model, bias=study.bias.fit(study.no_data))
+    models = (model, study.model(nominal=model.nominal)) if trajectories else (model,)
     planned = trajectory_candidates(models, trajectories, study.cost.goal_weights)
     designs = lqr.lqr_candidates(model, lqr_candidates), planned
     candidates: Iterator[Array] = chain(last, *designs)

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from hardware import counted
+from in_numpy import simulate_in_numpy
 from mlflow import MlflowClient
 from mlflow.entities import Run
 from mlflow_ui import free_port, serve
@@ -23,7 +24,6 @@ from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
 from simbias.mlflow.pages import NOTE
 from simbias.mlflow.tracking import Mlflow
-from simbias.simulation.compiled import CompiledSimulator
 from simbias.trial.folder import TRIAL, TrialFolder, withdraw
 from simbias.trial.observer import Observer, Observers
 from simbias.trial.run import run_trial
@@ -53,7 +53,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of trials, each of which stands otherwise: its seed tells."""
     trials = tmp_path_factory.mktemp("made") / "trials"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a module
+        simulate_in_numpy(patch)  # for a module
         make(trials)
     return trials
 

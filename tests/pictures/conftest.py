@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import OWN_CONF, POINT_MASS, simulate_in_numpy
+from conftest import OWN_CONF, POINT_MASS
+from in_numpy import simulate_in_numpy
 
 import simbias
 from simbias.core.records import Iteration, Learning, Optimum, Search

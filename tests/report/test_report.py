@@ -8,7 +8,7 @@ from contextlib import chdir
 from pathlib import Path
 
 import pytest
-from in_numpy import predict_in_numpy
+from in_numpy import predict_in_numpy, simulate_in_numpy
 from sweeping import FOLDERS, write_sweep
 
 import simbias
@@ -16,7 +16,6 @@ from simbias.__main__ import main
 from simbias.core.errors import ConfigError
 from simbias.report.folder import write_report
 from simbias.report.sweep import sweep_page
-from simbias.simulation.compiled import CompiledSimulator
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.run import run_trial
 
@@ -45,7 +44,7 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study = simbias.load(["preset=cartpole", "method=lqr", *short])
     folder = tmp_path_factory.mktemp("trials") / study.hash
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CompiledSimulator, "of", lambda *_: None)  # as `uncompiled`, for a module
+        simulate_in_numpy(patch)  # for a module
         run_trial(study, folder)
     return folder
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from in_numpy import simulate_in_numpy
 from scipy.linalg import solve_discrete_are
 
 import simbias
@@ -18,7 +19,6 @@ from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
 from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
 from simbias.search.optimizer.riccati import regulator, solved
-from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import run_trial
@@ -67,7 +67,7 @@ def test_a_cart_pole_is_swung_up_and_the_policy_does_it_again(
     assert np.abs(plan.inputs).max() <= cartpole.task.input_limit
     assert isinstance(cartpole.policy, Trajectory)
     (theta,) = Following(model).policies(plan, cartpole.policy, [10.0])
-    monkeypatch.setattr(CompiledSimulator, "of", lambda *_: None)  # for a few rollouts
+    simulate_in_numpy(monkeypatch)  # for a few rollouts
     for seed in range(3):
         start = cartpole.task.draw_start(np.random.default_rng(seed))
         assert cartpole.passes(cartpole.simulate(theta, start=start)), seed

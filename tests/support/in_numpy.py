@@ -15,12 +15,23 @@ from simbias.core import Kernel, Nominal, Policy, Task
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation import closed_loop, open_loop
+from simbias.simulation.compiled import CompiledSimulator
 
 
-def predict_in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def predict_in_numpy(patch: pytest.MonkeyPatch) -> None:
     """Predict recordings and corrections without compiling, which takes longer than a few of them."""
-    monkeypatch.setattr(open_loop, "of_nominal", lambda *_: SimpleNamespace(kernel=None))
-    monkeypatch.setattr(closed_loop, "corrections", lambda bias, x, u: bias.correction(x, u))
+    patch.setattr(open_loop, "of_nominal", lambda *_: SimpleNamespace(kernel=None))
+    _correct_in_numpy(patch)
+
+
+def simulate_in_numpy(patch: pytest.MonkeyPatch) -> None:
+    """Simulate closed loops and corrections without compiling, likewise."""
+    patch.setattr(CompiledSimulator, "of", lambda *_: None)
+    _correct_in_numpy(patch)
+
+
+def _correct_in_numpy(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(closed_loop, "corrections", lambda bias, x, u: bias.correction(x, u))
 
 
 class CartPole(Nominal):
