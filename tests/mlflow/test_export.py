@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import shutil
 import time
-from contextlib import ExitStack
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,7 +17,8 @@ from hardware import counted
 from in_numpy import simulate_in_numpy
 from mlflow import MlflowClient
 from mlflow.entities import Run
-from mlflow_ui import free_port, serve
+from mlflow_ui import free_port, is_up
+from processes import wait_for
 from records import assert_equal
 
 import simbias
@@ -34,6 +37,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
 SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=2"]
 
 
+@cache
 def study(seed: int = 0) -> Study:
     return simbias.load([*SHORT, f"seed={seed}"], OWN_CONF)
 
@@ -175,32 +179,19 @@ def test_an_export_again_changes_nothing_and_a_deleted_store_is_made_again(folde
     assert finished["metrics"]["trial/hardware_seconds"] == seconds
 
 
-def test_a_trial_that_resumes_or_begins_again(folder: Path) -> None:
-    """What was killed, waited, failed or was interrupted ends in its own run; one made again has another."""
-    export_all(folder)
-    before = pages(uri(folder))
-    for seed in range(1, 5):
-        run_trial(study(seed), at(folder, seed))
-    export_all(folder)
-    after = pages(uri(folder))
-    assert {each["status"] for each in after.values()} == {"FINISHED"}
-    assert [each["start"] for each in after.values()] == [each["start"] for each in before.values()]
-    assert not any("error" in each["tags"] for each in after.values())
-    shutil.rmtree(at(folder, 0))
-    run_trial(study(0), at(folder, 0))
-    export_all(folder)
-    assert len(found_runs(MlflowClient(uri(folder)))) == 6
-
-
 def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
-    """The run before it says so; a new store has the new one alone."""
+    """The run before it says so; a new store has the new one alone. Others end in the run that they have.
+
+    These were killed, waited, failed or were interrupted. One that is made again has another.
+    """
     export_all(folder)
+    before, client = pages(uri(folder)), MlflowClient(uri(folder))
     trial = TrialFolder(at(folder, 0))
     withdrawal = withdraw(trial.steps()[1], "a loose cable")
-    client = MlflowClient(uri(folder))
     for status, resumes in (("KILLED", False), ("FINISHED", True)):
         if resumes:
-            run_trial(study(0), trial.path)
+            for seed in range(5):
+                run_trial(study(seed), at(folder, seed))
         export_all(folder)
         new, old = found_runs(client, "params.seed = '0'", order_by=["start_time DESC"])
         assert (new.info.status, old.info.status) == (status, "FINISHED")
@@ -209,9 +200,16 @@ def test_a_trial_goes_on_in_a_new_run_after_a_withdrawal(folder: Path) -> None:
         assert f"[a new run](#/experiments/{new.info.experiment_id}/runs/{new.info.run_id}" in note
         assert note.count("Superseded") == 1
         assert f"**Withdrawn**: {withdrawal}." in new.data.tags[NOTE]
-        page(client, new)
     client.delete_run(old.info.run_id)
-    assert exported_again(folder) == pages(uri(folder))
+    after = pages(uri(folder))
+    assert exported_again(folder) == after
+    assert {each["status"] for each in after.values()} == {"FINISHED"}
+    assert all(after[seed]["start"] == before[seed]["start"] for seed in "1234")
+    assert not any("error" in each["tags"] for each in after.values())
+    shutil.rmtree(trial.path)
+    run_trial(study(0), trial.path)
+    export_all(folder)
+    assert len(found_runs(client)) == 6
 
 
 def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
@@ -306,6 +304,18 @@ def test_a_store_that_fails_in_the_middle_lacks_nothing_later(
     assert exported_again(folder) == found
 
 
+def serve(folder: Path, port: int) -> None:
+    """MLflow's server of a store, without its command line and workers, which import MLflow again."""
+    from mlflow.server import app, constants
+
+    os.environ[constants.BACKEND_STORE_URI_ENV_VAR] = uri(folder)
+    os.environ[constants.ARTIFACT_ROOT_ENV_VAR] = "mlflow-artifacts:/"
+    os.environ[constants.ARTIFACTS_DESTINATION_ENV_VAR] = f"{folder}/files"
+    os.environ[constants.SERVE_ARTIFACTS_ENV_VAR] = "true"
+    app.run("127.0.0.1", port)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of a fork
 def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -315,29 +325,30 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     address, trials = f"http://127.0.0.1:{port}", folder / "trials"
     store = Mlflow(address, trials=str(trials))
     began = time.monotonic()
-    shown = store.export_trial(trials / study(0).hash)
-    assert run_trial(study(0), trials / study(0).hash, shown).outcome.final
+    shown = store.export_trial(at(folder, 0))
+    assert run_trial(study(0), at(folder, 0), shown).outcome.final
     shown.update(final=True)
     assert time.monotonic() - began < 30
-    assert shown.where == str(trials / study(0).hash)
+    assert shown.where == str(at(folder, 0))
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{address}: " in warning
     assert f"All is kept in {trials}; `python -m simbias export` shows it" in warning
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)
-    files = f"--backend-store-uri {uri(folder)} --artifacts-destination {folder}/files"
-    with ExitStack() as stack:
+    server = multiprocessing.get_context("fork").Process(target=serve, args=(folder, port), daemon=True)
+    server.start()
 
-        class Killing(Observer):
-            def iterated(self, iteration: Iteration) -> None:
-                stack.close()
+    class Killing(Observer):
+        def iterated(self, iteration: Iteration) -> None:
+            server.kill()
+            server.join()
 
-        stack.enter_context(serve(f"mlflow server --workers 1 {files}", folder, port))
-        assert export(address, trials) == ["1 trial in no sweep"]
-        found = pages(address)
-        shown = Mlflow(address, trials=str(trials)).export_trial(trials / study(1).hash)
-        record = run_trial(study(1), trials / study(1).hash, Observers(shown, Killing()))
-        shown.update(final=True)
+    wait_for(lambda: is_up(address))
+    assert export(address, trials) == ["1 trial in no sweep"]
+    found = pages(address)
+    shown = Mlflow(address, trials=str(trials)).export_trial(at(folder, 1))
+    record = run_trial(study(1), at(folder, 1), Observers(shown, Killing()))
+    shown.update(final=True)
     assert record.outcome.final
     assert len(record.iterations) > 1
     assert len(caplog.records) == 2

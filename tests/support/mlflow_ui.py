@@ -84,13 +84,19 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def is_up(root: str) -> bool:
+    """Whether the server answers."""
+    try:
+        with urllib.request.urlopen(f"{root}/health", timeout=5) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
+
+
 def _wait_until_up(root: str, server: subprocess.Popen[bytes], log: Path) -> None:
     end = time.monotonic() + 2 * PATIENCE
     while time.monotonic() < end and server.poll() is None:
-        try:
-            with urllib.request.urlopen(f"{root}/health", timeout=5) as answer:
-                if answer.status == 200:
-                    return
-        except OSError:
-            time.sleep(0.2)
+        if is_up(root):
+            return
+        time.sleep(0.05)
     raise AssertionError(log.read_text())
