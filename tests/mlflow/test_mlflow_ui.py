@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import signal
 import sys
 from collections.abc import Iterator
@@ -41,8 +42,9 @@ pytestmark = [
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[Page]:
+def page(new_store: Path, tmp_path: Path) -> Iterator[Page]:
     """The page at the address that the command prints which the sweep printed."""
+    shutil.copy(new_store, tmp_path)
     status, out, err = run(*SWEEP, folder=tmp_path, timeout=3600 if FOLDER else 300)
     assert status == 0, err
     found = re.search(r"^Look at it:  (.*)$", out, re.MULTILINE)
