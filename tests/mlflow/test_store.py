@@ -30,10 +30,11 @@ def uri(folder: Path) -> str:
     return f"sqlite:///{folder}/mlflow.db"
 
 
+@pytest.mark.usefixtures("new_store")  # so that all has been imported that forks need
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forks
 def test_processes_make_a_new_store_at_once_and_share_it(tmp_path: Path) -> None:
     """Also after one was killed while it made the store."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["mlflow", "simbias.mlflow.store"])
+    context = multiprocessing.get_context("fork")
 
     def start() -> BaseProcess:
         process = context.Process(target=store.connect, args=(uri(tmp_path), "mine"))
