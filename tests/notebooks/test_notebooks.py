@@ -17,10 +17,12 @@ pytestmark = pytest.mark.slow
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 PICTURES = {"1_first_steps": 3, "2_results": 4, "3_own_component": 0, "4_a_lab": 0, "5_from_mjcf": 1}
+QUICK = '"task.horizon=200", "optimizer.max_evaluations=20"'
 SHORTER = {
-    '["seed=0"]': '["seed=0", "optimizer.max_evaluations=60", "method.max_iterations=2"]',
+    '["seed=0"]': f'[{QUICK}, "method.max_iterations=2", "cost.max_cost=1e-3"]',  # two iterations
+    "times=[0, 0.5, 1, 2, 4]": "times=[0, 0.1]",
     "range(10)": "range(2)",
-    '"task.horizon=1000"': '"task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1"',
+    '"task.horizon=1000"': f'{QUICK}, "method.max_iterations=1", "tracking.pictures=false"',
     '"task.horizon=2000"': '"task.horizon=200"',
     '"method.max_iterations=3"': '"method.max_iterations=1"',
     '"evaluation=domain_randomization"': '"evaluation=domain_randomization", "optimizer.max_evaluations=20"',
