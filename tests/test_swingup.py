@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 import simbias
+from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.diagnostics import of_goal
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
 def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
-    """Shortened: one experiment an iteration, and fewer simulated policies."""
+    """Shortened: one experiment an iteration, and fewer simulated policies. They are as in NumPy."""
     options = ["optimizer.max_evaluations=6000", "evaluation.rollouts=4", "budget.experiments=4"]
     study = simbias.load(["preset=cartpole_swingup", "tracking=none", "method.experiments=1", *options])
     last = list(study.run())[-1]
@@ -21,11 +23,13 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
     held = np.abs(study.task.error(rollout.states, 0.0)[-51:, 1])  # of the angle in the last second
     assert rollout.states[0, 1] == pytest.approx(np.pi, abs=0.3)
     assert held.max() < 0.2
-    hanging = np.tile(study.task.start_mean, (study.task.horizon + 1, 1))
-    assert study.task.succeeds(hanging) is False
+    start = study.task.start_mean
+    assert study.task.succeeds(np.tile(start, (study.task.horizon + 1, 1))) is False
+    compiled = study.designed_on(last.model).simulator().rollout(last.parameters, start)
+    (plain,) = PlainSimulator([last.model], [None]).rollouts(last.parameters[None], start[None])
+    np.testing.assert_allclose(compiled.states, plain.states, atol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
@@ -36,7 +40,6 @@ def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
     assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model()))
 
 
-@pytest.mark.slow
 def test_late_motors_are_met_before_any_experiment() -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     names = [parameter.name for parameter in study.first_model().nominal.parameters]
