@@ -8,6 +8,7 @@ import os
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,7 @@ def test_a_state_moves_alike_alone_and_among_others(tmp_path: Path) -> None:
     )
 
 
+@cache
 def search(*overrides: str) -> Study:
     """Of the double cart-pole, on models that differ."""
     robust = "evaluation=domain_randomization"
@@ -115,11 +117,14 @@ def test_compiled_rollouts_are_the_plain_ones() -> None:
 
 
 @pytest.mark.slow
-def test_a_compiled_frame_with_contacts_is_the_engines_to_the_last_bit() -> None:
+def test_a_frame_with_contacts_is_the_engines_to_the_last_bit() -> None:
+    """Of the loop that is compiled."""
     study = simbias.load(["preset=biped", "tracking=none", "task.horizon=20"])
     loop, (_, starts, _) = study.simulator(), candidates(study, 10)
     assert isinstance(loop, CompiledSimulator)
-    for rollout in loop.rollouts(np.zeros((10, study.policy.n_parameters)), starts):
+    with interpreted():
+        rollouts = loop.rollouts(np.zeros((10, study.policy.n_parameters)), starts)
+    for rollout in rollouts:
         assert rollout.frames > 3
         stepped = study.nominal.step(rollout.states[:-1], rollout.inputs)
         np.testing.assert_array_equal(rollout.states[1:], stepped)
