@@ -11,6 +11,7 @@ import numpy as np
 import point_mass as robot
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from interpreted import interpreted
 from rich.console import Console
 
 import simbias
@@ -75,10 +76,16 @@ class Always(Cost):
         return self._value
 
 
-@pytest.fixture
-def point_mass() -> Study:
+@pytest.fixture(scope="module")
+def compilable() -> Study:
     """A quick one."""
     return simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=40"], OWN_CONF)
+
+
+@pytest.fixture
+def point_mass(compilable: Study, uncompiled: None) -> Study:
+    """The same, in NumPy."""
+    return compilable
 
 
 def shown(study: Study) -> str:
@@ -90,10 +97,11 @@ def shown(study: Study) -> str:
 
 
 @pytest.mark.slow
-def test_what_an_own_component_breaks_is_one_line_before_the_trial(point_mass: Study) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy is compiled
-        rehearse(point_mass)
+def test_what_an_own_component_breaks_is_one_line_before_the_trial(compilable: Study) -> None:
+    study = replace(compilable, bias=NoBias())
+    with interpreted(), warnings.catch_warnings():
+        warnings.simplefilter("error", simbias.core.SlowWarning)  # ordinary NumPy can be compiled
+        rehearse(study)
     for group, component, line in (
         ("nominal", NaNVelocity, "NaNVelocity.step: expected finite numbers near the start, got [["),
         ("nominal", Raises, "Raises.step: expected a result, got KeyError: 'mass' (test_newcomers.py:"),
@@ -102,12 +110,12 @@ def test_what_an_own_component_breaks_is_one_line_before_the_trial(point_mass: S
         ("policy", ImitatesByOne, "ImitatesByOne.imitating: expected parameters (3,), got (1,)"),
     ):
         with pytest.raises(ConfigError) as caught:
-            rehearse(replace(point_mass, **{group: component(point_mass.task)}))  # type: ignore[arg-type]
+            rehearse(replace(study, **{group: component(study.task)}))  # type: ignore[arg-type]
         assert str(caught.value).startswith(line)
         assert str(caught.value).isprintable()
     said = r"slower.*: Decides.step \(test_newcomers.py:\d+: it decides by a value.*kernels.py"
     with pytest.warns(simbias.core.SlowWarning, match=said):
-        rehearse(replace(point_mass, nominal=Decides(point_mass.task)))  # type: ignore[arg-type]
+        rehearse(replace(study, nominal=Decides(study.task)))  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from matplotlib.figure import Figure
+from PIL import Image
 from sweeping import NO_FIGURES, QUICK
 
 from simbias.__main__ import main as simbias
@@ -30,10 +31,10 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(FIGURES, name, lambda *_: Figure())
 
 
-def trial_of(folder: Path, *overrides: str) -> Path:
+def trial_of(folder: Path) -> Path:
     """The folder of a trial of a point mass."""
     with chdir(folder):
-        assert simbias([*TINY, "tracking=folders", *overrides]) in (0, 1)
+        assert simbias([*TINY, "tracking=folders"]) in (0, 1)
     (outcome,) = folder.glob("trials/*/outcome.json")
     return outcome.parent
 
@@ -45,8 +46,6 @@ def pictures_of(trial: Path) -> set[str]:
 @pytest.mark.usefixtures("uncompiled")
 def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As PNG and SVG; an error is one line."""
-    (tmp_path / "other").mkdir()
-    assert not pictures_of(trial_of(tmp_path / "other", "tracking.pictures=false"))
     trial, folder = trial_of(tmp_path), tmp_path / "pictures" / "new"
     assert pictures_of(trial) == {f"{name}.png" for name in AT_REST}
     capsys.readouterr()
@@ -55,6 +54,8 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     names = {f"{name}{suffix}" for name in AT_REST for suffix in (".png", ".svg")}
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.read_bytes().startswith(b"<?xml") for path in folder.glob("*.svg"))
+    assert Image.open(folder / "overview.png").width == 1800  # as a README needs it
+    assert (folder / "overview.png").stat().st_size < 200_000
     assert "overview.png, overview.svg, " in capsys.readouterr().out
     (tmp_path / "file").touch()
     assert simbias(["pictures", str(trial), str(tmp_path / "file"), *own]) == 2
@@ -81,3 +82,4 @@ def test_broken_pictures_lose_no_trial(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.warns(RuntimeWarning, match="picture overview: IndexError"):
         trial = trial_of(tmp_path)
     assert "no such panel" in (trial / "pictures" / "overview.txt").read_text()
+    assert pictures_of(trial) == {"overview.txt", *(f"{name}.png" for name in AT_REST - {"overview"})}

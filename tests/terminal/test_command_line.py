@@ -33,6 +33,7 @@ def test_success_exits_0_and_says_how_many_experiments(new_store: Path, tmp_path
     assert "Succeeded after 2 hardware experiments (1 iteration, " in out
     assert " -m simbias ui " in out
     assert "Traceback" not in err
+    assert not list(tmp_path.glob("trials/*/pictures"))
     process = start(*QUICK, "tracking=folders", "seed=1", folder=tmp_path)
     assert process.stdout is not None
     assert process.stderr is not None
