@@ -18,27 +18,12 @@ from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, png, 
 from simbias.pictures.trial.comparison import simulated, worst_experiment
 from simbias.pictures.trial.errors import prediction_error, windows
 from simbias.pictures.trial.phases import phase_pairs, state_bounds
-from simbias.robots.bongoboard.task import Start
 from simbias.trial.study import Study
 
 
 def again(study: Study, iteration: Iteration) -> list[Rollout]:
     """An iteration's experiments in the simulation that its policy was searched in."""
     return simulated(study, iteration, iteration.experiments)
-
-
-def test_bounds_of_states_are_the_smallest_that_a_criterion_says(short: Study) -> None:
-    """The norms of criteria 3 and 6 bound each angle and rate; a short board bounds alpha_b before them."""
-    limits, task, rng = short.task.limits, short.task, np.random.default_rng(0)
-    bounds = state_bounds(task)
-    np.testing.assert_array_equal(bounds, np.repeat([limits.distance, limits.speed], 3))
-    narrow = type(task)(replace(task.robot, board_length=0.3), limits, Start([0.0] * 6, 0.02))
-    assert state_bounds(narrow)[1] == pytest.approx(1.0)
-    for i, bound in enumerate(bounds):  # whatever the other states are
-        for sign in (-1.0, 1.0):
-            x = rng.uniform(-1.0, 1.0, 6)
-            x[i] = sign * 1.001 * bound
-            assert task.failure(x) is not None
 
 
 def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None:

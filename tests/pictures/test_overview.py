@@ -9,7 +9,6 @@ import pytest
 from figures import lines, texts
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from simbias.core.records import Iteration
 from simbias.pictures import NoPictureError, overview
@@ -95,14 +94,3 @@ def test_a_trial_of_one_iteration_and_a_method_without_search(
     assert "simulation" not in words
     with pytest.raises(NoPictureError, match="no policy was tried"):
         overview(short, [replace(on_hardware[0], experiments=())])
-
-
-@pytest.mark.slow
-def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> None:
-    def draw_mass(axes, task, state, *, color="0.4", muted=False):
-        return {"mass": axes.add_patch(Circle((state[0], 0.0), 0.05, color=color))}
-
-    for draw, snapshots in ((None, 0), (draw_mass, 6)):
-        shown = overview(*of_point_mass, draw)
-        blocks = sum(axes.get_xlabel() == "time (s)" for axes in shown.axes)
-        assert sum(axes.get_aspect() == 1.0 for axes in shown.axes) == snapshots * blocks

@@ -44,19 +44,6 @@ def test_outputs_are_the_pelvis_the_ankle_and_the_foot(study: Study, x: Array) -
     np.testing.assert_allclose(study.task.output(x), expected, atol=1e-12)
 
 
-def test_first_violated_criterion(study: Study) -> None:
-    for x, criterion in (
-        ([0, 0.05, 0, 0, 0, 0], None),
-        ([0.9, 0, 0, 0, 0, 0], "board_touches_ground"),
-        ([2.7, -2.7, 0, 0, 0, 0], "board_leaves_wheel"),
-        ([1.5, -1.5, 0, 0, 0, 0], "distance"),
-        ([0.3, 0, 0.8, 0, 0, 0], "body_angle"),
-        ([0, 0, 0, 20, 20, 20], "speed"),
-        ([np.nan, 0, 0, 0, 0, 0], "board_touches_ground"),
-    ):
-        assert study.task.failure(np.array(x, dtype=np.float64)) == criterion
-
-
 def test_many_states_at_once_are_one_by_one(study: Study) -> None:
     """Whatever the leading axes."""
     states = np.random.default_rng(0).normal(size=(2, 3, 6))

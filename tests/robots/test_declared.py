@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -11,7 +10,6 @@ import pytest
 from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from interpreted import interpreted
 from mechanisms import DOUBLE
 from omegaconf import OmegaConf
 
@@ -20,7 +18,6 @@ from simbias.config.components import construct
 from simbias.config.identity import identity_fields
 from simbias.core import Task
 from simbias.robots.declared.task import Declared
-from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions
 from simbias.simulation.compiler.choices import greater, lesser
 from simbias.simulation.compiler.symbolic_arrays import row
@@ -88,22 +85,6 @@ def test_a_declaration_is_worth_a_class(study: Study, bongoboard: Declared, numb
     np.testing.assert_allclose(bongoboard.output(x), study.task.output(x), atol=1e-12)
     np.testing.assert_allclose(bongoboard.measure(x), study.task.measure(x), atol=1e-12)
     np.testing.assert_array_equal(bongoboard.violated(x), study.task.violated(x))
-
-
-@pytest.mark.slow
-def test_it_joins_the_compiled_loop(study: Study, bongoboard: Declared) -> None:
-    """The same falls, at the same frames, for the same criteria as with the class."""
-    own = replace(study, task=bongoboard)
-    thetas = np.random.default_rng(1).uniform(-3, 3, (8, 5))
-    starts = np.tile(study.task.start_mean, (8, 1))
-    by_class = study.simulator().rollouts(thetas, starts)
-    with interpreted():
-        loop = own.simulator()
-        assert isinstance(loop, CompiledSimulator)
-        by_declaration = loop.rollouts(thetas, starts)
-    for one, other in zip(by_class, by_declaration, strict=True):
-        assert (one.failed_at, one.failure) == (other.failed_at, other.failure)
-        np.testing.assert_allclose(one.states, other.states, atol=1e-6)
 
 
 @given(st.floats(-4, 4), st.floats(-4, 4))

@@ -2,61 +2,37 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 import numpy as np
 import pytest
 from bongoboard_twin import (
-    CONF,
     MOVING,
     START,
     UNLIMITED,
     Constant,
-    assert_consistent,
     build_task,
     build_twin,
     experiment,
     runge_kutta,
 )
-from omegaconf import OmegaConf
-from pydantic import TypeAdapter
 
 import simbias
 from simbias.core import HardwareError
 from simbias.core.records import Array
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.robots.bongoboard.bodies import Assembly, contact
-from simbias.robots.bongoboard.gaps import Gaps
 from simbias.robots.bongoboard.model import LagrangianBongoboard
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
-from simbias.simulation.control_loop import BLOW_UP
 from simbias.simulation.noise import Noise
 
 FEET = ("plate", "separate", "fixed")
 # Found by CMA-ES on this hardware with a plate (300 evaluations of the summed cost of four starts, no noise).
 BALANCING = np.array([9.92, 6.37, -8.36, -4.38, 5.77])
-# Found by DIRECT on the nominal model, as Algorithm 1 begins.
-NOMINALLY_BEST = np.array([8.1177, 4.7310, -6.7398, -1.0242, -5.5601])
 NOISE = {"torque_variance": 0.1, "angle_variance": 1e-6, "velocity_variance": 1e-3}
 
 
 # Laws of mechanics
-
-
-@pytest.mark.slow
-def test_each_frame_agrees_with_the_lagrangian_step() -> None:
-    """The engine moves before it accelerates, the model's step the other way round.
-
-    So the model has to step from the angles of a frame and the rates of the frame before to those a frame
-    later. The tolerance is for what the solver leaves after its iterations.
-    """
-    model = LagrangianBongoboard(build_task(), foot_mass=1.0)
-    for feet, torque in (("fixed", -3.0), ("plate", 5.0)):
-        states = experiment(PymunkBongoboard(build_twin(horizon=150), feet=feet), torque).states
-        staggered = np.column_stack((states[1:, :3], states[:-1, 3:]))
-        predicted = model.step(staggered[:-1], np.array([torque]))
-        np.testing.assert_allclose(staggered[1:], predicted, rtol=0, atol=5e-4)
 
 
 def test_trajectory_converges_to_the_lagrangian_models_with_order_one() -> None:
@@ -145,15 +121,6 @@ def test_a_single_foot_tips_where_a_plate_stands() -> None:
         assert (angles["separate"] > 1e-3) == tips
 
 
-def test_the_nominal_models_policy_falls_from_separate_feet() -> None:
-    task = build_task()
-    hardware = PymunkBongoboard(task, feet="separate")
-    rng = np.random.default_rng(0)
-    rollout = hardware.run(OutputFeedback(task), NOMINALLY_BEST, task.draw_start(rng), rng)
-    assert_consistent(rollout)
-    assert rollout.failed_at is not None
-
-
 # Experiments
 
 
@@ -212,16 +179,6 @@ def test_a_record_of_what_is_measured_is_of_the_same_experiment() -> None:
     assert costly.cost > simbias.load(short).experiment(BALANCING, np.random.default_rng(0)).cost
 
 
-def test_failure_is_judged_by_the_true_states() -> None:
-    """A sensor that errs by 0.3 rad sees the body beyond its limit long before it is."""
-    noise = {"angle_variance": 0.09}
-    hardware = PymunkBongoboard(build_task(UNLIMITED | {"body_angle": 0.2}), noise=noise, record="measured")
-    rollout = experiment(hardware, 0.0)
-    leaning = np.abs(rollout.states[:, :3].sum(axis=1)) > 0.2
-    assert rollout.failed_at is not None
-    assert leaning[: rollout.failed_at].any()
-
-
 # Failure
 
 
@@ -256,25 +213,6 @@ def test_board_leaves_the_wheel_when_it_is_detached_far_enough() -> None:
     assert near.frames < far.frames
 
 
-def test_start_can_be_a_failure() -> None:
-    for start, failure in (
-        ((0.0, 0.05, 0.0, 40.0, 0.0, 0.0), "speed"),
-        ((0.0, 0.05, 1.2, 0.0, 0.0, 0.0), "body_angle"),
-        ((0.6, 0.35, -1.0, 0.0, 0.0, 0.0), "board_touches_ground"),
-        ((0.0, 0.0, 1e300, 0.0, 0.0, 0.0), "distance"),
-    ):
-        rollout = experiment(PymunkBongoboard(build_task()), 0.0, np.array(start))
-        assert (rollout.failure, rollout.failed_at) == (failure, 0)
-        np.testing.assert_array_equal(rollout.states, [start])
-
-
-def test_blow_up_is_a_failure_and_leaves_no_trace_in_the_data() -> None:
-    for feet, torque in zip(FEET, (1e6, -1e20, 1e308), strict=True):
-        rollout = experiment(PymunkBongoboard(build_task(UNLIMITED), feet=feet), torque)
-        assert (rollout.failure, rollout.failed_at) == (BLOW_UP, 0)
-        np.testing.assert_array_equal(rollout.states, [START])
-
-
 def test_torque_that_is_not_a_number_is_an_error_that_names_the_frame() -> None:
     class Breaking(Constant):
         def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
@@ -282,17 +220,3 @@ def test_torque_that_is_not_a_number_is_an_error_that_names_the_frame() -> None:
 
     with pytest.raises(HardwareError, match=r"in frame 6 the policy asks for an input of \[nan\]"):
         PymunkBongoboard(build_task()).run(Breaking(), np.zeros(1), START, np.random.default_rng(0))
-
-
-# Configuration
-
-
-def test_defaults_are_the_configs() -> None:
-    config = OmegaConf.to_container(OmegaConf.load(CONF / "hardware" / "pymunk.yaml"))
-    assert isinstance(config, dict)
-    parameters = inspect.signature(PymunkBongoboard).parameters
-    defaults = {name: parameters[name].default for name in parameters if name != "task"}
-    del config["_target_"]
-    assert TypeAdapter(Gaps).validate_python(config["gaps"]) == Gaps()
-    assert not any(config["noise"].values())
-    assert defaults == config | {"noise": {}, "gaps": Gaps()}

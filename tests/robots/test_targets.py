@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 import simbias
 from simbias.config import ConfigError
 from simbias.config.components import construct
-from simbias.core import Hardware, Model, Policy, Task
+from simbias.core import Hardware, Policy, Task
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.cost.tracking import Tracking
 from simbias.lab.checked_hardware import CheckedHardware
@@ -85,18 +85,6 @@ def test_a_goal_and_outputs_use_them() -> None:
     np.testing.assert_allclose(task.error(START, 0.7), task.error(x, t)[1])
     np.testing.assert_allclose(task.reference(t)[:, 0], 0.3 * np.cos(2.0 * t))  # at their means
     assert task.output(START)[0] == pytest.approx(0.01 - 0.3)
-
-
-def test_a_target_is_a_goal_that_is_fixed(study: Study) -> None:
-    """Of one start, costs are those of the task that says the same numbers."""
-    fixed = declared(targets=None, constants=CARTPOLE["constants"] | {"place": 0.3, "pace": 1.5})
-    cost = Tracking(fixed, error_weights={"position": 1.0, "angle": 1.0}, max_cost=1.0, failure_weight=10.0)
-    policy = Network(fixed, study.nominal, units=2, errors=True, observer="filter")
-    other = Model(fixed, policy, study.nominal, study.bias.fit(study.no_data))
-    some = thetas(study, 3)
-    made, _ = PlainSimulator([study.model()], [None]).costs(study.cost, some, np.tile(START, (3, 1)))
-    same, _ = PlainSimulator([other], [None]).costs(cost, some, np.tile(START[:4], (3, 1)))
-    np.testing.assert_allclose(made, same, rtol=1e-12)
 
 
 def test_they_have_no_noise(study: Study) -> None:
