@@ -36,8 +36,6 @@ def test_its_first_line_is_how_the_trial_stands() -> None:
     two, hot = [row(0), row(1, succeeded=True)], "RuntimeError: motor is `hot` | <b>"
     for outcome, reason, expected in [
         (Outcome.SUCCEEDED, "", "**Succeeded** after 5 hardware experiments (2 iterations, 9 s)."),
-        (Outcome.NOT_SUCCEEDED, "", "**Did not succeed** after 5 hardware experiments (2 iterations, 9 s)."),
-        (Outcome.INTERRUPTED, "", "**Interrupted** after 5 "),
         (Outcome.WAITING, "run.csv is missing.", "9 s). run.csv is missing."),
         (Outcome.ERROR, hot, "9 s). `RuntimeError: motor is  hot  | <b>`"),
     ]:

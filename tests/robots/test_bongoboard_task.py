@@ -44,15 +44,6 @@ def test_outputs_are_the_pelvis_the_ankle_and_the_foot(study: Study, x: Array) -
     np.testing.assert_allclose(study.task.output(x), expected, atol=1e-12)
 
 
-def test_many_states_at_once_are_one_by_one(study: Study) -> None:
-    """Whatever the leading axes."""
-    states = np.random.default_rng(0).normal(size=(2, 3, 6))
-    for function in (study.task.measure, study.task.output, study.task.violated):
-        values = function(states)
-        for index in np.ndindex(2, 3):
-            np.testing.assert_array_equal(values[index], function(states[index]))
-
-
 def test_starts_are_drawn_around_the_mean(study: Study) -> None:
     rng = np.random.default_rng(0)
     starts = np.array([study.task.draw_start(rng) for _ in range(1000)])

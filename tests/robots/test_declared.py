@@ -23,68 +23,13 @@ from simbias.simulation.compiler.choices import greater, lesser
 from simbias.simulation.compiler.symbolic_arrays import row
 from simbias.simulation.compiler.symbols import Trace
 from simbias.simulation.compiler.written import written
-from simbias.trial.study import Study
 
 CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
-ANGLES, RATES = ("alpha_w", "alpha_b", "theta"), ("d_alpha_w", "d_alpha_b", "d_theta")
-BONGOBOARD = {
-    "_target_": "simbias.robots.declared.task.Declared",
-    "time_step": 0.001,
-    "horizon": 5000,
-    "states": {
-        name: {"unit": unit, "kind": kind, "mean": 0.05 * (name == "alpha_b"), "deviation": 0.02}
-        for names, unit, kind in ((ANGLES, "rad", "angle"), (RATES, "rad/s", "velocity"))
-        for name in names
-    },
-    "inputs": {"torque": {"unit": "N m", "kind": "torque", "limit": 100}},
-    "constants": {"r": 0.15, "thickness": 0.02, "length": 0.8, "leg": 0.35, "height": 0.15 + 0.02 + 0.05},
-    "where": {
-        "phi": "alpha_w + alpha_b",
-        "d_phi": "d_alpha_w + d_alpha_b",
-        "centre": "r + (r + thickness / 2) * cos(phi) + r * alpha_b * sin(phi)",
-        "corner": "centre - length / 2 * abs(sin(phi)) - thickness / 2 * abs(cos(phi))",
-    },
-    "failure": {
-        "board_touches_ground": {"value": "corner", "below": 0.0},
-        "board_leaves_wheel": {"value": "abs(r * alpha_b) - length / 2", "above": 0},
-        "distance": {"value": "sqrt(alpha_w**2 + alpha_b**2 + theta**2)", "above": 2},
-        "body_angle": {"value": "abs(phi + theta)", "above": 1},
-        "board_angle": {"value": "max(phi, -phi)", "above": 1},
-        "speed": {"value": "sqrt(d_alpha_w**2 + d_alpha_b**2 + d_theta**2)", "above": 30},
-    },
-    "outputs": {
-        "x_p": {
-            "value": "-r * alpha_w - height * sin(phi) + r * alpha_b * cos(phi) - leg * sin(phi + theta)"
-        },
-        "d_x_p": {
-            "value": "-r * d_alpha_w - height * cos(phi) * d_phi + r * d_alpha_b * cos(phi)"
-            " - r * alpha_b * sin(phi) * d_phi - leg * cos(phi + theta) * (d_phi + d_theta)"
-        },
-        "theta": {"value": "theta"},
-        "d_theta": {"value": "d_theta"},
-        "alpha_f": {"value": "phi"},
-    },
-}
 
 
 def declared(**changes: Any) -> Declared:
     """The cart-pole's task with other values."""
     return construct({**CARTPOLE, **changes}, Task, "task")
-
-
-@pytest.fixture(scope="module")
-def bongoboard() -> Declared:
-    return construct(BONGOBOARD, Task, "task")
-
-
-@pytest.mark.slow
-@given(st.lists(st.floats(-3, 3), min_size=12, max_size=12))
-@settings(deadline=None, max_examples=25)
-def test_a_declaration_is_worth_a_class(study: Study, bongoboard: Declared, numbers: list[float]) -> None:
-    x = np.array(numbers).reshape(2, 6)
-    np.testing.assert_allclose(bongoboard.output(x), study.task.output(x), atol=1e-12)
-    np.testing.assert_allclose(bongoboard.measure(x), study.task.measure(x), atol=1e-12)
-    np.testing.assert_array_equal(bongoboard.violated(x), study.task.violated(x))
 
 
 @given(st.floats(-4, 4), st.floats(-4, 4))
@@ -121,6 +66,18 @@ def test_what_is_not_a_number_stays_none() -> None:
         assert np.isnan(expression(x))
         substitute = {"min": lesser, "max": greater}[extreme].substitute
         assert np.isnan(substitute(substitute(x[0], x[1]), x[2]))
+
+
+def test_failure_is_the_first_criterion_that_is_beyond_its_limit() -> None:
+    criteria = {
+        "low": {"value": "position", "below": -1.0},
+        "far": {"value": "position**2", "above": 4.0},
+        "falls": {"value": "max(angle, -angle)", "above": 0.5},
+    }
+    task = declared(failure=criteria)
+    x = np.array([[0.0, 0.4], [-1.5, 1.0], [3.0, 0.0], [0.0, -0.6], [-1.0, 0.5]])
+    assert task.violated(np.hstack([x, np.zeros((5, 2))])).tolist() == [-1, 0, 1, 2, -1]
+    assert task.failure(np.array([3.0, 1.0, 0.0, 0.0])) == "far"
 
 
 def test_other_numbers_need_no_other_code() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
@@ -97,11 +96,3 @@ def test_what_does_not_go_with_the_task_is_one_line() -> None:
         with pytest.raises(ValueError, match=message) as error:
             Gymnasium(cart_pole(**PENDULUM), **arguments)
         assert "\n" not in str(error.value)
-
-
-def test_without_gymnasium_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "gymnasium", None)
-    with pytest.raises(
-        ValueError, match=r"Gymnasium is not installed .*: pip install 'simbias\[gymnasium\]'"
-    ):
-        Gymnasium(cart_pole(**PENDULUM), "Pendulum-v1")
