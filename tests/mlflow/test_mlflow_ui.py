@@ -129,7 +129,7 @@ def test_the_printed_address_shows_the_sweep_and_its_trials(page: Page) -> None:
     page.get_by_text("pictures", exact=True).click()
     page.get_by_text("overview.png", exact=True).click()
     is_shown(page.get_by_role("img", name="overview.png"))
-    page.goto(urljoin(page.url, "#/experiments/1/runs?workflowType=machine_learning"))
+    page.goto(f"{printed.partition('/runs/')[0]}/runs?workflowType=machine_learning")
     sweep = page.get_by_role("gridcell").filter(has=page.get_by_role("link", name=NAME, exact=True))
     expect(sweep).to_have_count(1)
     expect(links(page, TRIAL)).to_have_count(0)
