@@ -130,7 +130,8 @@ def test_lqr_of_the_identified_model_is_designed_again(
 ) -> None:
     """Until it balances two poles by a motor that is weaker than its model's; read back, all is as it was."""
     predict_in_numpy(monkeypatch)
-    study = simbias.load(["preset=double_cartpole", "method=lqr", "method.identified=true", "tracking=none"])
+    lqr = ["preset=double_cartpole", "method=lqr", "method.identified=true"]
+    study = simbias.load([*lqr, "identification.starts=1", "identification.rounds=1", "tracking=none"])
     first, again = (run_trial(study, tmp_path / study.hash) for _ in range(2))
     assert first.outcome is Outcome.SUCCEEDED
     assert [iteration.succeeded for iteration in first.iterations] == [False, True]
