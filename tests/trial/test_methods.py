@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
 from in_numpy import predict_in_numpy
 from point_mass import InTheWind
 
@@ -93,12 +92,6 @@ def test_methods_that_ship_pass(point_mass: Study) -> None:
     study = replace(point_mass, policy=OutputFeedback(point_mass.task), optimizer=few)
     for method in (Algorithm1(2), ModelBased(2), Lqr()):
         assert [verdict.problem for verdict in verdicts(replace(study, method=method), ["method"])] == [""]
-
-
-def test_no_method_knows_another() -> None:
-    folder = ROOT / "simbias" / "trial" / "methods"
-    for file in folder.glob("*.py"):
-        assert "simbias.trial.methods" not in file.read_text(), file
 
 
 def test_lqr_of_the_nominal_model_is_one_design(point_mass: Study) -> None:
