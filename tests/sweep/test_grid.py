@@ -45,7 +45,7 @@ def identities(sweep: Sweep) -> dict[tuple[tuple[str, ...], int], tuple[int, str
 
 
 @pytest.mark.slow
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(axis_values, axis_values, st.integers(1, 4), st.randoms())
 def test_what_is_added_or_reordered_changes_no_other_trial(
     conf: Path, torque: list[float], errors: list[float], trials: int, rng: random.Random
