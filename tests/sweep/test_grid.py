@@ -142,7 +142,6 @@ def test_bad_sweep() -> None:
 
 def test_bad_axis() -> None:
     for message, spec in {
-        "has no values": [],
         "has no keys": {"keys": [], "values": [[]]},
         "must be a list of values, got 'gp'": "gp",
         "has a name or label with letters that cannot be printed": {

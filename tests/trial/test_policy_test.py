@@ -29,15 +29,8 @@ def test_it_changes_nothing_in_a_trial() -> None:
     assert without.policy_test is None
     assert record.policy_test is not None
     summary = without.summary
-    names = (
-        "test_episodes",
-        "lasting_episodes",
-        "success_rate",
-        "long_success_rate",
-        "long_seconds",
-        "test_words",
-    )
-    same = replace(record.summary, **{name: getattr(summary, name) for name in names})
+    names = ["test_episodes", "lasting_episodes", "success_rate", "long_success_rate", "long_seconds"]
+    same = replace(record.summary, **{name: getattr(summary, name) for name in [*names, "test_words"]})
     assert_equal(replace(record, policy_test=None, summary=same), without)
     frames = [each.frames for iteration in without.iterations for each in iteration.experiments]
     assert summary.hardware_seconds == pytest.approx(plain.task.time_step * sum(frames))
