@@ -14,6 +14,8 @@ from simbias.trial.policy_test import Episode, PolicyTest, PolicyTestResult, epi
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=1"]
 
 
