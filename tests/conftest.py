@@ -6,7 +6,6 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from filelock import FileLock
@@ -31,17 +30,6 @@ os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = "1"  # colouring what n
 if os.access(MEMORY, os.W_OK) and not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 _writes_no_bytecode = sys.dont_write_bytecode
-
-
-def rest_slow(fast: int, cases: list[Any]) -> list[Any]:
-    """Cases of one property: the first few are fast tests, all of them slow ones."""
-    return [*cases[:fast], *(slow_case(case) for case in cases[fast:])]
-
-
-def slow_case(case: Any) -> Any:
-    """A case that is left out of the fast tests."""
-    values = case if isinstance(case, tuple) else (case,)
-    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def pytest_sessionstart() -> None:

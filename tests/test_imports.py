@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
 from functools import cache
 
 from conftest import ROOT
@@ -33,8 +32,6 @@ STOREYS = (  # from the ground; folders of one line do not know each other
     ("",),  # the few files on top of the package
 )
 HEIGHT = {folder: height for height, folders in enumerate(STOREYS) for folder in folders}
-MOST_LOOSE = 5  # files on top of the package
-LARGEST_CIRCLE = 5  # files of one folder
 
 MODULES = {
     ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
@@ -50,54 +47,16 @@ def folder(name: str) -> str:
 
 
 @cache
-def imports(name: str) -> list[str]:
+def imports(name: str) -> set[str]:
     """The modules of simbias that a module imports: anywhere in it, also for type checkers alone."""
-    return list(_imports(name))
-
-
-def _imports(name: str) -> Iterator[str]:
-    """The same, one by one."""
+    found: set[str] = set()
     for node in ast.walk(ast.parse(MODULES[name].read_text())):
         if isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                yield inner if inner in MODULES else node.module
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {each if each in MODULES else node.module for each in inner}
         elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-
-
-@cache
-def graph() -> dict[str, set[str]]:
-    """The modules of simbias that each of them imports."""
-    return {name: {found for found in imports(name) if found in MODULES} for name in MODULES}
-
-
-def circles() -> list[set[str]]:
-    """Sets of more than one module that all import each other, over any number of others (Tarjan)."""
-    order: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    components: list[set[str]] = []
-
-    def visit(name: str) -> None:
-        order[name] = low[name] = len(order)
-        stack.append(name)
-        for other in graph()[name]:
-            if other not in order:
-                visit(other)
-                low[name] = min(low[name], low[other])
-            elif other in stack:
-                low[name] = min(low[name], order[other])
-        if low[name] == order[name]:
-            component = set()
-            while name not in component:
-                component.add(stack.pop())
-            components.append(component)
-
-    for name in graph():
-        if name not in order:
-            visit(name)
-    return [component for component in components if len(component) > 1]
+            found |= {alias.name for alias in node.names}
+    return found & MODULES.keys()
 
 
 def test_every_folder_has_a_storey() -> None:
@@ -108,7 +67,7 @@ def test_a_folder_imports_lower_storeys_only() -> None:
     upwards = [
         f"{name} -> {found}"
         for name in MODULES
-        for found in graph()[name]
+        for found in imports(name)
         if folder(found) != folder(name) and HEIGHT[folder(found)] >= HEIGHT[folder(name)]
     ]
     assert not upwards
@@ -123,14 +82,6 @@ def test_the_compiler_has_one_door() -> None:
         for found in imports(name)
         if found.startswith(inner) and not name.startswith(inner.removesuffix("."))
     }
-
-
-def test_few_files_lie_on_top_of_the_package() -> None:
-    assert len(list(PACKAGE.glob("*.py"))) <= MOST_LOOSE
-
-
-def test_no_circle_of_files_is_large() -> None:
-    assert max(map(len, circles()), default=0) <= LARGEST_CIRCLE, circles()
 
 
 def test_only_its_own_folder_knows_the_bongoboard() -> None:

@@ -70,7 +70,7 @@ def shortened(command: str) -> list[str]:
             *arguments,
             f"hardware.columns={{{COLUMNS}}}",
             *("identification.starts=2", "identification.rounds=1", "identification.evaluations=2"),
-            *(["--seconds", "1"] if "excite" in arguments else []),
+            *(["--seconds", "0.5"] if "excite" in arguments else []),
         ]
     trials = ["sweep.trials=1", "sweep.axes.noise.values=[[0.0,0.0,0.0]]", "engine=sequential"]
     if any(word.startswith("preset=") for word in arguments):
@@ -108,7 +108,7 @@ print("home", simbias.__file__)
 for name in ("fig4", "fig5", "fig6", "fig7"):  # whose classes lie beside the sweeps
     figure = expand([f"+sweep={name}"]).figures[name]
     assert "/simbias/sweeps/figures/" in sys.modules[type(figure).__module__].__file__
-excite.TRAJECTORIES = identify.TRAJECTORIES = 4
+excite.TRAJECTORIES = identify.TRAJECTORIES = 1
 for arguments in ast.literal_eval(sys.argv[1]):
     with pytest.MonkeyPatch.context() as patch:
         words = " ".join(arguments)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import pickle
-from typing import get_type_hints
 
 import pytest
-from shipped import GROUPS, NEEDED, overrides, shipped
+from shipped import shipped
 
 import simbias
 from simbias.config import ConfigError, compose, options
-from simbias.config.build import build
 from simbias.config.components import component_class, constructor_parameters
 from simbias.config.conditions import split
-from simbias.trial.study import Study
 
 COMPONENTS = [(group, option) for group, names in options().items() if group != "preset" for option in names]
 PROVIDED = {"task", "nominal", "hardware_from"}  # to constructors, by whoever builds a study
@@ -60,21 +57,6 @@ def test_config_dir_must_exist() -> None:
         with pytest.raises(ConfigError, match="--config-dir: no such folder"):
             compose([], folder)
         assert options(folder) == options()
-
-
-@pytest.mark.slow
-def test_every_shipped_option_and_preset_builds() -> None:
-    """Options of other groups are built where they go through their contracts: `tests/testing`."""
-    together: dict[tuple[str, ...], list[str]] = {}
-    for option in options()["preset"]:
-        together[(f"preset={option}", *NEEDED.get(f"preset={option}", []))] = []
-    for group, option in COMPONENTS:
-        if group not in (*GROUPS, "engine", "tracking"):
-            together.setdefault(tuple(overrides(group, option)), []).append(group)
-    for chosen, groups in together.items():
-        study = build(compose(chosen))
-        for group in groups:
-            assert isinstance(getattr(study, group), get_type_hints(Study)[group]), (group, chosen)
 
 
 def test_presets_combine() -> None:

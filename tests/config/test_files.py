@@ -15,7 +15,7 @@ from simbias.config import ConfigError, compose, option_files, sweeps
 from simbias.config.hydra_config import WITHOUT_JOBS, overridden
 from simbias.config.resources import resource_folder
 from simbias.core.errors import LONGEST_KEY
-from simbias.core.messages import LONGEST, quote, words
+from simbias.core.messages import LONGEST
 from simbias.sweep.grid import expand
 
 LONGEST_LINE = LONGEST + LONGEST_KEY + 3
@@ -116,16 +116,6 @@ def test_a_pipe_in_place_of_a_config_is_named(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: is no file"):
             compose([use], tmp_path)
         file.unlink()
-
-
-def test_an_error_that_cannot_speak_is_one_line() -> None:
-    class Mute(Exception):  # noqa: N818
-        def __str__(self) -> str:
-            raise RuntimeError
-
-    assert words(Mute()) == "(its message cannot be read)"
-    assert words(ValueError()) == "ValueError"
-    assert quote(10**5000) == "a value of type int"
 
 
 def test_compositions_are_hydras() -> None:

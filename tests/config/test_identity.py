@@ -68,17 +68,9 @@ def test_what_changes_no_result_changes_no_identity() -> None:
 
 def test_what_may_change_a_result_changes_the_identity() -> None:
     overrides = [
-        "seed=1",
-        "bias.d=2",
-        "bias=none",
-        "hardware.noise.torque_variance=0.1",
-        "task.robot.leg_length=0.4",
-        "task.start.deviation=0.01",
-        "optimizer.max_evaluations=999",
-        "optimizer=nlopt_crs",
-        "samples.limits.speed=7",
-        "samples.window.measured=1",
-        "method=model_based",
+        *("seed=1", "bias.d=2", "bias=none", "method=model_based", "hardware.noise.torque_variance=0.1"),
+        *("task.robot.leg_length=0.4", "task.start.deviation=0.01", "optimizer.max_evaluations=999"),
+        *("optimizer=nlopt_crs", "samples.limits.speed=7", "samples.window.measured=1"),
     ]
     settings = [override.split("=") for override in overrides]
     variations = Variations()

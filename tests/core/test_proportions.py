@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
-from simbias.core.proportions import clopper_pearson, counted_share, passes_needed, wilson
+from simbias.core.proportions import clopper_pearson, counted_share, wilson
 
 
 def test_intervals_are_scipys() -> None:
@@ -32,9 +32,3 @@ def test_exact_intervals_cover_whatever_the_share() -> None:
     for share in np.linspace(0.01, 0.99, 50):
         inside = [low <= share <= high for low, high in bounds]
         assert binom.pmf(np.arange(n + 1), n, share)[inside].sum() >= 0.95
-
-
-def test_passes_that_are_needed_are_the_fewest() -> None:
-    for share, error in ((0.8, 0.05), (0.9, 0.025), (0.5, 0.5)):
-        n = passes_needed(share, error)
-        assert share**n <= error < share ** (n - 1)

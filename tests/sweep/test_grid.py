@@ -45,7 +45,7 @@ def identities(sweep: Sweep) -> dict[tuple[tuple[str, ...], int], tuple[int, str
 
 
 @pytest.mark.slow
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(axis_values, axis_values, st.integers(1, 4), st.randoms())
 def test_what_is_added_or_reordered_changes_no_other_trial(
     conf: Path, torque: list[float], errors: list[float], trials: int, rng: random.Random
@@ -142,7 +142,6 @@ def test_bad_sweep() -> None:
 
 def test_bad_axis() -> None:
     for message, spec in {
-        "has no values": [],
         "has no keys": {"keys": [], "values": [[]]},
         "must be a list of values, got 'gp'": "gp",
         "has a name or label with letters that cannot be printed": {

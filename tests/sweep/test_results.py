@@ -41,7 +41,11 @@ PAIRED = {
     "feet": ("variant",),
 }
 PUBLISHED = sorted(path.parent for path in RESULTS.glob("*/trials.csv"))
-LAST_CELL = {"methods": "{acrobot: {preset: acrobot}}", "regulators_test": "{biped: {preset: biped}}"}
+LAST_CELL = {
+    "claims": "{acrobot: {preset: acrobot}}",
+    "methods": "{acrobot: {preset: acrobot}}",
+    "regulators_test": "{biped: {preset: biped}}",
+}
 BUILT: set[tuple[str, str]] = set()  # the components of cells that were built, by their groups
 DRAWN: set[type] = set()  # the kinds of figures that were drawn
 

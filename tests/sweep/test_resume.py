@@ -64,14 +64,11 @@ def finished(folder: Path) -> dict[str, int]:
 
 
 def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
-    """By Ctrl-C, politely, for good, and one of its workers."""
-    interruptions = (signal.SIGINT, [ONE_PROCESS]), (signal.SIGTERM, [ONE_PROCESS]), (signal.SIGKILL, [])
+    """By Ctrl-C, politely and for good."""
     done: dict[str, int] = {}
-    orphans: list[int] = []
-    for number, engine in interruptions:
-        process = start(*COMMAND, *engine, folder=folder)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        process = start(*COMMAND, ONE_PROCESS, folder=folder)
         until_trials(process, 1)
-        orphans += workers(process)
         process.send_signal(number)
         status, _, err = finish(process)
         if number == signal.SIGKILL:
@@ -84,15 +81,9 @@ def test_killed_again_and_again(folder: Path, uninterrupted: Path) -> None:
             assert state(folder)["verdict"] == "**Interrupted**"
         assert done.items() < finished(folder).items()  # none is lost, none runs twice
         done = finished(folder)
-    process = start(*COMMAND, folder=folder)
-    until_trials(process, 1)
-    os.kill(workers(process)[0], signal.SIGKILL)
-    status, out, err = finish(process)
-    assert (status, err) == (0, ""), out + err
+    assert main([*COMMAND, ONE_PROCESS]) == 0
     assert done.items() < finished(folder).items()
     check(folder, uninterrupted)
-    assert orphans
-    assert not any(map(alive, orphans))
 
 
 def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
@@ -110,19 +101,28 @@ def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
 def test_a_later_start_removes_what_a_kill_left(
     folder: Path, uninterrupted: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """While the sweep runs, no other process may run it."""
+    """While a sweep runs, no other process may run it; of the later start a worker is killed, too."""
     temporary = tmp_path_factory.mktemp("temporary")
     process = start(*COMMAND, folder=folder, temporary=temporary)
     until_trials(process, 1)
     process.send_signal(signal.SIGSTOP)
     assert run(*COMMAND, folder=folder) == (2, "", "simbias: sweep: another process is running this sweep\n")
-    os.killpg(process.pid, signal.SIGKILL)
+    orphans = workers(process)
+    process.kill()
     assert finish(process)[0] == -signal.SIGKILL
     assert list(temporary.iterdir())
     assert list(sweep_folder(folder).glob(".shared_*"))
-    assert run(*COMMAND, folder=folder, temporary=temporary)[0] == 0
+    done = finished(folder)
+    process = start(*COMMAND, folder=folder, temporary=temporary)
+    until_trials(process, 1)
+    os.kill(workers(process)[0], signal.SIGKILL)
+    status, out, err = finish(process)
+    assert (status, err) == (0, ""), out + err
+    assert done.items() < finished(folder).items()
     check(folder, uninterrupted)
     assert list(temporary.iterdir()) == []
+    assert orphans
+    assert not any(map(alive, orphans))
 
 
 def test_a_trial_that_was_killed_before_its_picture_was_drawn(folder: Path) -> None:

@@ -26,10 +26,10 @@ SHORT = [
     "cost.max_cost=1e-3",  # never reached: all iterations learn
 ]
 TRIALS = [  # what learns, searches and samples differently
-    ["optimizer=cma", "hardware.record=measured", "hardware.noise.angle_variance=1e-6"],
+    ["optimizer=cma", "hardware.record=measured", "hardware.noise.torque_variance=0.1"],
     [
-        *("preset=robust", "bias=gp", "hardware.noise.torque_variance=0.1", "evaluation.rollouts=3"),
-        *("evaluation.seconds=0.2", "identification.starts=2", "identification.rounds=1"),
+        *("preset=robust", "bias=none", "evaluation.rollouts=3", "evaluation.seconds=0.2"),
+        *("identification.starts=2", "identification.rounds=1"),
     ],
 ]
 ELSEWHERE = "from test_same_everywhere import *; print(*digests(Sequential(), Path(sys.argv[1])))"

@@ -49,7 +49,7 @@ def test_bootstrap_covers_and_is_stratified() -> None:
     apart = np.tile([0.0, 1.0], (6, 1))
     assert stratified_bootstrap(np.mean, apart) == (0.5, 0.5)
     rng = np.random.default_rng(1)
-    found = [stratified_bootstrap(np.mean, rng.normal([0.0, 2.0], 1.0, (15, 2))) for _ in range(50)]
+    found = [stratified_bootstrap(np.mean, rng.normal([0.0, 2.0], 1.0, (15, 2))) for _ in range(30)]
     assert 0.85 <= np.mean([low <= 1.0 <= high for low, high in found]) <= 0.99
     one = np.array([[0.0, 1.0, 0.0, 1.0]])
     low, high = stratified_bootstrap(np.mean, one)

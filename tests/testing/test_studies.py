@@ -62,6 +62,7 @@ def test_the_warm_up_keeps_to_the_policys_box() -> None:
     np.testing.assert_array_equal(evaluation.thetas, np.full((2, policy.n_parameters), 0.5))
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates() -> None:
     study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
     assert problems(replace(study, cost=Constant()), "cost") == []
@@ -87,7 +88,7 @@ class Failing(Noting):
 @pytest.mark.slow
 def test_a_method_is_checked_by_a_short_trial() -> None:
     """However long its own are: on a model of many contacts they take minutes."""
-    long = ["optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]
+    long = ["bias=none", "optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]
     study = replace(
         simbias.load([*POINT_MASS, "tracking=none", *long], OWN_CONF), evaluation=(evaluation := Failing())
     )

@@ -32,6 +32,7 @@ def of_spread(study: Study, open_deviation: float) -> tuple[Identified, list[str
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_it_is_told_and_the_direction_named(study: Study) -> None:
     """Once in full in an iteration's events; also among a trial's diagnostics, which reports show."""
     nominal, said = of_spread(study, 6.0)

@@ -137,7 +137,7 @@ def test_a_hardware_that_hangs_is_stopped(
 ) -> None:
     """The limit on an experiment's time is no part of the trial's identity."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("simbias.lab.checked_hardware.STOP_SECONDS", 0.5)
+    monkeypatch.setattr("simbias.lab.checked_hardware.STOP_SECONDS", 0.2)
     begun, limited = time.monotonic(), simbias.load([*SHORT, "experiment_timeout=0.5"])
     record = run_trial(faulty(limited, "hangs"), tmp_path / "trial")
     assert time.monotonic() - begun < 20

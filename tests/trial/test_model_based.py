@@ -29,6 +29,8 @@ from simbias.trial.run import run_trial
 from simbias.trial.steps import RANDOM_KNOTS
 from simbias.trial.study import Study
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 
 def scripted(study: Study, predicted: list[float], hardware: list[float], **options: Any) -> list[Iteration]:
     """Run with the costs that searches predict and experiments have, two an iteration; Z_max is 0.1875."""
@@ -160,6 +162,7 @@ def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
     np.testing.assert_array_equal(evaluated[: len(expected)], expected)
 
 
+@pytest.mark.slow
 def test_a_search_may_begin_with_the_last_policy(point_mass: Study) -> None:
     searches: list[list[np.ndarray]] = []
 

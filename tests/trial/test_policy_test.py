@@ -14,6 +14,8 @@ from simbias.trial.policy_test import Episode, PolicyTest, PolicyTestResult, epi
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 SHORT = [*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20", "method.max_iterations=1"]
 
 
@@ -29,15 +31,8 @@ def test_it_changes_nothing_in_a_trial() -> None:
     assert without.policy_test is None
     assert record.policy_test is not None
     summary = without.summary
-    names = (
-        "test_episodes",
-        "lasting_episodes",
-        "success_rate",
-        "long_success_rate",
-        "long_seconds",
-        "test_words",
-    )
-    same = replace(record.summary, **{name: getattr(summary, name) for name in names})
+    names = ["test_episodes", "lasting_episodes", "success_rate", "long_success_rate", "long_seconds"]
+    same = replace(record.summary, **{name: getattr(summary, name) for name in [*names, "test_words"]})
     assert_equal(replace(record, policy_test=None, summary=same), without)
     frames = [each.frames for iteration in without.iterations for each in iteration.experiments]
     assert summary.hardware_seconds == pytest.approx(plain.task.time_step * sum(frames))

@@ -132,7 +132,7 @@ def test_a_direct_search_finds_a_known_minimum() -> None:
     for strategy, proposed in PROPOSALS.items():
         proposals = proposed(lower, upper, np.zeros(2), 0.25, np.random.default_rng(0))
         theta, costs = next(proposals), []
-        for _ in range(15 if strategy == "bayesian" else 40):  # each of its proposals takes longer
+        for _ in range(12 if strategy == "bayesian" else 40):  # each of its proposals takes longer
             assert (np.abs(theta) <= 1).all()
             costs.append(0.01 + float(np.sum((theta - best) ** 2)))
             theta = proposals.send(costs[-1])
@@ -140,6 +140,7 @@ def test_a_direct_search_finds_a_known_minimum() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_a_direct_search_may_begin_at_lqr(tmp_path: Path) -> None:
     study = simbias.load(["preset=cartpole", "method=direct_search_lqr", "tracking=none"])
     record = run_trial(study, tmp_path / "trial")
