@@ -63,6 +63,10 @@ def test_every_folder_has_a_storey() -> None:
     assert {folder(name) for name in MODULES} == HEIGHT.keys()
 
 
+def test_few_files_lie_on_top_of_the_package() -> None:
+    assert len(list(PACKAGE.glob("*.py"))) <= 5
+
+
 def test_a_folder_imports_lower_storeys_only() -> None:
     upwards = [
         f"{name} -> {found}"

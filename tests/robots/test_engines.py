@@ -66,6 +66,14 @@ def test_failures_are_the_tasks() -> None:
             experiment(engine(build_task()), 0.0, np.full(6, np.nan))
 
 
+def test_an_experiment_is_determined_by_its_seed() -> None:
+    for engine in ENGINES:
+        hardware = engine(build_task(horizon=30), noise={"torque_variance": 0.1})
+        one, other, third = (experiment(hardware, 0.0, seed=seed).states for seed in (0, 0, 1))
+        np.testing.assert_array_equal(one, other)
+        assert not np.array_equal(one, third)
+
+
 @pytest.mark.slow
 def test_a_policy_that_balances_one_engine_balances_the_others() -> None:
     task = build_task(horizon=2000)  # without torque, it falls within 0.7 s

@@ -94,6 +94,11 @@ def test_methods_that_ship_pass(point_mass: Study) -> None:
         assert [verdict.problem for verdict in verdicts(replace(study, method=method), ["method"])] == [""]
 
 
+def test_no_method_knows_another() -> None:
+    for file in (Path(simbias.__file__).parent / "trial" / "methods").glob("*.py"):
+        assert "simbias.trial.methods" not in file.read_text(), file
+
+
 def test_lqr_of_the_nominal_model_is_one_design(point_mass: Study) -> None:
     """After it there is no other policy to try, whether it succeeds or not."""
     study = replace(point_mass, policy=OutputFeedback(point_mass.task), method=Lqr(input_weight=1000.0))
