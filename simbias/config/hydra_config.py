@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from simbias.config.renamed import unknown
-from simbias.config.resources import check_ends, register_sweep, resource_folder
+from simbias.config.resources import register_sweep, resource_folder
 from simbias.core.errors import ConfigError, reason
 
 if TYPE_CHECKING:
@@ -37,9 +36,6 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
 
     option_files.register()
     if config_dir is not None:
-        for file in (Path(path) for path, *_ in files):
-            if file.is_relative_to(config_dir):
-                check_ends(file)
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
     values = {each.key_or_group: each.value() for each in parsed(overrides)}  # the last of each
     if isinstance(sweep := values.get("sweep"), str):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from copy import deepcopy
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any
 
 from hydra.core.config_search_path import ConfigSearchPath
@@ -12,7 +13,7 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from simbias.config.resources import resource_folder
+from simbias.config.resources import check_ends, resource_folder
 
 SCHEME = "simbias"
 _SOURCES: list[Any] = Plugins.instance().discover(ConfigSource)
@@ -46,6 +47,7 @@ class ShippedOptions(SearchPathPlugin):
 @lru_cache(maxsize=1000)
 def _read(provider: str, folder: str, config_path: str, time: int, size: int) -> ConfigResult:
     """A file's content as Hydra reads it, to be copied."""
+    check_ends(Path(folder, f"{config_path.removesuffix('.yaml')}.yaml"))
     read: ConfigResult = _Files(provider, f"file://{folder}").load_config(config_path)
     return read
 

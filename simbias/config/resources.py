@@ -78,6 +78,7 @@ def register_sweep(
         choice = f"sweep={name}"
         names = ", ".join(sweeps(config_dir))
         raise unknown([choice], choice, f"no such option; sweep has {names}")
+    check_ends(file)
     try:
         about = file.stat()
         content = _loaded(file, about.st_mtime_ns, about.st_size)
