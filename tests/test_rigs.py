@@ -21,8 +21,13 @@ from simbias.simulation.open_loop import plain
 
 STUDY = ROOT / "sweeps" / "studies" / "rigs"
 ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
-FRAMES = 200  # of 5 ms
-QUICK = ["identification.starts=1", "identification.rounds=1", "identification.evaluations=3"]
+FRAMES = 150  # of 5 ms
+QUICK = [
+    "identification.starts=1",
+    "identification.rounds=1",
+    "identification.evaluations=2",
+    "identification.longer_windows=[]",
+]
 
 
 @pytest.fixture
@@ -133,13 +138,13 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
     from ways import nominal, sysid
 
     monkeypatch.setattr(horizons, "predict", plain)  # each model once
-    monkeypatch.setattr(mujoco_sysid, "STEPS", 4)
+    monkeypatch.setattr(mujoco_sysid, "STEPS", 3)
     rig = load(declared()["design_C.1"] | {"development": []}, ROOT)
     rng, parameters = np.random.default_rng(0), rig.prior.parameters
     true = {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7}
     values = {parameter.name: parameter.value for parameter in parameters} | true
     robot = rig.prior.with_parameters(np.array(list(values.values())))
-    t = 0.002 * np.arange(300)[:, None]
+    t = 0.002 * np.arange(200)[:, None]
     u = sum(rng.uniform(0.5, 1.0, 2) * np.sin(rng.uniform(3, 20, 2) * t) for _ in range(4))
     states = [np.zeros(4)]
     for each in u:
