@@ -36,7 +36,7 @@ def on_another_disk(here: Path, there: Path) -> Callable[[], None]:
             def __new__(cls, *parts: object) -> Path:
                 return Path(*(str(part).replace(here, there) for part in parts))
 
-        worker.Path = files.Path = There  # type: ignore[attr-defined,misc]
+        worker.Path = files.Path = There  # type: ignore[assignment,attr-defined,misc]
         os.chdir("/")
 
     return change

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -154,9 +155,7 @@ def test_an_experiment_may_have_no_frame_and_its_failure_any_name(point_mass: St
     assert (made.states.shape, made.inputs.shape) == ((1, 2), (0, 1))
     assert (made.failed_at, type(made.failed_at), made.failure) == (0, int, "failed")
     for name, stored in (("caf\udce9\0", r"caf\udce9\x00"), (" \n", "failed"), (100_000 * "x", None)):
-        made = experiment(
-            point_mass, lambda rollout, name=name: replace(rollout, failed_at=100, failure=name)
-        )
+        made = experiment(point_mass, partial(replace, failed_at=100, failure=name))
         assert made.failure == stored or (stored is None and len(str(made.failure)) <= LONGEST_VALUE)
 
 
@@ -228,13 +227,17 @@ def test_an_experiment_that_does_not_end_is_stopped_and_how_that_went_is_told(
         def stop(self) -> None:
             end.set()
 
+    def wait(rollout: Rollout) -> Rollout:
+        end.wait(60.0)
+        return rollout
+
     for kind, words in (
         (Deaf, "was called, but it still runs"),
         (Broken, "raised OSError: no answer"),
         (Stuck, "did not end within 0.1 s either"),
         (Obeying, "was called, and it ended"),
     ):
-        hardware = kind(point_mass.hardware, lambda rollout: end.wait(60.0) and rollout)
+        hardware = kind(point_mass.hardware, wait)
         hanging = replace(point_mass, hardware=hardware, conditions=ExperimentConditions(0.1))
         begun = time.monotonic()
         with pytest.raises(HardwareError) as caught:
