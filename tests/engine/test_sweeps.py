@@ -33,10 +33,10 @@ def on_another_disk(here: Path, there: Path) -> Callable[[], None]:
         from simbias.sweep import worker
 
         class There(type(Path())):  # type: ignore[misc]
-            def __new__(cls, *parts: object) -> Path:
+            def __new__(cls, *parts: object) -> Path:  # type: ignore[misc]
                 return Path(*(str(part).replace(here, there) for part in parts))
 
-        worker.Path = files.Path = There  # type: ignore[assignment,attr-defined,misc]
+        worker.Path = files.Path = There  # type: ignore[assignment,misc]
         os.chdir("/")
 
     return change
