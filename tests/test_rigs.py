@@ -13,16 +13,38 @@ import pandas as pd
 import pytest
 from conftest import ROOT
 
+from simbias.core import Nominal
 from simbias.core.parameters import values_at
-from simbias.core.records import Rollout
+from simbias.core.records import Array, Rollout
 from simbias.learning.bias.none import ConstantBias
 from simbias.recordings import horizons
 from simbias.simulation.open_loop import plain
 
+pytestmark = pytest.mark.slow
+
 STUDY = ROOT / "sweeps" / "studies" / "rigs"
 ZEROS = (0.06, -0.04, 0.0)  # rad, of the encoder in each recording
-FRAMES = 200  # of 5 ms
-QUICK = ["identification.starts=1", "identification.rounds=1", "identification.evaluations=3"]
+FRAMES = 150  # of 5 ms
+QUICK = [
+    "identification.starts=1",
+    "identification.rounds=1",
+    "identification.evaluations=2",
+    "identification.longer_windows=[]",
+]
+
+
+def with_values(model: Nominal, true: dict[str, float]) -> Nominal:
+    """The model with these parameters, all else as declared."""
+    values = {parameter.name: parameter.value for parameter in model.parameters} | true
+    return model.with_parameters(np.array(list(values.values())))
+
+
+def simulated(robot: Nominal, x: Array, u: Array, push: Array | float = 0.0) -> Array:
+    """The states (k+1, ...) from x on, under the inputs (k, ...), pushed after each frame."""
+    states = [x]
+    for each in u:
+        states.append(robot.step(states[-1], each) + push)
+    return np.array(states)
 
 
 @pytest.fixture
@@ -43,17 +65,13 @@ def recordings(zeros: Sequence[float]) -> Iterator[pd.DataFrame]:
     from loading import load
 
     prior = load(quick("simple_pendulum") | {"development": []}, ROOT).prior
-    true = {"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8}
-    values = {parameter.name: parameter.value for parameter in prior.parameters} | true
-    robot, rng = prior.with_parameters(np.array(list(values.values()))), np.random.default_rng(0)
-    t, k = 0.005 * np.arange(FRAMES)[:, None], len(zeros)
+    robot = with_values(prior, {"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8})
+    rng, t, k = np.random.default_rng(0), 0.005 * np.arange(FRAMES)[:, None], len(zeros)
     u = sum(
         rng.uniform(0.5, 1.5, k) * np.sin(rng.uniform(2, 12, k) * t + rng.uniform(0, 6, k)) for _ in range(4)
     )
-    x = [np.zeros((k, 2))]
-    for each in u:
-        x.append(robot.step(x[-1], each[:, None]))
-    noisy = np.array(x[:-1]) + np.array([2e-4, 0.02]) * rng.standard_normal((FRAMES, k, 2))
+    x = simulated(robot, np.zeros((k, 2)), u[:, :, None])[:-1]
+    noisy = x + np.array([2e-4, 0.02]) * rng.standard_normal((FRAMES, k, 2))
     for i, zero in enumerate(zeros):
         columns = {"position": noisy[:, i, 0] + zero, "velocity": noisy[:, i, 1], "torque": u[:, i]}
         yield pd.DataFrame({"time": t[:, 0], **columns})
@@ -82,7 +100,6 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: None) -> Cal
     return run_study
 
 
-@pytest.mark.slow
 def test_the_study_learns_from_one_and_from_several(study: Callable[..., pd.DataFrame]) -> None:
     """What is identified beats the described model, and more so with the zeros of what is predicted."""
     found = study("--ways", "nominal", "lab", "identified")
@@ -94,7 +111,6 @@ def test_the_study_learns_from_one_and_from_several(study: Callable[..., pd.Data
     assert "| simple_pendulum | 0.1 s |" in Path("table.md").read_text()
 
 
-@pytest.mark.slow
 def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFrame]) -> None:
     """By what each development recording tells, and by what all of them tell."""
     found = study("--test", "--ways", "lab")
@@ -102,7 +118,6 @@ def test_at_the_end_test_recordings_are_predicted(study: Callable[..., pd.DataFr
     assert (found["ratio"] == 1.0).all()
 
 
-@pytest.mark.slow
 def test_errors_are_told_as_published_ones_are(modules: None) -> None:
     """Of a state, after a while or in a simulation of whole recordings; zero for the model that made them."""
     from in_units import rows
@@ -110,10 +125,8 @@ def test_errors_are_told_as_published_ones_are(modules: None) -> None:
 
     rig = load(quick("simple_pendulum") | {"development": []}, ROOT)
     u = np.sin(0.05 * np.arange(200))[:, None]
-    states = [np.zeros(2)]
-    for each in u:
-        states.append(rig.study.nominal.step(states[-1], each))
-    made = Rollout(np.array(states), u, measured=np.array(states), sensed=True)
+    states = simulated(rig.study.nominal, np.zeros(2), u)
+    made = Rollout(states, u, measured=states, sensed=True)
     rig = rig._replace(development={"a": made, "b": made})
     for when in ({}, {"seconds": 0.2}):
         found = pd.DataFrame(rows(rig, {"state": "angle", "error": 0.1} | when))
@@ -123,7 +136,6 @@ def test_errors_are_told_as_published_ones_are(modules: None) -> None:
         assert found["parameters"].str.contains("rod.mass").sum() == 2
 
 
-@pytest.mark.slow
 def test_mujocos_own_identification_finds_a_double_pendulum(
     modules: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,23 +145,16 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
     from ways import nominal, sysid
 
     monkeypatch.setattr(horizons, "predict", plain)  # each model once
-    monkeypatch.setattr(mujoco_sysid, "STEPS", 4)
+    monkeypatch.setattr(mujoco_sysid, "STEPS", 3)
     rig = load(declared()["design_C.1"] | {"development": []}, ROOT)
-    rng, parameters = np.random.default_rng(0), rig.prior.parameters
-    true = {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7}
-    values = {parameter.name: parameter.value for parameter in parameters} | true
-    robot = rig.prior.with_parameters(np.array(list(values.values())))
-    t = 0.002 * np.arange(300)[:, None]
+    robot = with_values(rig.prior, {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7})
+    rng, t = np.random.default_rng(0), 0.002 * np.arange(200)[:, None]
     u = sum(rng.uniform(0.5, 1.0, 2) * np.sin(rng.uniform(3, 20, 2) * t) for _ in range(4))
-    states = [np.zeros(4)]
-    for each in u:
-        states.append(robot.step(states[-1], each))
-    rollout = Rollout(np.array(states), u)
+    rollout = Rollout(simulated(robot, np.zeros(4), u), u)
     before, after = (np.abs(way(rig, [rollout]).errors([rollout], 50)).mean() for way in (nominal, sysid))
     assert after < 0.3 * before
 
 
-@pytest.mark.slow
 def test_a_residual_that_hurts_is_left_out(modules: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one recording its thirds tell, of several each other one; a residual that helps stays."""
     import ways
@@ -157,9 +162,7 @@ def test_a_residual_that_hurts_is_left_out(modules: None, monkeypatch: pytest.Mo
 
     rig = load(declared()["simple_pendulum"] | {"development": []}, ROOT)
     u = np.sin(0.05 * np.arange(400))[:, None]
-    states = [np.zeros(2)]
-    for each in u:
-        states.append(rig.study.nominal.step(states[-1], each) + np.array([0.0, 0.01]))
+    rollout = Rollout(simulated(rig.study.nominal, np.zeros(2), u, np.array([0.0, 0.01])), u)
 
     def pushed(by: float, count: int) -> ways.Learned:
         bias = ConstantBias(np.array([0.0, by]), np.zeros(2))
@@ -168,14 +171,13 @@ def test_a_residual_that_hurts_is_left_out(modules: None, monkeypatch: pytest.Mo
             return ways.Learned(rig.study.nominal, [rig.study.nominal] * len(rollouts), bias)
 
         monkeypatch.setattr(ways, "with_residual", learned)
-        return ways.guarded(rig, [Rollout(np.array(states), u)] * count)
+        return ways.guarded(rig, [rollout] * count)
 
     for count in (1, 2):
         assert pushed(0.01, count).bias is not None
         assert pushed(-0.01, count).bias is None
 
 
-@pytest.mark.slow
 def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
     """Each rig can be composed without its recordings, and coordinates give the lab's values back."""
     from loading import declared, load

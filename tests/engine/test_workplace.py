@@ -26,17 +26,17 @@ def left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_leftovers_of_the_dead_are_removed(left: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also by a trial that has ended, which writes nothing, so that it makes no folder of its own."""
     monkeypatch.chdir(left.parent)
     command = [*POINT_MASS, "--config-dir", str(OWN_CONF), "tracking=folders", "tracking.pictures=false"]
-    command += ["optimizer.max_evaluations=5", "method.max_iterations=1"]
-    status = main(command)
-    assert not left.exists()
-    left.mkdir()
-    (left / workplace.LOCK).touch()
-    assert main(command) == status
-    assert not left.exists()
+    command += ["optimizer.max_evaluations=5", "method.max_iterations=1", "bias=none"]
+    for _ in range(2):
+        left.mkdir(exist_ok=True)
+        (left / workplace.LOCK).touch()
+        main(command)
+        assert not left.exists()
 
 
 def test_what_is_held_or_not_provably_ours_stays(left: Path) -> None:

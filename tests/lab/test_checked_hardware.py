@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -71,13 +72,9 @@ class Doing(Hardware):
 
     def __init__(self, hardware: Hardware, fault: Callable[[Rollout], Any]) -> None:
         self._hardware, self._fault = hardware, fault
-        self.stopped = threading.Event()
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Any:
         return self._fault(self._hardware.run(policy, theta, start, rng))
-
-    def stop(self) -> None:
-        self.stopped.set()
 
 
 def experiment(study: Study, fault: Callable[[Rollout], Any], timeout: float | None = None) -> Rollout:
@@ -150,22 +147,16 @@ def test_a_record_replays_keeps_and_takes_what_is_refused(point_mass: Study) -> 
     assert len(asked) == 1
 
 
-def test_an_experiment_without_a_frame_is_one(point_mass: Study) -> None:
+def test_an_experiment_may_have_no_frame_and_its_failure_any_name(point_mass: Study) -> None:
     def fell(rollout: Rollout) -> Rollout:
         return Rollout(rollout.states[:1].tolist(), [], failed_at=0.0, failure="")  # type: ignore[arg-type]
 
     made = experiment(point_mass, fell)
     assert (made.states.shape, made.inputs.shape) == ((1, 2), (0, 1))
     assert (made.failed_at, type(made.failed_at), made.failure) == (0, int, "failed")
-
-
-def test_a_failures_name_can_be_stored(point_mass: Study) -> None:
-    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure="caf\udce9\0"))
-    assert made.failure == r"caf\udce9\x00"
-    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure=100_000 * "x"))
-    assert len(str(made.failure)) <= LONGEST_VALUE
-    made = experiment(point_mass, lambda rollout: replace(rollout, failed_at=100, failure=" \n"))
-    assert made.failure == "failed"
+    for name, stored in (("caf\udce9\0", r"caf\udce9\x00"), (" \n", "failed"), (100_000 * "x", None)):
+        made = experiment(point_mass, partial(replace, failed_at=100, failure=name))
+        assert made.failure == stored or (stored is None and len(str(made.failure)) <= LONGEST_VALUE)
 
 
 def test_a_hardware_that_writes_into_what_it_gets_changes_no_record(point_mass: Study) -> None:
@@ -196,55 +187,27 @@ def test_a_process_that_the_hardware_forks_does_not_go_on_here(point_mass: Study
         assert not (tmp_path / "goes on").exists()
 
 
-def test_a_limit_changes_no_experiment(point_mass: Study) -> None:
-    with np.errstate(all="raise"):
-        seen = []
+def test_a_limit_changes_no_experiment_and_waiting_passes(point_mass: Study) -> None:
+    seen = []
 
-        def look(rollout: Rollout) -> Rollout:
-            seen.append((np.geterr()["over"], threading.current_thread() is threading.main_thread()))
-            return rollout
+    def look(rollout: Rollout) -> Rollout:
+        seen.append((np.geterr()["over"], threading.current_thread() is threading.main_thread()))
+        return rollout
 
-        assert_equal(experiment(point_mass, look, 60.0), experiment(point_mass, look))
-    assert seen == [("raise", False), ("raise", True)]
-
-
-def test_waiting_passes(point_mass: Study) -> None:
     def wait(rollout: Rollout) -> Rollout:
         raise Waiting("until Monday")
 
+    with np.errstate(all="raise"):
+        assert_equal(experiment(point_mass, look, 60.0), experiment(point_mass, look))
+    assert seen == [("raise", False), ("raise", True)]
     for timeout in (None, 60.0):
         with pytest.raises(Waiting, match="until Monday"):
             experiment(point_mass, wait, timeout)
 
 
-def hanging(study: Study, hardware: Hardware) -> tuple[str, float]:
-    """What is said of an experiment that does not end, and after how long."""
-    begun = time.monotonic()
-    with pytest.raises(HardwareError) as caught:
-        replace(study, hardware=hardware, conditions=ExperimentConditions(0.2)).experiment(
-            THETA, np.random.default_rng(1)
-        )
-    return str(caught.value), time.monotonic() - begun
-
-
-def test_an_experiment_that_does_not_end_is_stopped(point_mass: Study) -> None:
-    released = []
-
-    def wait(rollout: Rollout) -> Rollout:
-        released.append(hardware.stopped.wait(60.0))
-        return rollout
-
-    hardware = Doing(point_mass.hardware, wait)
-    line, seconds = hanging(point_mass, hardware)
-    assert line == (
-        "Doing.run: expected an end within 0.2 s (experiment_timeout), got none; "
-        "Doing.stop was called, and it ended"
-    )
-    assert 0.2 <= seconds < 2.0
-    assert released == [True]
-
-
-def test_how_stopping_went_is_told(point_mass: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_experiment_that_does_not_end_is_stopped_and_how_that_went_is_told(
+    point_mass: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(checked_hardware, "STOP_SECONDS", 0.1)
     end = threading.Event()
 
@@ -260,6 +223,10 @@ def test_how_stopping_went_is_told(point_mass: Study, monkeypatch: pytest.Monkey
         def stop(self) -> None:
             end.wait(60.0)
 
+    class Obeying(Doing):
+        def stop(self) -> None:
+            end.set()
+
     def wait(rollout: Rollout) -> Rollout:
         end.wait(60.0)
         return rollout
@@ -268,11 +235,16 @@ def test_how_stopping_went_is_told(point_mass: Study, monkeypatch: pytest.Monkey
         (Deaf, "was called, but it still runs"),
         (Broken, "raised OSError: no answer"),
         (Stuck, "did not end within 0.1 s either"),
+        (Obeying, "was called, and it ended"),
     ):
-        line, seconds = hanging(point_mass, kind(point_mass.hardware, wait))
-        assert line.endswith(f"{kind.__name__}.stop {words}")
-        assert seconds < 2.0
-    end.set()
+        hardware = kind(point_mass.hardware, wait)
+        hanging = replace(point_mass, hardware=hardware, conditions=ExperimentConditions(0.1))
+        begun = time.monotonic()
+        with pytest.raises(HardwareError) as caught:
+            hanging.experiment(THETA, np.random.default_rng(1))
+        line = r"run: expected an end within 0.1 s (experiment_timeout), got none; "
+        assert str(caught.value) == f"{kind.__name__}.{line}{kind.__name__}.stop {words}"
+        assert 0.1 <= time.monotonic() - begun < 2.0
 
 
 LOOPS = """

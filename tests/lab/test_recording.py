@@ -157,45 +157,46 @@ def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp
     assert read(study, table, tmp_path, time="time [ns]").pieces
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("storage", ["sqlite3", "file.mcap"])
-def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path, storage: str) -> None:
+def bag(rollout: Rollout, folder: Path, plugin: str) -> Path:
     """Joint states and efforts as ROS 2 has them, efforts on a topic of their own at half the rate."""
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    typesys = pytest.importorskip("rosbags.typesys")
+    rosbag2, typesys = (pytest.importorskip(f"rosbags.{name}") for name in ("rosbag2", "typesys"))
     store = typesys.get_typestore(typesys.Stores.LATEST)
     state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
     stamp, none = store.types["builtin_interfaces/msg/Time"], np.empty(0)
-    plugin = rosbag2.StoragePlugin.SQLITE3 if storage == "sqlite3" else rosbag2.StoragePlugin.MCAP
-    bag = tmp_path / "bag"
-    with rosbag2.Writer(bag, version=9, storage_plugin=plugin) as writer:
-        topics = {
-            name: writer.add_connection(f"/{name}", state.__msgtype__, typestore=store)
+    names = ["elbow", "shoulder"]
+    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as writer:
+        joint_states, efforts = (
+            writer.add_connection(f"/{name}", state.__msgtype__, typestore=store)
             for name in ("joint_states", "efforts")
-        }
-        for t in range(rollout.frames):
+        )
+        for t, (x, u) in enumerate(zip(rollout.states, rollout.inputs, strict=False)):
             at = 1_000_000_000 + 2_000_000 * t
             head = header(stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id="")
-            names = ["elbow", "shoulder"]
-            x, u = rollout.states[t], rollout.inputs[t]
             joints = state(head, names, x[[1, 0]].copy(), x[[3, 2]].copy(), none)
-            for topic, message in (("joint_states", joints), ("efforts", state(head, names, none, none, u))):
-                if topic == "joint_states" or t % 2 == 0:
-                    raw = store.serialize_cdr(message, state.__msgtype__)
-                    writer.write(topics[topic], at + 500_000, raw)
-    path = next(bag.glob("*.mcap")) if storage == "file.mcap" else bag
+            sent = [(joint_states, joints), (efforts, state(head, names, none, none, u))]
+            for topic, message in sent[: 2 - t % 2]:
+                writer.write(topic, at + 500_000, store.serialize_cdr(message, state.__msgtype__))
+    return folder
+
+
+@pytest.mark.slow
+def test_ros_bags_and_mcap(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """A folder of SQLite, and a file of MCAP."""
     columns = {"time": "time", "tau1": "/efforts.effort[0]", "tau2": "/efforts.effort[1]"}
     for i, joint in ((1, "shoulder"), (2, "elbow")):
         columns |= {f"pos{i}": f"/joint_states.position[{joint}]"}
         columns |= {f"vel{i}": f"/joint_states.velocity[{joint}]"}
-    found = Reader(study.task, columns).read(path)
-    (piece,) = found.pieces
-    assert piece.frames in (997, 998)
-    np.testing.assert_allclose(piece.states, rollout.states[: piece.frames + 1], atol=1e-5)
-    with pytest.raises(HardwareError, match="expected a column /joint_state, got none; did you"):
-        Reader(study.task, columns | {"pos1": "/joint_state.position[0]"}).read(path)
-    with pytest.raises(HardwareError, match=r"no such number in a message"):
-        Reader(study.task, columns | {"pos1": "/joint_states.position[knee]"}).read(path)
+    (mcap,) = bag(rollout, tmp_path / "mcap", "MCAP").glob("*.mcap")
+    for path in (bag(rollout, tmp_path / "sqlite", "SQLITE3"), mcap):
+        (piece,) = Reader(study.task, columns).read(path).pieces
+        assert piece.frames in (997, 998)
+        np.testing.assert_allclose(piece.states, rollout.states[: piece.frames + 1], atol=1e-5)
+        for wrong, words in (
+            ("/joint_state.position[0]", "expected a column /joint_state, got none; did you"),
+            ("/joint_states.position[knee]", "no such number in a message"),
+        ):
+            with pytest.raises(HardwareError, match=words):
+                Reader(study.task, columns | {"pos1": wrong}).read(path)
 
 
 def test_a_bag_that_is_none_is_one_line(study: Study, tmp_path: Path) -> None:

@@ -146,19 +146,15 @@ def test_a_limit_of_nothing_is_bad_input() -> None:
 
 @pytest.mark.slow
 def test_limits_are_part_of_a_trials_identity_and_the_question_is_not() -> None:
-    def identity(*overrides: str) -> str:
-        return simbias.load([*overrides, "tracking=none"]).hash
+    def loaded(*overrides: str) -> Study:
+        return simbias.load([*overrides, "tracking=none"])
 
-    base = identity()
-    assert identity("hardware.confirm=true") == base
-    assert identity("hardware.safety.states={angle: 1}") != base
-    assert identity("hardware.safety.states={}") == base
-    assert identity("hardware.safety.criteria=true") != base
-
-
-def test_limits_by_kind_are_those_of_each_quantity() -> None:
-    study = simbias.load(["hardware.safety.states={angle: 0.5, theta: 0.3}", "tracking=none"])
-    bounds = study.conditions.safety.bounds(study.task)
+    base = loaded().hash
+    assert loaded("hardware.confirm=true", "hardware.safety.states={}").hash == base
+    assert loaded("hardware.safety.criteria=true").hash != base
+    limited = loaded("hardware.safety.states={angle: 0.5, theta: 0.3}")  # by kind, and its own
+    assert limited.hash != base
+    bounds = limited.conditions.safety.bounds(limited.task)
     np.testing.assert_array_equal(bounds.states, [0.5, 0.5, 0.3, np.inf, np.inf, np.inf])
     np.testing.assert_array_equal(bounds.inputs, [100.0])
 

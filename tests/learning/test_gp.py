@@ -6,8 +6,6 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from in_lanes import corrections
 
 import simbias
@@ -53,32 +51,6 @@ def test_agrees_with_scikit_learn(study: Study) -> None:
         np.testing.assert_allclose(mean, their_mean, rtol=0, atol=1e-8)
         relative = variance / np.mean(transitions.residuals**2, axis=0)
         np.testing.assert_allclose(relative, their_deviation**2, rtol=0, atol=1e-8)
-
-
-def test_far_from_data_the_model_is_trusted(study: Study) -> None:
-    """Eq. 7: the correction vanishes where the variance is large, and is the mean where it is small."""
-    transitions = data(400)
-    fitted = study.bias.fit(transitions)
-    far = np.full(7, 50.0) * SCALE
-    assert np.abs(fitted.correction(far[:6], far[6:])).max() < 1e-12
-    repeated = Transitions(np.repeat(transitions.inputs[:1], 500, 0), np.full((500, 6), 1e-3))
-    near = repeated.inputs[0]
-    correction = study.bias.fit(repeated).correction(near[:6], near[6:])
-    np.testing.assert_allclose(correction, 1e-3 * np.exp(-6 * np.exp(-4)), rtol=1e-3)
-
-
-def test_variance_has_the_unit_of_the_residuals(study: Study) -> None:
-    """A residual in other units is predicted in these, with the same weight in Eq. 7."""
-    transitions, x = data(50), queries(1)
-    unit = 10.0 ** np.arange(-3, 3)
-    fitted = study.bias.fit(transitions)
-    other = study.bias.fit(Transitions(transitions.inputs, transitions.residuals * unit))
-    (mean, variance), (other_mean, other_variance) = fitted.predict(x), other.predict(x)
-    np.testing.assert_allclose(other_mean, unit * mean)
-    np.testing.assert_allclose(other_variance, unit**2 * variance)
-    np.testing.assert_allclose(
-        other.correction(x[0, :6], x[0, 6:]), unit * fitted.correction(x[0, :6], x[0, 6:])
-    )
 
 
 def test_correction_is_equation_7(study: Study) -> None:
@@ -138,18 +110,6 @@ def test_a_correction_does_not_depend_on_those_beside_it(study: Study) -> None:
         plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
         for row, correction in zip(inputs, plain, strict=True):
             np.testing.assert_array_equal(fitted.correction(row[:6], row[6:]), correction)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40))
-@settings(max_examples=10, deadline=None)
-def test_variance_shrinks_with_data(study: Study, seed: int, n: int) -> None:
-    """More data never makes the posterior less certain (Eq. 5)."""
-    transitions, inputs = data(n + 1, seed), queries(20)
-    ones = np.ones_like(transitions.residuals)  # so that both have the same unit of variance
-    _, variance = study.bias.fit(Transitions(transitions.inputs, ones)).predict(inputs)
-    _, variance_of_fewer = study.bias.fit(Transitions(transitions.inputs[:-1], ones[:-1])).predict(inputs)
-    assert (variance <= variance_of_fewer + 1e-12).all()
-    assert (variance > 0).all()
 
 
 @pytest.mark.slow

@@ -104,19 +104,6 @@ def test_weights_are_those_of_the_least_squares_line() -> None:
         assert weights @ np.diff(states) == pytest.approx(np.polyfit(np.arange(window + 1), states, 1)[0])
 
 
-def test_noise_in_the_residuals_falls_as_the_line_has_it(study: Study) -> None:
-    """12 s^2 / (w (w+1) (w+2)), to four standard errors: the samples are independent."""
-    deviation, count = 1e-3, 200
-    for window in (1, 71):
-        states = deviation * np.random.default_rng(0).standard_normal((count * (window + 1) + 1, 6))
-        samples = Thresholds(study.task, stride=window + 1, window=Windows(measured=window))
-        residuals = samples.select([measured(states)], Still()).transitions.residuals
-        assert residuals.shape == (count, 6)
-        variance = 12 * deviation**2 / (window * (window + 1) * (window + 2))
-        ratio, error = np.mean(residuals**2) / variance, np.sqrt(2 / residuals.size)
-        assert ratio == pytest.approx(1.0, abs=4 * error), window
-
-
 def test_a_window_finds_an_affine_bias_at_its_mean_state_and_input(study: Study) -> None:
     """However the input jumps."""
     rng, window = np.random.default_rng(0), 71

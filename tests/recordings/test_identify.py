@@ -240,7 +240,7 @@ def test_the_command_tells_and_writes(
     monkeypatch.setattr("simbias.terminal.identify.TRAJECTORIES", 4)
     monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn above
     write_csv(robot[1]["one"], tmp_path / "one.csv")
-    short = ["task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=1", "bias=none"]
+    short = ["task.horizon=60", "optimizer.max_evaluations=5", "method.max_iterations=1", "bias=none"]
     recorded = [f"hardware.folder={tmp_path}", "tracking=folders", "tracking.pictures=false"]
     arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICKER, *short, *recorded]
     assert main([*arguments, "--attach"]) == 0

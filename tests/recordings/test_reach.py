@@ -19,13 +19,9 @@ def rollouts() -> list[Rollout]:
     return [experiment(model, np.random.default_rng(seed)) for seed in (1, 2)]
 
 
-def test_motion_of_a_kind_does_not_reach_beyond_itself(rollouts: list[Rollout]) -> None:
-    assert beyond(pendulum().task, rollouts[:1], rollouts[1:]) == []
-    assert beyond(pendulum().task, rollouts, rollouts) == []
-
-
-def test_other_positions_do(rollouts: list[Rollout]) -> None:
+def test_other_positions_do_and_motion_of_a_kind_does_not(rollouts: list[Rollout]) -> None:
     task, turned = pendulum().task, rollouts[0].states + np.array([20.0, 0.0, 0.0, 0.0])
+    assert beyond(task, rollouts[:1], rollouts[1:]) == beyond(task, rollouts, rollouts) == []
     (found,) = beyond(task, [replace(rollouts[0], states=turned)], rollouts)
     assert (found.name, found.share) == (task.states[0].name, 1.0)
 

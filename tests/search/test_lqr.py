@@ -170,24 +170,23 @@ def test_dry_friction_is_no_damping_to_count_on(uncompiled: None) -> None:
 MOTOR = "identification.motors={torque: {velocity: d_angle_2, stribeck: 0.1, load: 0.1}}"
 
 
-@pytest.mark.parametrize(
-    ("overrides", "dry"),
-    [
-        (["nominal.uncertainty.ankle_friction=5"], ["ankle_friction"]),
-        (["preset=pendulum_swingup", "nominal=pendulum"], ["hinge.friction"]),
-        (["preset=acrobot", MOTOR], ["friction_1", "friction_2", "torque.stribeck", "torque.load"]),
-    ],
-)
-def test_without_dry_friction_all_else_stays(overrides: list[str], dry: list[str]) -> None:
-    study = simbias.load([*overrides, "tracking=none"])
-    nominal = study.first_model().nominal
-    rng = np.random.default_rng(0)
-    values = values_at(nominal.parameters, rng.standard_normal(len(nominal.parameters)))
-    smooth = np.where([each.name in dry for each in nominal.parameters], 0.0, values)
-    assert np.sum(smooth != values) == len(dry)
-    x, u = 0.1 * rng.normal(size=(5, len(study.task.states))), rng.normal(size=(5, len(study.task.inputs)))
-    expected = nominal.with_parameters(smooth).step(x, u)
-    np.testing.assert_array_equal(nominal.with_parameters(values).without_dry_friction().step(x, u), expected)
-    spread = np.eye(len(values))
-    at = Identified(nominal, rng.standard_normal(len(values)), spread, {})
-    assert np.any(at.without_dry_friction().step(x, u) != at.step(x, u))
+DRY = {
+    ("nominal.uncertainty.ankle_friction=5",): ["ankle_friction"],
+    ("preset=pendulum_swingup", "nominal=pendulum"): ["hinge.friction"],
+    ("preset=acrobot", MOTOR): ["friction_1", "friction_2", "torque.stribeck", "torque.load"],
+}
+
+
+def test_without_dry_friction_all_else_stays() -> None:
+    for overrides, dry in DRY.items():
+        study, rng = simbias.load([*overrides, "tracking=none"]), np.random.default_rng(0)
+        nominal, task = study.first_model().nominal, study.task
+        values = values_at(nominal.parameters, rng.standard_normal(len(nominal.parameters)))
+        smooth = np.where([each.name in dry for each in nominal.parameters], 0.0, values)
+        assert np.sum(smooth != values) == len(dry), dry
+        x, u = 0.1 * rng.normal(size=(5, len(task.states))), rng.normal(size=(5, len(task.inputs)))
+        expected = nominal.with_parameters(smooth).step(x, u)
+        made = nominal.with_parameters(values).without_dry_friction().step(x, u)
+        np.testing.assert_array_equal(made, expected)
+        at = Identified(nominal, rng.standard_normal(len(values)), np.eye(len(values)), {})
+        assert np.any(at.without_dry_friction().step(x, u) != at.step(x, u)), dry

@@ -16,6 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 Task = tuple[int, float, str]  # a number, seconds, what becomes of its worker
+HANDED_OVER = 8_000_000  # numbers
 
 
 def call(task: tuple[Callable, Any]) -> Any:
@@ -28,9 +29,7 @@ def work(task: Task) -> tuple[int, int]:
     """Twice the number, and the process that did it."""
     number, seconds, fate = task
     time.sleep(seconds)
-    if fate == "always dies" or (fate and not Path(fate).exists()):
-        if fate != "always dies":
-            Path(fate).touch()
+    if fate == "always dies":
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * number, os.getpid()
 
@@ -41,12 +40,12 @@ def hand_over_a_view(task: dict[str, int]) -> Any:
 
 
 def hand_over(task: tuple[float, str]) -> np.ndarray:
-    """A result of 160 MB, whose worker is killed so many seconds after it is computed, once."""
+    """A result of 64 MB, whose worker is killed so many seconds after it is computed, once."""
     seconds, fate = task
     if not Path(fate).exists():
         Path(fate).touch()
         threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
-    return np.zeros(20_000_000)
+    return np.zeros(HANDED_OVER)
 
 
 def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
@@ -57,7 +56,8 @@ def examine(task: tuple[float, Any]) -> tuple[float, str, set[int]]:
     return sum(math.sin(k * x) / k for k in range(1, 200)), repr(task), threads
 
 
-def begin(file: str) -> None:
-    """Say so, and go on for long."""
+def begin(task: tuple[str, float]) -> None:
+    """Say so, and go on for so long."""
+    file, seconds = task
     Path(file).touch()
-    time.sleep(60)
+    time.sleep(seconds)
