@@ -36,11 +36,13 @@ class ErrorDistribution:
     ) -> ErrorDistribution:
         """Estimate it from errors (w, J, n), some of which may be outliers or not finite.
 
-        The fewer the windows, the more the scale matrix is shrunk: towards that of measurement noise if
-        linearised predictions are given, else towards its diagonal.
+        No errors are taken to be smaller than the windows' noise. The fewer the windows, the more the scale
+        matrix is shrunk: towards that of measurement noise if linearised predictions are given, else towards
+        its diagonal.
         """
         w, J = errors.shape[:2]
-        floor = np.tile(RELATIVE_FLOOR * np.std(windows.states, axis=0) + 1e-12, J)
+        least = np.maximum(RELATIVE_FLOOR * np.std(windows.states, axis=0) + 1e-12, windows.noise)
+        floor = np.tile(least, J)
         e = np.nan_to_num(errors.reshape(w, -1), nan=np.inf)
         scale = np.clip(np.median(np.abs(e), axis=0) / 0.6745, floor, CEILING)
         e = np.clip(e, -CEILING * scale, CEILING * scale)

@@ -41,9 +41,12 @@ class Windows:
     frames: Indices  # (r,) and after that: whole windows
     window: int
     chunk: int
+    noise: Array | float = (
+        0.0  # (n,) standard deviations of the states' measurements, as far as they are known
+    )
 
     @staticmethod
-    def of(rollouts: Sequence[Rollout], window: int, chunk: int) -> Windows:
+    def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
         """Windows of a whole number of chunks."""
         window = max(1, round(window / chunk)) * chunk
         states = [rollout.states for rollout in rollouts]
@@ -59,6 +62,7 @@ class Windows:
             frames=k - leads,
             window=window,
             chunk=chunk,
+            noise=noise,
         )
 
     def __len__(self) -> int:

@@ -16,6 +16,7 @@ from simbias.learning.identification.possible import nearest_possible
 from simbias.learning.identification.problem import Comparison, Problem
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
+from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.simulation.open_loop import Windows
 
 ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
@@ -60,6 +61,9 @@ class Posterior(Identification):
     each
         Names of the model's parameters of which each recording has its own, as a load that is put on; the
         others are shared.
+    noise
+        Variances of what is measured, by the names and kinds of states. No errors of predictions are taken to
+        be smaller. Without it, windows in which a model is exact make outliers of those with a collision.
     longer_windows
         Further durations in s of predictions that count alike, as what differs little in a short while may
         differ much in a long one; those that no experiment lasts for do not count.
@@ -83,6 +87,7 @@ class Posterior(Identification):
         sensors: dict[str, Sensor] | None = None,
         each: list[str] | None = None,
         longer_windows: list[Seconds] | None = None,
+        noise: Variances = QUIET,
     ) -> None:
         self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
         self._time_step = task.time_step
@@ -93,6 +98,7 @@ class Posterior(Identification):
         self._rounds = rounds
         self._evaluations = evaluations
         self._longer = longer_windows or []
+        self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
     def _set_window(self, window: float) -> None:
         """Round its duration in s to a whole number of chunks."""
@@ -120,7 +126,7 @@ class Posterior(Identification):
 
     def windows(self, rollouts: Sequence[Rollout]) -> Windows:
         """Experiments, cut as predictions are compared with them."""
-        return Windows.of(rollouts, self._window, self._chunk)
+        return Windows.of(rollouts, self._window, self._chunk, self._noise)
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
         """The model at the mode, which draws from the posterior.

@@ -1,0 +1,89 @@
+"""Parameters of what bounces: predictions are exact in the air, and far off where it bounces early."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+import pytest
+
+from simbias.core import Nominal
+from simbias.core.parameters import uncertain
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.posterior import Posterior
+from simbias.robots.declared.declarations import Input
+from simbias.robots.declared.starts import State
+from simbias.robots.declared.task import Declared
+
+FRAME, STEPS = 0.02, 20  # s, steps of a frame
+DECLARED = {"gravity": 9.0, "ground": 0.05}
+TASK = Declared(
+    states={"height": State("m", "position"), "speed": State("m/s", "velocity")},
+    inputs={"push": Input(unit="m/s^2", kind="acceleration", limit=20.0)},
+    time_step=FRAME,
+    horizon=100,
+)
+
+
+class Bouncing(Nominal):
+    """A ball above springy ground."""
+
+    def __init__(self, gravity: float, ground: float, rate: float = 60.0) -> None:
+        self._rate = rate  # rad/s, of the ground's spring
+        self._values = {"gravity": gravity, "ground": ground}
+        self.parameters = uncertain(DECLARED, dict.fromkeys(DECLARED, ""), {"gravity": 0.2, "ground": 0.5})
+
+    def step(self, x: Array, u: Array) -> Array:
+        height, speed = x[..., 0], x[..., 1]
+        for _ in range(STEPS):
+            depth = self._values["ground"] - height
+            push = np.where(
+                depth > 0.0, np.maximum(self._rate**2 * depth - 0.2 * self._rate * speed, 0.0), 0.0
+            )
+            speed = speed + FRAME / STEPS * (push - self._values["gravity"] + u[..., 0])
+            height = height + FRAME / STEPS * speed
+        return np.stack([height, speed], axis=-1)
+
+    def with_parameters(self, values: Array) -> Bouncing:
+        changed = copy(self)
+        changed._values = dict(zip(self._values, map(float, values), strict=True))
+        return changed
+
+
+TRUTH = Bouncing(9.8, 0.03, rate=90.0)
+
+
+def bounced(seed: int) -> Rollout:
+    rng = np.random.default_rng(seed)
+    inputs = rng.uniform(-5.0, 5.0, (100, 1))
+    states = [np.array([0.5, 0.0])]
+    for u in inputs:
+        states.append(TRUTH.step(states[-1], u))
+    return Rollout(np.array(states), inputs)
+
+
+def fitted(seed: int, **noise: float) -> Identified:
+    identification = Posterior(TASK, window=0.1, chunks=10, noise=noise)
+    found = identification.fit(Bouncing(**DECLARED), [bounced(seed)])
+    assert isinstance(found, Identified)
+    return found
+
+
+@pytest.mark.slow
+def test_no_posterior_is_far_wider_than_the_prior() -> None:
+    """The ground is harder than the model's: without noise, bounces are outliers by a factor of thousands."""
+    for seed in (0, 2):
+        covariance = fitted(seed).covariance
+        assert np.linalg.eigvalsh(covariance).max() < 1.0 + 1e-9, seed
+
+
+@pytest.mark.slow
+def test_with_the_noise_of_what_is_measured_bounces_tell_of_parameters() -> None:
+    for seed in (0, 3):
+        found = fitted(seed, position_variance=1e-6, velocity_variance=2.5e-3)
+        gravity, ground = found.estimates
+        assert gravity.low < 9.8 < gravity.high, seed
+        assert gravity.value == pytest.approx(9.8, rel=0.03), seed
+        assert 0.03 < ground.value < 0.045, seed  # higher: the ball turns back earlier than on softer ground
+        assert np.linalg.eigvalsh(found.covariance).max() < 0.2, seed
