@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -163,7 +164,9 @@ def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
 
 
 @pytest.mark.slow
-def test_a_search_may_begin_with_the_last_policy(point_mass: Study) -> None:
+def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
+    point_mass: Study, tmp_path: Path
+) -> None:
     searches: list[list[np.ndarray]] = []
 
     class Recorded(NominalStart):
@@ -179,6 +182,15 @@ def test_a_search_may_begin_with_the_last_policy(point_mass: Study) -> None:
         method = ModelBased(2, from_last=from_last)
         first, _ = replace(study, method=method, hardware=ScriptedHardware([0.9] * 4)).run()
         assert np.array_equal(searches[1][0], first.parameters) == from_last
+    file = tmp_path / "policy.json"
+    file.write_text(json.dumps({"parameters": first.parameters.tolist()}))
+    method = ModelBased(1, first_policy=str(file))
+    list(replace(study, method=method, hardware=ScriptedHardware([0.9] * 2)).run())
+    np.testing.assert_array_equal(searches[-1][0], first.parameters)
+    for parameters in ([0.0], "none", [*first.parameters[1:].tolist(), "0"]):
+        file.write_text(json.dumps({"parameters": parameters}))
+        with pytest.raises(ConfigError, match=r"method\.first_policy: .*policy\.json"):
+            method.check(study)
 
 
 def test_a_search_that_is_replayed_designs_no_lqr(

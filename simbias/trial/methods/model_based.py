@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from simbias.core import Task
 from simbias.core.errors import ConfigError
+from simbias.core.files import ConfigFile
 from simbias.core.ranges import Count, CountOrZero, NonNegative, Positive, Share
 from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.search.optimizer.ilqr import follower
 from simbias.trial.claim import Confidence, passes_for
+from simbias.trial.disk import read_json
 from simbias.trial.method import Method
 from simbias.trial.model_selection import log_likelihoods, most_likely
 from simbias.trial.observer import Observer
@@ -60,6 +63,9 @@ class ModelBased(Method):
         Standard errors by which a model has to predict better than a simpler one to be selected.
     from_last
         A search evaluates the last policy first, and may begin there.
+    first_policy
+        A file with a policy's `parameters`, as of a search or an iteration in another trial's folder: the
+        first search evaluates it first, and may begin there.
     lqr_candidates
         Number of models, the most probable one and draws, whose LQR policies (`simbias.search.lqr`) a search
         evaluates first.
@@ -84,6 +90,7 @@ class ModelBased(Method):
     lqr_candidates: CountOrZero = 0
     trajectories: CountOrZero = 0
     from_last: bool = False
+    first_policy: ConfigFile | None = None
     confidence: Confidence | None = None
     margin: NonNegative = 0.0
     random_experiments: CountOrZero = 0
@@ -104,7 +111,8 @@ class ModelBased(Method):
         return passes_for(self.confidence, policy, least)
 
     def check(self, study: Study) -> None:
-        """Refuse a policy that follows no plan of the task, and random inputs without limits."""
+        """Refuse another policy's parameters, a policy that follows no plan, and unlimited random inputs."""
+        self._known(study)
         if self.trajectories:
             follower(study.task, study.policy)
         if self.random_experiments:
@@ -116,7 +124,7 @@ class ModelBased(Method):
         data, model = study.no_data, study.first_model()
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
-        last: list[Array] = []
+        last = self._known(study)
         for random_rng in hardware_rng.spawn(self.random_experiments):
             experiments.append(random_experiment(study, random_rng, observer))
             learned_from.append((experiments[-1],))
@@ -153,6 +161,15 @@ class ModelBased(Method):
             yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)
             if succeeded:
                 return
+
+    def _known(self, study: Study) -> list[Array]:
+        """The first policy's parameters (p,), if there is one."""
+        if self.first_policy is None:
+            return []
+        theta, p = read_json(Path(self.first_policy)).get("parameters"), study.policy.n_parameters
+        if not isinstance(theta, list) or [type(each) for each in theta] != p * [float]:
+            raise ConfigError("method.first_policy", f"{self.first_policy} has no `parameters`: {p} numbers")
+        return [np.array(theta)]
 
 
 def _check_random_inputs(task: Task) -> None:
