@@ -103,6 +103,10 @@ def main(arguments: argparse.Namespace) -> None:
     if arguments.sweep:
         sweep = expand([f"+sweep={arguments.sweep}", *arguments.overrides])
         labels = [" ".join(cell.labels) for cell in sweep.cells]
+        if unknown := [
+            each for each in arguments.cells if not any(label.startswith(each) for label in labels)
+        ]:
+            raise SystemExit(f"--cells: no label begins with {', '.join(unknown)}")
         cells = [label for label in labels if label.startswith(tuple(arguments.cells))]
     rows = Parallel(n_jobs=2)(
         delayed(searched)(seed, cell, arguments) for cell in cells for seed in range(arguments.seeds)
