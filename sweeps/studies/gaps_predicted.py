@@ -84,7 +84,7 @@ def summary(table: pd.DataFrame) -> str:
 def main(arguments: argparse.Namespace) -> None:
     """Learn and predict, print the table and write the rows."""
     labels = [" ".join(cell.labels) for cell in expand(["+sweep=gaps", *arguments.overrides]).cells]
-    if unknown := [each for each in arguments.cells if not any(label.startswith(each) for label in labels)]:
+    if unknown := [name for name in arguments.cells if not any(each.startswith(name) for each in labels)]:
         raise SystemExit(f"--cells: no label begins with {', '.join(unknown)}")
     chosen = [label for label in labels if label.startswith(tuple(arguments.cells))]
     made = Parallel(n_jobs=2)(
