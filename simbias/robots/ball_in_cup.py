@@ -26,6 +26,8 @@ _UNITS = {
     "string": "m",
     "damping": "N s/m",
     "friction": "1",
+    "string_rate": "rad/s",
+    "contact_rate": "rad/s",
 }
 
 
@@ -50,14 +52,15 @@ def _touched(x, z, v_x, v_z, from_x, from_z, along_x, along_z, rate, friction):
 
 def _accelerations(x, u, parameters):
     """Accelerations of the cup and of the ball."""
-    _, gravity, rate, cup_mass, ball_mass, string, damping, friction = parameters
+    _, gravity, cup_mass, ball_mass, string, damping, friction, string_rate, rate = parameters
     cup_x, cup_z, ball_x, ball_z, cup_v_x, cup_v_z, ball_v_x, ball_v_z = x
     x, z, v_x, v_z = ball_x - cup_x, ball_z - cup_z, ball_v_x - cup_v_x, ball_v_z - cup_v_z
     distance = np.sqrt(x * x + z * z + 1e-12)
     n_x, n_z = x / distance, z / distance
     stretch = distance - string
     taut = at_most(at_least(stretch / EDGE, 0.0), 1.0)
-    pull = -taut * at_least(rate * rate * stretch + 2.0 * rate * (n_x * v_x + n_z * v_z), 0.0)
+    along = n_x * v_x + n_z * v_z
+    pull = -taut * at_least(string_rate * string_rate * stretch + 2.0 * string_rate * along, 0.0)
     b_x, b_z = _touched(x, z, v_x, v_z, -RISE, 0.0, 2.0 * RISE, 0.0, rate, friction)
     l_x, l_z = _touched(x, z, v_x, v_z, -RISE, 0.0, RISE - FLARE, DEPTH, rate, friction)
     r_x, r_z = _touched(x, z, v_x, v_z, RISE, 0.0, FLARE - RISE, DEPTH, rate, friction)
@@ -101,11 +104,11 @@ class BallInCup(Nominal):
         Its length in m.
     damping, friction
         Of the cup's rails, and of the ball on the cup.
-    contact_rate
-        Of the springs, in rad/s.
+    string_rate, contact_rate
+        Of the springs that string and walls are, in rad/s.
     uncertainty
-        Of masses, string, damping and friction by name: the standard deviation of the logarithm or, where a
-        value is zero, of the normal distribution whose upper half is its prior.
+        Of all these by name: the standard deviation of the logarithm or, where a value is zero, of the normal
+        distribution whose upper half is its prior.
     sub_step
         At most, of the semi-implicit Euler method, in s.
 
@@ -126,6 +129,7 @@ class BallInCup(Nominal):
         damping: NonNegative = 0.0,
         friction: NonNegative = 0.5,
         gravity: Acceleration = 9.81,
+        string_rate: Positive = 100.0,
         contact_rate: Positive = 100.0,
         uncertainty: dict[str, NonNegative] | None = None,
         sub_step: TimeStep = 0.002,
@@ -134,10 +138,11 @@ class BallInCup(Nominal):
             raise ValueError(
                 "expected a task with the places of a cup and a ball, their velocities, two forces"
             )
-        values = dict(zip(_UNITS, (cup_mass, ball_mass, string, damping, friction), strict=True))
+        given = (cup_mass, ball_mass, string, damping, friction, string_rate, contact_rate)
+        values = dict(zip(_UNITS, given, strict=True))
         self.parameters = uncertain(values, _UNITS, uncertainty or {})
         steps = math.ceil(task.time_step / sub_step - 1e-9)
-        numbers = np.array([task.time_step / steps, gravity, contact_rate, *values.values()])
+        numbers = np.array([task.time_step / steps, gravity, *values.values()])
         self.kernel = Kernel(_frame(steps), numbers)
 
     def step(self, x: Array, u: Array) -> Array:
@@ -147,6 +152,6 @@ class BallInCup(Nominal):
     def with_parameters(self, values: Array) -> BallInCup:
         """The model with other values (k,) of its parameters."""
         changed = copy(self)
-        numbers = replaced(self.kernel.parameters, _UNITS, 3, self.parameters, values)
+        numbers = replaced(self.kernel.parameters, _UNITS, 2, self.parameters, values)
         changed.kernel = self.kernel._replace(parameters=numbers)
         return changed

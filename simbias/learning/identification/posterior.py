@@ -20,6 +20,7 @@ from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.simulation.open_loop import Windows
 
 ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
+WIDEST = 2.0  # deviations of the prior by which errors scatter the mode, beyond which they tell nothing
 TOLERANCE = 0.05  # of the mode's convergence, in standard deviations of the posterior
 
 
@@ -63,7 +64,8 @@ class Posterior(Identification):
         others are shared.
     noise
         Variances of what is measured, by the names and kinds of states. No errors of predictions are taken to
-        be smaller. Without it, windows in which a model is exact make outliers of those with a collision.
+        be smaller, and in directions in which collisions make the posterior far wider than the prior, the
+        prior takes its place. Without it, windows in which a model is exact make outliers of collisions.
     longer_windows
         Further durations in s of predictions that count alike, as what differs little in a short while may
         differ much in a long one; those that no experiment lasts for do not count.
@@ -162,6 +164,8 @@ class Posterior(Identification):
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
         spread = problem.spread(z)
+        if self._noise.any():
+            spread = _no_wider(spread)
         z = nearest_possible(nominal, z, spread)
         fitted = Identified.of_recordings(nominal, z, spread, problem.places, problem.errors)
         fitted.diagnostics = {
@@ -181,3 +185,11 @@ class Posterior(Identification):
             for each in problem.prediction_errors(z)
         ]
         return z[np.argmax(fits - 0.5 * np.sum(z**2, axis=1))]
+
+
+def _no_wider(spread: Array) -> Array:
+    """A square root (p, p) of the covariance, that of the prior in directions in which it is far wider."""
+    directions, deviations, _ = np.linalg.svd(spread)
+    return (
+        spread if deviations.max() <= WIDEST else directions * np.where(deviations > WIDEST, 1.0, deviations)
+    )

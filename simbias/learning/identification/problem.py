@@ -18,7 +18,6 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 STEP = 1e-4  # of finite differences: of a coordinate, or of the standard deviation of a state
 LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
-WIDEST = 2.0  # deviations of the prior by which errors scatter the mode, beyond which they tell nothing
 SPREAD_ROUNDS = 2  # of estimating the errors' covariance, with the part that fitted parameters removed
 
 
@@ -178,8 +177,7 @@ class Problem:
 
         G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
         one that weights the errors (V. P. Godambe, Annals of Mathematical Statistics 31, 1960). Of several
-        durations, G is the mean, which that of their mean does not exceed. In directions in which this is far
-        wider than the prior, as by collisions, it is the prior.
+        durations, G is the mean, which that of their mean does not exceed.
         """
         p = len(z)
         spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
@@ -188,9 +186,6 @@ class Problem:
             across = [w * scatter(spread) for w, scatter in zip(self._weights, scatters, strict=True)]
             scattered = H @ np.hstack([np.eye(p), *across])
             spread = qr(scattered.T, mode="economic")[1].T
-        directions, deviations, _ = np.linalg.svd(spread)
-        if deviations.max() > WIDEST:
-            return directions * np.where(deviations > WIDEST, 1.0, deviations)
         return spread
 
     def log_densities(self, z: Array) -> Array:
