@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import sys
@@ -175,6 +176,40 @@ def test_a_scored_policy_is_the_one_in_the_file(monkeypatch: pytest.MonkeyPatch)
     plant = {name: np.full(5, value) for name, value in score.PLANT.items()}
     accelerations = score._derivative(x, u, plant)[:, 2:]
     np.testing.assert_allclose(accelerations, controllers._accelerations(x, u), rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_a_search_for_the_time_up_begins_after_resets(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """At a network that gives the same torques with more units."""
+    import score
+    import uptime
+
+    for module, name, value in ((score, "MINUTE", 6.0), (score, "RESETS", 2), (uptime, "SEEDS", range(2))):
+        monkeypatch.setattr(module, name, value)
+    board = ["preset=acrobot_board", "tracking=none"]
+    study, larger = (simbias.load([*board, f"policy.units={units}"]) for units in (3, 5))
+    theta = np.random.default_rng(0).uniform(-0.1, 0.1, study.policy.n_parameters)
+    grown, x = uptime.grown(theta, larger), np.random.default_rng(1).normal(size=(9, 4))
+    small, large = (
+        policy.act(parameters, x, 0.0, np.zeros((9, policy.state_size)))[0]
+        for policy, parameters in ((study.policy, theta), (larger.policy, grown))
+    )
+    np.testing.assert_allclose(small, large, atol=1e-12)
+
+    file = tmp_path / "policy.json"
+    file.write_text(json.dumps({"parameters": grown.tolist()}))
+    content = uptime.preset("acrobot", uptime.law_of(study, theta), file)
+    (tmp_path / "preset").mkdir()
+    text = f"# @package _global_\n{yaml.safe_dump(content, sort_keys=False)}"
+    (tmp_path / "preset" / "up.yaml").write_text(text)
+    begun = simbias.load(["preset=up", "policy.units=5", "tracking=none"], tmp_path)
+    begun.method.check(begun)
+    starts = np.array(content["task"]["starts"])
+    assert len(starts) == 4  # after two resets of each of two seeds
+    drawn = np.array([begun.task.draw_start(np.random.default_rng(seed)) for seed in range(20)])
+    assert np.abs(drawn[:, None] - starts).max(axis=2).min(axis=1).max() < 3.0  # rad/s, six deviations
 
 
 def test_robustness_counts_kinds_of_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -220,8 +220,11 @@ def robustness(law: Law, joint: int, seed: int) -> dict[str, float]:
     return rates | {"robustness": float(np.mean(list(rates.values())))}
 
 
-def uptime(law: Law, joint: int, seeds: Sequence[int]) -> Array:
-    """Shares (lanes,) of a minute that the tip is up, by the seed of the resets."""
+def uptime(law: Law, joint: int, seeds: Sequence[int], after: list[Array] | None = None) -> Array:
+    """Shares (lanes,) of a minute that the tip is up, by the seed of the resets.
+
+    States (4,) in which resets leave the robot are appended to `after`.
+    """
     drawn = [_resets(seed) for seed in seeds]
     goals, begins = np.stack([each[0] for each in drawn]), np.stack([each[1] for each in drawn])
     lanes, steps = len(drawn), round(MINUTE / STEP)
@@ -241,6 +244,8 @@ def uptime(law: Law, joint: int, seeds: Sequence[int]) -> Array:
         own = np.zeros((lanes, 2))
         own[:, joint] = law(x, k * STEP, left == 0)
         x = _stepped(x, np.clip(np.where(held, pid + _weight(x, plant), own), -LIMIT, LIMIT), plant)
+        if after is not None:
+            after.extend(x[left == 1])
         left = np.maximum(left - 1, 0)
         up += height(x) > HEIGHT
     return up * STEP / MINUTE
