@@ -26,6 +26,14 @@ from simbias.trial.study import Study
 SEEDS, SHOWN = range(100, 140), range(200, 220)  # of resets: those to begin after, and those that are printed
 HANGING = 0.1  # of the starts
 SPREADS = {"angle_1": 0.1, "angle_2": 0.1, "d_angle_1": 0.3, "d_angle_2": 0.5}  # rad, rad/s, about each start
+UP = "length_1 * cos(angle_1) + length_2 * cos(angle_1 + angle_2) - high"  # m, of the tip
+NEAR = "exp(cos(angle_1) + cos(angle_2) - 2 - (d_angle_1**2 + d_angle_2**2) / (2 * fast**2))"
+COST = {  # of the time below, and a little, of how far it is from upright and at rest
+    "running": f"1 / (1 + exp(({UP}) / blur)) + near * (1 - {NEAR})",
+    "constants": {"length_1": 0.2, "length_2": 0.3, "high": 0.45, "blur": 0.02, "near": 0.2, "fast": 15.0},
+    "max_cost": 1.2,
+    "failure_weight": 1.3,
+}
 FASTEST = 300.0  # rad/s: whoever lets the elbow spin is to slow it down
 
 
@@ -44,7 +52,8 @@ def preset(robot: str, law: Asked, policy: Path) -> dict[str, Any]:
     """A round's config: as the board's, from these starts and this policy on."""
     spreads = {name: {"mean": 0.0, "uniform": None, "deviation": each} for name, each in SPREADS.items()}
     return {
-        "defaults": [f"{robot}_board", {"override /cost": "double_pendulum_uptime"}, "_self_"],
+        "defaults": [f"{robot}_board", {"override /cost": "declared"}, "_self_"],
+        "cost": COST,
         "task": {
             "starts": begins(law, DRIVEN.index(robot)),
             "states": spreads,
