@@ -63,7 +63,7 @@ def bounced() -> Rollout:
 
 
 def fitted(**noise: float) -> Identified:
-    identification = Posterior(TASK, window=0.1, chunks=10, noise=noise)
+    identification = Posterior(TASK, window=0.1, chunks=10, starts=4, rounds=2, noise=noise)
     found = identification.fit(Bouncing(**DECLARED), [bounced()])
     assert isinstance(found, Identified)
     return found

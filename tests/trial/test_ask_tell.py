@@ -25,6 +25,7 @@ def made(study: Study, request: ExperimentRequest) -> Rollout:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 def test_a_trial_that_is_told_is_the_one_that_runs(point_mass: Study) -> None:
     asked = 0
     while (request := point_mass.ask()) is not None:
