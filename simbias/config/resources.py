@@ -78,10 +78,11 @@ def register_sweep(
         choice = f"sweep={name}"
         names = ", ".join(sweeps(config_dir))
         raise unknown([choice], choice, f"no such option; sweep has {names}")
-    check_ends(file)
     try:
         about = file.stat()
         content = _loaded(file, about.st_mtime_ns, about.st_size)
+    except ConfigError:
+        raise
     except Exception as error:  # OmegaConf's, YAML's or the system's
         raise ConfigError(str(file), reason(error)) from error
     if not isinstance(content, dict):
@@ -98,6 +99,7 @@ def _loaded(file: Path, time: int, size: int) -> Any:
     """The content of a YAML file in plain containers; it is read again once its time or size changes."""
     from omegaconf import OmegaConf
 
+    check_ends(file)
     return OmegaConf.to_container(OmegaConf.load(file))
 
 

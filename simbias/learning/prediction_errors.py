@@ -36,9 +36,9 @@ class ErrorDistribution:
     ) -> ErrorDistribution:
         """Estimate it from errors (w, J, n), some of which may be outliers or not finite.
 
-        No errors are taken to be smaller than the windows' noise. The fewer the windows, the more the scale
-        matrix is shrunk: towards that of measurement noise if linearised predictions are given, else towards
-        its diagonal.
+        Errors are never taken to be smaller than the windows' noise. The fewer the windows, the more the
+        scale matrix is shrunk: towards that of measurement noise if linearised predictions are given, else
+        towards its diagonal.
         """
         w, J = errors.shape[:2]
         least = np.maximum(RELATIVE_FLOOR * np.std(windows.states, axis=0) + 1e-12, windows.noise)

@@ -32,7 +32,7 @@ def search(
     retries: int = 0,
     target_cost: float | None = None,
     posterior_scale: float = 1.0,
-    last: Sequence[Array] = (),
+    last: Iterable[Array] = (),
     trajectories: int = 0,
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).

@@ -26,7 +26,7 @@ from simbias.search.lqr import lqr_policies
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.observer import Observer
-from simbias.trial.run import run_trial
+from simbias.trial.run import read_trial, run_trial
 from simbias.trial.steps import RANDOM_KNOTS
 from simbias.trial.study import Study
 
@@ -185,8 +185,12 @@ def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
     file = tmp_path / "policy.json"
     file.write_text(json.dumps({"parameters": first.parameters.tolist()}))
     method = ModelBased(1, first_policy=str(file))
-    list(replace(study, method=method, hardware=ScriptedHardware([0.9] * 2)).run())
+    begun = replace(study, method=method, hardware=ScriptedHardware([0.9] * 2))
+    made = run_trial(begun, tmp_path / "trial").iterations[0]
     np.testing.assert_array_equal(searches[-1][0], first.parameters)
+    file.unlink()
+    again = read_trial(begun, tmp_path / "trial").iterations[0]
+    np.testing.assert_array_equal(again.parameters, made.parameters)
     for parameters in ([0.0], "none", [*first.parameters[1:].tolist(), "0"]):
         file.write_text(json.dumps({"parameters": parameters}))
         with pytest.raises(ConfigError, match=r"method\.first_policy: .*policy\.json"):

@@ -63,9 +63,10 @@ class Posterior(Identification):
         Names of the model's parameters of which each recording has its own, as a load that is put on; the
         others are shared.
     noise
-        Variances of what is measured, by the names and kinds of states. No errors of predictions are taken to
-        be smaller, and in directions in which collisions make the posterior far wider than the prior, the
-        prior takes its place. Without it, windows in which a model is exact make outliers of collisions.
+        Variances of what is measured, by the names and kinds of states. Prediction errors are never taken to
+        be smaller. Without it, a model that is exact in the air makes outliers of all collisions. In
+        directions in which collisions still make the posterior far wider than the prior, the prior takes its
+        place.
     longer_windows
         Further durations in s of predictions that count alike, as what differs little in a short while may
         differ much in a long one; those that no experiment lasts for do not count.
@@ -190,6 +191,6 @@ class Posterior(Identification):
 def _no_wider(spread: Array) -> Array:
     """A square root (p, p) of the covariance, that of the prior in directions in which it is far wider."""
     directions, deviations, _ = np.linalg.svd(spread)
-    return (
-        spread if deviations.max() <= WIDEST else directions * np.where(deviations > WIDEST, 1.0, deviations)
-    )
+    if deviations.max() <= WIDEST:
+        return spread
+    return directions * np.where(deviations > WIDEST, 1.0, deviations)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -112,7 +112,7 @@ class ModelBased(Method):
 
     def check(self, study: Study) -> None:
         """Refuse another policy's parameters, a policy that follows no plan, and unlimited random inputs."""
-        self._known(study)
+        list(self._known(study))
         if self.trajectories:
             follower(study.task, study.policy)
         if self.random_experiments:
@@ -124,7 +124,7 @@ class ModelBased(Method):
         data, model = study.no_data, study.first_model()
         experiments: list[Rollout] = []
         learned_from: list[tuple[Rollout, ...]] = []  # those of them that D comes from
-        last = self._known(study)
+        last: Iterable[Array] = self._known(study)
         for random_rng in hardware_rng.spawn(self.random_experiments):
             experiments.append(random_experiment(study, random_rng, observer))
             learned_from.append((experiments[-1],))
@@ -162,14 +162,14 @@ class ModelBased(Method):
             if succeeded:
                 return
 
-    def _known(self, study: Study) -> list[Array]:
-        """The first policy's parameters (p,), if there is one."""
+    def _known(self, study: Study) -> Iterator[Array]:
+        """The first policy's parameters (p,), if there is one; read when a search asks, not in a replay."""
         if self.first_policy is None:
-            return []
+            return
         theta, p = read_json(Path(self.first_policy)).get("parameters"), study.policy.n_parameters
         if not isinstance(theta, list) or [type(each) for each in theta] != p * [float]:
             raise ConfigError("method.first_policy", f"{self.first_policy} has no `parameters`: {p} numbers")
-        return [np.array(theta)]
+        yield np.array(theta)
 
 
 def _check_random_inputs(task: Task) -> None:
