@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from cells import cells, chosen
 from joblib import Parallel, delayed
 
 from simbias.config.build import build
@@ -23,7 +24,6 @@ from simbias.core import FittedBias, Nominal
 from simbias.core.records import Rollout
 from simbias.search.lqr import lqr_candidates
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
-from simbias.sweep.grid import expand
 from simbias.trial.study import Study
 
 DURATION = 0.1  # s
@@ -55,10 +55,7 @@ def models(study: Study, learned: list[Rollout]) -> Iterator[tuple[Nominal, Fitt
 
 def predicted(label: str, seed: int, overrides: list[str]) -> list[dict[str, Any]]:
     """A row for each way to learn."""
-    cells = {
-        " ".join(cell.labels): cell for cell in expand(["+sweep=gaps", "tracking=none", *overrides]).cells
-    }
-    study = build(cells[label].composition)
+    study = build(cells(["+sweep=gaps", "tracking=none", *overrides])[label].composition)
     made = experiments(study, seed)
     learned, others = made[: len(made) // 2], made[len(made) // 2 :]
     if not learned:
@@ -83,14 +80,11 @@ def summary(table: pd.DataFrame) -> str:
 
 def main(arguments: argparse.Namespace) -> None:
     """Learn and predict, print the table and write the rows."""
-    labels = [" ".join(cell.labels) for cell in expand(["+sweep=gaps", *arguments.overrides]).cells]
-    if unknown := [name for name in arguments.cells if not any(each.startswith(name) for each in labels)]:
-        raise SystemExit(f"--cells: no label begins with {', '.join(unknown)}")
-    chosen = [label for label in labels if label.startswith(tuple(arguments.cells))]
+    labels = chosen(["+sweep=gaps", *arguments.overrides], arguments.cells)
     made = Parallel(n_jobs=2)(
         delayed(predicted)(label, seed, arguments.overrides)
         for seed in range(arguments.seeds)
-        for label in chosen
+        for label in labels
     )
     table = pd.DataFrame([row for rows in made for row in rows])
     table.to_csv(arguments.file, index=False, float_format="%.4g", lineterminator="\n")

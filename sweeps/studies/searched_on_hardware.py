@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from cells import cells, chosen
 from joblib import Parallel, delayed
 from premise import STARTS, balanced_starts
 
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.core.records import Array
-from simbias.sweep.grid import expand
 from simbias.trial.study import Study
 
 SEPARATE = ["hardware.feet=separate"]
@@ -37,11 +37,10 @@ SIMULATED = ["evaluation=domain_randomization", "optimizer=hybrid", "bias=none"]
 
 def study_of(overrides: Sequence[str], sweep: str | None, cell: str) -> Study:
     """The study of these overrides, or of a sweep's cell."""
-    chosen = ["tracking=none", *overrides]
+    overrides = ["tracking=none", *overrides]
     if sweep is None:
-        return build(compose(chosen))
-    cells = {" ".join(each.labels): each for each in expand([f"+sweep={sweep}", *chosen]).cells}
-    return build(cells[cell].composition)
+        return build(compose(overrides))
+    return build(cells([f"+sweep={sweep}", *overrides])[cell].composition)
 
 
 def simulated(
@@ -99,17 +98,11 @@ def searched(seed: int, cell: str, arguments: argparse.Namespace) -> dict[str, A
 
 def main(arguments: argparse.Namespace) -> None:
     """Search for every cell and seed, print the table and write it."""
-    cells = [""]
+    labels = [""]
     if arguments.sweep:
-        sweep = expand([f"+sweep={arguments.sweep}", *arguments.overrides])
-        labels = [" ".join(cell.labels) for cell in sweep.cells]
-        if unknown := [
-            each for each in arguments.cells if not any(label.startswith(each) for label in labels)
-        ]:
-            raise SystemExit(f"--cells: no label begins with {', '.join(unknown)}")
-        cells = [label for label in labels if label.startswith(tuple(arguments.cells))]
+        labels = chosen([f"+sweep={arguments.sweep}", *arguments.overrides], arguments.cells)
     rows = Parallel(n_jobs=2)(
-        delayed(searched)(seed, cell, arguments) for cell in cells for seed in range(arguments.seeds)
+        delayed(searched)(seed, cell, arguments) for cell in labels for seed in range(arguments.seeds)
     )
     table = pd.DataFrame(rows)
     table.to_csv(arguments.file, index=False, float_format="%.4g", lineterminator="\n")
