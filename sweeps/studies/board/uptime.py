@@ -1,4 +1,4 @@
-"""Search on from the last policy of a trial of the board's swing-ups, for the time that the tip is up.
+"""Continue the search of a trial of the board's swing-ups from its last policy, for uptime.
 
     python sweeps/studies/board/uptime.py acrobot TRIAL INTO [--rounds 3] [override ...]
 
@@ -34,7 +34,7 @@ COST = {  # of the time below, and a little, of how far it is from upright and a
     "max_cost": 1.2,
     "failure_weight": 1.3,
 }
-FASTEST = 300.0  # rad/s: whoever lets the elbow spin is to slow it down
+FASTEST = 300.0  # rad/s: a policy that lets the elbow spin has to slow it down
 
 
 def begins(law: Asked, joint: int) -> list[list[float]]:
