@@ -80,10 +80,12 @@ def shortened(command: str) -> list[str]:
 
 def shortest(arguments: list[str]) -> list[str]:
     """Overrides by which a preset is run in NumPy, as sweeps are in `tests/sweep/test_results.py`."""
-    whole = compose([*arguments, "identification=none", "bias=none"])
+    modelled = compose(arguments).choices["nominal"] != "none"  # else a bias is all that there is
+    least = ["identification=none", "bias=none"] if modelled else []
+    whole = compose([*arguments, *least])
     changed = shipped.shortened(whole).config
     return [
-        *("identification=none", "bias=none"),
+        *least,
         *(
             f"{group}.{key}={changed[group][key]}"
             for group, most in shipped.SHORT.items()
