@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from rollouts import HEIGHT, LENGTHS
 from score import DRIVEN, Asked, uptime
 
 import simbias
@@ -30,7 +31,8 @@ UP = "length_1 * cos(angle_1) + length_2 * cos(angle_1 + angle_2) - high"  # m, 
 NEAR = "exp(cos(angle_1) + cos(angle_2) - 2 - (d_angle_1**2 + d_angle_2**2) / (2 * fast**2))"
 COST = {  # of the time below, and a little, of how far it is from upright and at rest
     "running": f"1 / (1 + exp(({UP}) / blur)) + near * (1 - {NEAR})",
-    "constants": {"length_1": 0.2, "length_2": 0.3, "high": 0.45, "blur": 0.02, "near": 0.2, "fast": 15.0},
+    "constants": {"length_1": LENGTHS[0], "length_2": LENGTHS[1], "high": HEIGHT}
+    | {"blur": 0.02, "near": 0.2, "fast": 15.0},
     "max_cost": 1.2,
     "failure_weight": 1.3,
 }
