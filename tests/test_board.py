@@ -150,6 +150,7 @@ def test_a_scored_policy_is_the_one_in_the_file(monkeypatch: pytest.MonkeyPatch)
     """Its controller gives the torques that the score is of; the plant is the one whose LQR is taken."""
     import controllers
     import score
+    from plant import PLANT, derivatives
 
     monkeypatch.setattr(score, "SECONDS", 0.1)
     study = simbias.load(["preset=pendubot_swingup", "task.time_step=0.004", "task.horizon=2000"])
@@ -173,9 +174,8 @@ def test_a_scored_policy_is_the_one_in_the_file(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(made, scored.commands[:-1, 0], atol=1e-9)
 
     x, u = np.random.default_rng(1).normal(size=(5, 4)), np.random.default_rng(2).normal(size=(5, 2))
-    plant = {name: np.full(5, value) for name, value in score.PLANT.items()}
-    accelerations = score._derivative(x, u, plant)[:, 2:]
-    np.testing.assert_allclose(accelerations, controllers._accelerations(x, u), rtol=1e-10)
+    accelerations = derivatives(x.T, u.T, PLANT)[2:]
+    np.testing.assert_allclose(np.column_stack(accelerations), controllers._accelerations(x, u), rtol=1e-10)
 
 
 @pytest.mark.slow
@@ -183,11 +183,14 @@ def test_a_search_for_the_time_up_begins_after_resets(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """At a network that gives the same torques with more units."""
+    import plant
     import score
     import uptime
 
-    for module, name, value in ((score, "MINUTE", 6.0), (score, "RESETS", 2), (uptime, "SEEDS", range(2))):
-        monkeypatch.setattr(module, name, value)
+    for module in (plant, score):
+        monkeypatch.setattr(module, "MINUTE", 6.0)
+    monkeypatch.setattr(plant, "RESETS", 2)
+    monkeypatch.setattr(uptime, "SEEDS", range(2))
     board = ["preset=acrobot_board", "tracking=none"]
     study, larger = (simbias.load([*board, f"policy.units={units}"]) for units in (3, 5))
     theta = np.random.default_rng(0).uniform(-0.1, 0.1, study.policy.n_parameters)
@@ -236,19 +239,18 @@ def test_robustness_counts_kinds_of_runs(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reset holds a robot where it is: nobody is asked, and nothing is up."""
     import score
+    from plant import PLANT, derivatives, gravity
 
     asked: list[Any] = []
-    plant = {name: np.full(1, value) for name, value in score.PLANT.items()}
-    x = np.random.default_rng(0).uniform(-3.0, 3.0, (1, 4)) * np.array([1.0, 1.0, 0.0, 0.0])
-    still = score._derivative(x, score._weight(x, plant), plant)
-    np.testing.assert_allclose(still, 0.0, atol=1e-9)
+    x = [*np.random.default_rng(0).uniform(-3.0, 3.0, (2, 5)), 0.0, 0.0]
+    np.testing.assert_allclose(derivatives(x, gravity(x, PLANT), PLANT)[2:], 0.0, atol=1e-9)
 
     def nothing(x: Any, t: float, own: Any = True) -> Any:
         asked.append(own)
         return np.zeros(len(x))
 
     monkeypatch.setattr(score, "MINUTE", 2.0)
-    monkeypatch.setattr(score, "_resets", lambda seed: (np.full((15, 2), seed), np.array([1.0, np.inf])))
+    monkeypatch.setattr(score, "resets", lambda seed: (np.full((15, 2), seed), np.array([1.0, np.inf])))
     shares = score.uptime(nothing, 0, [0, 0])
     assert shares.tolist() == [0.0, 0.0]  # held where it hangs
     held = [k for k, own in enumerate(asked) if not own.all()]

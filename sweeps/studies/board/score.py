@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from plant import LIMIT, MINUTE, PLANT, RESET, STEP, Reset, resets, step
 from rollouts import HEIGHT, Runs, height
 
 import simbias
@@ -35,28 +36,11 @@ from simbias.lab.safety import Bounds
 from simbias.simulation.compiler import formulas_of
 
 DRIVEN = ("pendubot", "acrobot")  # the first joint, or the second
-STEP, SECONDS, LIMIT = 0.002, 10.0, 6.0  # s, s, N m
-LENGTHS, GEAR, GRAVITY = (0.2, 0.3), 6.0, 9.81
+SECONDS = 10.0
 TYPICAL = {"time": 20.0, "energy": 60.0, "torque": 20.0, "smoothness": 0.1, "velocity": 400.0}
 NEAR = np.array([0.35, 0.35, 1.0, 1.0])  # of the goal, in the last state
 LEVELS, REPETITIONS, PUSHED = 21, 10, 50
-MINUTE, RESETS, RESET = 60.0, 15, 0.2  # s, of which each takes so long
 SEEDS = range(10)  # of the resets
-GAINS = (10.0, 0.1, 1.0)  # of their PID, which counts each step as 1 ms
-PID_STEP = 0.001
-PLANT = {  # design C.1 without friction; inertias about joints
-    "m_1": 0.5234602302310271,
-    "m_2": 0.6255677234174437,
-    "r_1": 0.2,
-    "r_2": 0.25569305436052964,
-    "I_1": 0.031887199591513114,
-    "I_2": 0.05086984812807257,
-    "b_1": 0.0,
-    "b_2": 0.0,
-    "c_1": 0.0,
-    "c_2": 0.0,
-    "rotor": 0.0,
-}
 CHANGED = {  # of the plant, one at a time: from, to; relative where it is of a link
     "rotor": (0.0, 1e-4),
     "b_1": (-0.1, 0.1),
@@ -163,40 +147,8 @@ def simulate(law: Law, each: list[Scenario], joint: int, rng: np.random.Generato
         u = last + response * (law(measured, times[k]) - last)
         last = np.clip(u + shaken * rng.standard_normal(lanes), -LIMIT, LIMIT) + pushes[k]
         U[k, :, joint] = last
-        X[k + 1] = np.clip(np.nan_to_num(_stepped(X[k], U[k], plant)), -1e4, 1e4)
+        X[k + 1] = np.clip(np.nan_to_num(step(X[k], U[k], plant)), -1e4, 1e4)
     return Runs(STEP * np.arange(steps + 1), X, np.concatenate([U, U[-1:]]), np.full(lanes, steps + 1))
-
-
-def _stepped(x: Array, u: Array, plant: dict[str, Array]) -> Array:
-    """States a step after x (lanes, 4), by the classical Runge-Kutta method."""
-    k_1 = _derivative(x, u, plant)
-    k_2 = _derivative(x + 0.5 * STEP * k_1, u, plant)
-    k_3 = _derivative(x + 0.5 * STEP * k_2, u, plant)
-    k_4 = _derivative(x + STEP * k_3, u, plant)
-    return x + STEP / 6.0 * (k_1 + 2.0 * (k_2 + k_3) + k_4)
-
-
-def _derivative(x: Array, u: Array, p: dict[str, Array]) -> Array:
-    """Velocities and accelerations (lanes, 4) at states x (lanes, 4) under torques u (lanes, 2)."""
-    _, q_2, v_1, v_2 = x.T
-    h, weight = p["m_2"] * LENGTHS[0] * p["r_2"], _weight(x, p)
-    c, s = h * np.cos(q_2), h * np.sin(q_2)
-    m_11 = p["I_1"] + p["I_2"] + p["m_2"] * LENGTHS[0] ** 2 + 2.0 * c + (GEAR**2 + 1.0) * p["rotor"]
-    m_12, m_22 = p["I_2"] + c - GEAR * p["rotor"], p["I_2"] + GEAR**2 * p["rotor"]
-    f_1 = u[:, 0] + s * v_2 * (2.0 * v_1 + v_2) - weight[:, 0]
-    f_1 = f_1 - p["b_1"] * v_1 - p["c_1"] * np.arctan(100.0 * v_1)
-    f_2 = u[:, 1] - s * v_1**2 - weight[:, 1] - p["b_2"] * v_2 - p["c_2"] * np.arctan(100.0 * v_2)
-    determinant = m_11 * m_22 - m_12**2
-    return np.column_stack(
-        [v_1, v_2, (m_22 * f_1 - m_12 * f_2) / determinant, (m_11 * f_2 - m_12 * f_1) / determinant]
-    )
-
-
-def _weight(x: Array, p: dict[str, Array]) -> Array:
-    """Torques (lanes, 2) that hold the plant at rest at states x (lanes, 4)."""
-    second = GRAVITY * p["m_2"] * p["r_2"] * np.sin(x[:, 0] + x[:, 1])
-    first = GRAVITY * (p["m_1"] * p["r_1"] + p["m_2"] * LENGTHS[0]) * np.sin(x[:, 0])
-    return np.column_stack([first + second, second])
 
 
 def performance(law: Law, joint: int) -> float:
@@ -225,39 +177,25 @@ def uptime(law: Law, joint: int, seeds: Sequence[int], after: list[Array] | None
 
     States (4,) in which resets leave the robot are appended to `after`.
     """
-    drawn = [_resets(seed) for seed in seeds]
-    goals, begins = np.stack([each[0] for each in drawn]), np.stack([each[1] for each in drawn])
+    drawn = [resets(seed) for seed in seeds]
+    angles, begins = np.stack([each[0] for each in drawn]), np.stack([each[1] for each in drawn])
     lanes, steps = len(drawn), round(MINUTE / STEP)
     plant = {name: np.full(lanes, value) for name, value in PLANT.items()}
-    x, up, resets = np.zeros((lanes, 4)), np.zeros(lanes), np.zeros(lanes, int)
-    before, total, seen = (np.zeros((lanes, 2)) for _ in range(3))
+    x, up, count, pid = np.zeros((lanes, 4)), np.zeros(lanes), np.zeros(lanes, int), Reset(lanes)
     left = np.zeros(lanes, int)  # steps of a reset
     for k in range(steps):
-        begin = (left == 0) & (k * STEP >= begins[np.arange(lanes), resets])
-        resets, left = resets + begin, np.where(begin, round(RESET / STEP) + 1, left)
-        held = (left > 0)[:, None]
-        error = goals[np.arange(lanes), np.maximum(resets, 1) - 1] - x[:, :2]
-        total, seen = total + held * error, seen + held
-        rate = np.where(seen > 2, (error - before) / PID_STEP, 0.0)
-        pid = np.clip(GAINS[0] * error + GAINS[1] * PID_STEP * total + GAINS[2] * rate, -LIMIT, LIMIT)
-        before = np.where(held, error, before)
-        own = np.zeros((lanes, 2))
-        own[:, joint] = law(x, k * STEP, left == 0)
-        x = _stepped(x, np.clip(np.where(held, pid + _weight(x, plant), own), -LIMIT, LIMIT), plant)
+        begin = (left == 0) & (k * STEP >= begins[np.arange(lanes), count])
+        count, left = count + begin, np.where(begin, round(RESET / STEP) + 1, left)
+        held, aim = left > 0, angles[np.arange(lanes), np.maximum(count, 1) - 1]
+        u = np.where(held[:, None], pid.torques(x, aim, held, plant), 0.0)
+        own = law(x, k * STEP, ~held)
+        u[:, joint] = np.where(held, u[:, joint], own)
+        x = step(x, np.clip(u, -LIMIT, LIMIT), plant)
         if after is not None:
             after.extend(x[left == 1])
         left = np.maximum(left - 1, 0)
         up += height(x) > HEIGHT
     return up * STEP / MINUTE
-
-
-def _resets(seed: int) -> tuple[Array, Array]:
-    """Angles (15, 2) that the PID is to reach, and when it begins (16,), as their scripts draw them."""
-    rng = np.random.RandomState(seed)
-    angles = rng.uniform(0.0, 2 * np.pi, (10 * RESETS + 1, 4)) - np.pi
-    between = MINUTE / (RESETS + 1)
-    begins = np.linspace(between, MINUTE - between, RESETS) + 2.0 * (rng.rand(RESETS) - 0.5)
-    return angles[:RESETS, :2], np.append(begins, np.inf)
 
 
 def succeeds(runs: Runs) -> Flags:
