@@ -62,6 +62,13 @@ class OfAll(Tracking):
         return float(np.sum((x - np.sin(3 * t)) ** 2) + np.max(t * (u > 0), initial=0.0) + lost)
 
 
+class Raised(Tracking):
+    """A thousand more than its terms say."""
+
+    def of(self, rollout: Rollout) -> float:
+        return super().of(rollout) + 1000.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("bias", [ZeroBias, OfAllLanes])
 def test_a_cost_knows_the_time_summed_up_and_of_a_record(study: Study, bias: type[FittedBias]) -> None:
@@ -75,10 +82,12 @@ def test_a_cost_knows_the_time_summed_up_and_of_a_record(study: Study, bias: typ
         assert isinstance(loop, CompiledSimulator)
         fast, frames = loop.costs(Tracking(model.task), thetas, starts)
         slow, _ = loop.costs(OfAll(model.task), thetas, starts)
+        raised, _ = loop.costs(Raised(model.task), thetas, starts)
         records = [Tracking(model.task).of(rollout) for rollout in loop.rollouts(thetas, starts)]
     assert len(set(frames.tolist())) > 5
     np.testing.assert_allclose(fast, slow, rtol=1e-9)
     np.testing.assert_allclose(fast, records, rtol=1e-9)
+    np.testing.assert_allclose(raised, fast + 1000.0, rtol=1e-9)
 
 
 def test_what_succeeds(study: Study) -> None:

@@ -62,9 +62,9 @@ def of_measure(task: Task, points: Points) -> KernelOrReason:
 
 
 def of_cost(cost: Cost, task: Task) -> KernelOrReason:
-    """A cost's terms, if it has any."""
-    if not cost.reductions:
-        return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`")
+    """A cost's terms, if it has any and their totals are all that it is."""
+    if not cost.reductions or type(cost).of is not Cost.of:
+        return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`, or has its own `of`")
 
     def find() -> KernelOrReason:
         points, t = Points.of(task), task.time_step * np.arange(1.0, ROWS + 1)
