@@ -88,7 +88,7 @@ class Designer:
     def rated(self, inputs: Array) -> Excitation | None:
         """Inputs (T, m), scaled down until all models keep the limits; None if they never do."""
         for scale in SCALES:
-            rollouts = self._simulated(scale * inputs)
+            rollouts = self._simulated(np.clip(scale * inputs, *self._bounds.input_bounds))
             if all(self._allowed(rollout) for rollout in rollouts):
                 return self._judged(rollouts)
         return None
@@ -100,9 +100,11 @@ class Designer:
         h = c.shape[2]
         phases = 2 * np.pi * np.outer(t, np.linspace(1 / seconds, FASTEST, h))
         u = np.sin(phases) @ c[:, 0].T + np.cos(phases) @ c[:, 1].T
-        u *= np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)[:, None]
-        limit = np.minimum(task.input_limit, self._bounds.inputs)
-        return u * limit / np.maximum(np.abs(u).max(axis=0), 1e-12)
+        ramp = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)[:, None]
+        u *= ramp
+        lower, upper = self._bounds.input_bounds
+        middle, limit = (lower + upper) / 2, (upper - lower) / 2
+        return ramp * middle + u * limit / np.maximum(np.abs(u).max(axis=0), 1e-12)
 
     def _simulated(self, inputs: Array) -> list[Rollout]:
         """The rollout of each model under inputs (T, m) from the task's mean start."""

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from pendulum import NOISE, QUICK, pendulum
 
+import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core.parameters import values_at
@@ -61,6 +62,22 @@ def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
     assert (found.deviations < 1).any()
     impossible = limited("hardware.safety.states={vel1: 1e-6}")
     assert Designer(impossible, impossible.nominal, NOISE).design(1.0, 3, np.random.default_rng(0)) is None
+
+
+def test_rotors_are_asked_only_to_push() -> None:
+    """From 0 to 12 N, or to a limit of the lab; torques of either sign are as large as they may be."""
+    pushes = ["preset=quadrotor_square", "identification=posterior", "bias=none", "tracking=none"]
+    for safety, most in ((), 12.0), (("hardware.safety.inputs={thrust: 9}",), 9.0):
+        flying = simbias.load([*pushes, *safety])
+        designer = Designer(flying, flying.nominal, np.full(6, 1e-3))
+        c = np.random.default_rng(0).standard_normal((2, 2, 20))
+        found = designer.rated(designer._inputs(c, 0.6))
+        assert found is not None
+        assert found.rollout.inputs.min() == 0
+        assert 1 < found.rollout.inputs.max() <= most
+    both = limited()
+    turning = Designer(both, both.nominal, NOISE)._inputs(c, 1.0)
+    np.testing.assert_allclose(np.abs(turning).max(axis=0), both.task.input_limit, rtol=1e-12)
 
 
 @pytest.mark.slow
