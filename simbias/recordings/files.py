@@ -15,6 +15,7 @@ from simbias.core.messages import brief
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.rig import Rig
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.report import report
@@ -22,6 +23,7 @@ from simbias.robots.mujoco.model import Mujoco
 
 OPTION = "identified"  # of the group `identification`
 DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
+MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
 
 
 def write(
@@ -53,10 +55,8 @@ def write(
         trajectory(assessment.task, excitation.rollout).to_csv(
             folder / "excitation.csv", index=False, float_format="%.6g"
         )
-    if isinstance(model := assessment.identified.model, Mujoco):
-        (folder / "identified.xml").write_text(model.mjcf())
-        for i, values in enumerate(draws(assessment.identified).to_numpy()[:MODELS]):
-            (folder / f"draw_{i}.xml").write_text(model.with_parameters(values).mjcf())
+    for name, text in models(assessment.identified):
+        (folder / f"{name}.xml").write_text(text)
 
 
 def parameters(assessment: Assessment) -> pd.DataFrame:
@@ -100,6 +100,18 @@ def draws(identified: Identified) -> pd.DataFrame:
     z = np.array([identified.draw_coordinates(rng) for _ in range(DRAWS)])
     names = [parameter.name for parameter in identified.parameters]
     return pd.DataFrame(values_at(identified.parameters, z), columns=names)
+
+
+def models(identified: Identified) -> Iterator[tuple[str, str]]:
+    """Names and texts of MJCF files: of the most probable model and of draws, if MuJoCo's."""
+    values = draws(identified).to_numpy()[:MODELS]
+    # Of the prior, since gains and sizes multiply what a model has.
+    drawn = {f"draw_{i}": identified.with_parameters(each) for i, each in enumerate(values)}
+    for name, model in {"identified": identified.model, **drawn}.items():
+        mechanics = model.mechanics if isinstance(model, Rig) else model
+        if isinstance(mechanics, Mujoco):
+            lacks = len(model.parameters) > len(mechanics.parameters)
+            yield name, MECHANICS_ALONE * lacks + mechanics.mjcf()
 
 
 def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:

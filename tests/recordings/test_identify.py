@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,8 +19,9 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
+from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings.assessment import Assessment, assess
-from simbias.recordings.files import draws, option_lines, write
+from simbias.recordings.files import draws, models, option_lines, write
 from simbias.recordings.horizons import Prediction, inside, regions, surprises
 from simbias.recordings.parts import parts
 from simbias.recordings.report import report
@@ -193,6 +195,25 @@ def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
     assert values_of(again._robot.model, "pole.mass")["pole.mass"] == pytest.approx(0.7, rel=1e-5)
     x, u = np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([[3.0]])
     np.testing.assert_allclose(again.step(x, u), changed.step(x, u), rtol=1e-4)
+
+
+def test_files_of_draws_are_of_the_table_of_draws(tmp_path: Path) -> None:
+    """Of a gain and of a size, which multiply; also behind sensors, of which the files say that they lack."""
+    task, uncertainty = cart_pole(), {"push.gain": 0.3, "tip.mass": 0.1, "pole.size": 0.2}
+    model = Mujoco(task, mjcf(tmp_path), uncertainty=uncertainty)
+    rig = Rig(task, model, {}, {"angle": Sensor(offset=0.1)})
+    for prior, lines in (model, 0), (rig, 1):
+        p = len(prior.parameters)
+        identified = Identified(prior, np.linspace(-0.7, 0.8, p), 0.5 * np.eye(p), {})
+        files, table = dict(models(identified)), draws(identified)
+        told = [[estimate.value for estimate in identified.estimates], *table.to_numpy()[:10]]
+        assert list(files) == ["identified", *(f"draw_{i}" for i in range(10))]
+        for text, values in zip(files.values(), told, strict=True):
+            robot = mujoco.MjModel.from_xml_string(text)
+            by_name = dict(zip(table, values, strict=True))
+            assert robot.actuator("push").gear[0] == pytest.approx(20 * by_name["push.gain"], rel=1e-5)
+            assert robot.body("tip").pos[2] == pytest.approx(0.8 * by_name["pole.size"], rel=1e-5)
+            assert text.count("Without motors and sensors") == lines
 
 
 @pytest.mark.slow

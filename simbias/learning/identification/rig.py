@@ -172,6 +172,11 @@ class Rig(Nominal):
         return other
 
     @property
+    def mechanics(self) -> Nominal:
+        """The model between motors and sensors."""
+        return self._nominal
+
+    @property
     def slack(self) -> Array:
         """That of the mechanics."""
         return self._nominal.slack
