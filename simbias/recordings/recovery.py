@@ -109,6 +109,8 @@ def record(
     x = x[: frames + 1]
     at = study.task.time_step * np.arange(frames + 1)
     times = at if take.times is None else take.times[take.times <= at[-1]]
+    if not len(times):  # it fails before it is measured
+        return Rollout(x[:1], take.inputs[:0])
     e = noise * rng.standard_normal((len(times), len(noise)))
     seen = [np.interp(times, at, x[:, i]) + e[:, i] for i in range(len(noise))]
     measured = np.array([np.interp(at, times, each) for each in seen]).T

@@ -129,8 +129,10 @@ def test_a_robot_that_fails_is_recorded_until_then(study: Study) -> None:
     assert 0 < made.frames < 500
     assert (study.task.violated(made.states) < 0).all()
     gone = Take(np.array([0.0, 0.0, 70.0, 0.0]), np.zeros((100, 2)))
-    with pytest.raises(ConfigError, match="no robot that was drawn from the prior lasts"):
-        recover(limited(), [gone], NOISE, robots=1)
+    late = wild._replace(times=np.array([0.5, 0.51]))
+    for none in gone, late:
+        with pytest.raises(ConfigError, match="no robot that was drawn from the prior lasts"):
+            recover(limited(), [none], NOISE, robots=1)
 
 
 def test_noise_is_that_which_was_added() -> None:
@@ -138,6 +140,28 @@ def test_noise_is_that_which_was_added() -> None:
     smooth = np.sin(0.01 * np.arange(5000))[:, None] * [1.0, 5.0]
     noisy = smooth + rng.standard_normal(smooth.shape) * [0.01, 0.1]
     np.testing.assert_allclose(noise_of([Rollout(noisy, noisy[:-1])]), [0.01, 0.1], rtol=0.1)
+
+
+@pytest.mark.parametrize(("every", "late", "jitter"), [(2, 0, 0), (5, 0, 0), (5, 0.5, 0), (10, 0.3, 1)])
+def test_noise_is_that_of_samples_where_they_are_rarer_than_frames(
+    every: int, late: float, jitter: float
+) -> None:
+    """One state is measured every few frames, perhaps between two; the other in each."""
+    rng = np.random.default_rng(0)
+    t, samples = np.arange(4000.0), late + every * np.arange(4000.0 // every + 1)
+    samples += jitter * rng.uniform(-1, 1, len(samples))
+    rare = np.interp(t, samples, np.sin(0.004 * samples) + 0.01 * rng.standard_normal(len(samples)))
+    often = 100 * np.cos(0.01 * t) + rng.standard_normal(len(t))
+    states = np.column_stack([rare, often])
+    np.testing.assert_allclose(noise_of([Rollout(states, states[:-1])]), [0.01, 1.0], rtol=0.2)
+
+
+def test_steps_of_an_encoder_are_no_rare_samples() -> None:
+    """Each frame counts, though most differ from the one before by nothing."""
+    values = np.round(40 * np.sin(0.004 * np.arange(5000.0)))[:, None]
+    thirds = np.abs(np.diff(values, 3, axis=0))
+    assert (np.diff(values, axis=0) == 0).mean() > 0.8
+    assert noise_of([Rollout(values, values[:-1])])[0] == np.median(thirds) == 0
 
 
 def test_no_inputs_last_for_ever(capsys: pytest.CaptureFixture[str]) -> None:
