@@ -142,7 +142,7 @@ def test_noise_is_that_which_was_added() -> None:
     np.testing.assert_allclose(noise_of([Rollout(noisy, noisy[:-1])]), [0.01, 0.1], rtol=0.1)
 
 
-@pytest.mark.parametrize(("every", "late", "jitter"), [(2, 0, 0), (5, 0, 0), (5, 0.5, 0), (10, 0.3, 1)])
+@pytest.mark.parametrize(("every", "late", "jitter"), [(2, 0, 0), (5, 0, 0), (5, 0.3, 0), (10, 0.5, 1)])
 def test_noise_is_that_of_samples_where_they_are_rarer_than_frames(
     every: int, late: float, jitter: float
 ) -> None:
