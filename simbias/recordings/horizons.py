@@ -97,17 +97,16 @@ def predictions(
     these, from those on the other parts.
     """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
-    frames = {seconds: task.frames(seconds) for seconds in HORIZONS}
     return [
         Prediction(
-            seconds,
+            float(f"{k * task.time_step:.6g}"),
             tuple(errors(nominal, part, k) for part in parts),
             tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
             tuple(spread(model, part, k) for model, part in zip(identified, parts, strict=True)),
             _known(learned, k) if learned else None,
         )
-        for seconds, k in frames.items()
-        if k <= longest and k > frames.get(_before(seconds), 0)
+        for k in sorted({task.frames(seconds) for seconds in HORIZONS})
+        if k <= longest
     ]
 
 
@@ -198,11 +197,6 @@ def ratio(wrong: Array, reference: Array) -> float:
 def geometric_mean(values: Array) -> float:
     """That of positive numbers."""
     return float(np.exp(np.mean(np.log(values))))
-
-
-def _before(seconds: float) -> float:
-    """The horizon before this one."""
-    return max((each for each in HORIZONS if each < seconds), default=0.0)
 
 
 def _rmse(wrong: Array) -> Array:

@@ -22,12 +22,13 @@ from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings.assessment import Assessment, assess
 from simbias.recordings.files import draws, models, option_lines, write
-from simbias.recordings.horizons import Prediction, inside, regions, surprises
+from simbias.recordings.horizons import Prediction, inside, predictions, regions, surprises
 from simbias.recordings.parts import parts
 from simbias.recordings.report import report
 from simbias.recordings.words import verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
+from simbias.robots.none import NoNominal
 from simbias.trial.study import Study
 
 QUICKER = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=4"]
@@ -129,6 +130,18 @@ def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
     np.testing.assert_allclose(covariances[0], np.eye(2) + zeros, rtol=0.05, atol=0.05)
     expected = multivariate_normal([0.0, 0.0], covariances[0]).logpdf(wrong)
     np.testing.assert_allclose(surprises(wrong, covariances), -expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("time_step", "seconds"), [(0.04, [0.04, 0.08, 0.2, 0.48, 1.0]), (0.25, [0.25, 0.5, 1.0])]
+)
+def test_horizons_are_what_is_predicted(time_step: float, seconds: list[float]) -> None:
+    """States grow by 1/s, so that a model in which they stand errs by the horizon."""
+    task, t = cart_pole(time_step=time_step), time_step * np.arange(150)
+    rollout = Rollout(np.tile(t[:, None], 4), np.zeros((149, 1)))
+    made = predictions(task, NoNominal(task), [NoNominal(task)], [[rollout]])
+    assert [each.seconds for each in made] == seconds
+    np.testing.assert_allclose([each.rmse()[0][0] for each in made], seconds, rtol=1e-5)
 
 
 def test_few_errors_give_regions_that_hold_another_one() -> None:
