@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import warnings
@@ -9,11 +10,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import ROOT
 from mechanisms import DOUBLE
 from omegaconf import OmegaConf
+from scipy.spatial import ConvexHull
 
 from simbias.config.components import construct
 from simbias.core import Task
@@ -148,3 +151,22 @@ def test_a_flat_robot_is_seen_from_the_side_that_it_moves_in(tmp_path: Path) -> 
             ends = task.points(np.array([angle, 0.0]))["arm"]
             tip = max(ends, key=np.linalg.norm)
             np.testing.assert_allclose(tip, sign * straight[plane], atol=1e-9)
+
+
+@pytest.mark.parametrize("euler", ["0 0 0", "90 0 0", "0 90 0", "0 30 0", "20 30 40", "90 90 90"])
+def test_the_outline_of_a_box_holds_all_its_corners(tmp_path: Path, euler: str) -> None:
+    """However it is turned, it is the convex hull of the eight, from the side."""
+    box = f'''<geom name="bar" type="box" size="0.05 0.03 0.2" pos="0.1 0.2 0.3" euler="{euler}" mass="1"/>'''
+    (tmp_path / "box.xml").write_text(re.sub('<geom name="hull".*/>', box, ROBOT))
+    outline = slider(tmp_path / "box.xml").points(np.array([0.5, 0.0]))["bar"]
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "box.xml"))
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.geom("bar").quat)
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    corners = (signs * [0.05, 0.03, 0.2] @ turn.reshape(3, 3).T + [0.6, 0.2, 0.3])[:, [0, 2]]
+    hull = ConvexHull(corners)
+    x, z = outline.T
+    assert len(outline) in (4, 6)
+    assert 0.5 * (x @ np.roll(z, -1) - z @ np.roll(x, -1)) == pytest.approx(hull.volume)  # its area
+    distances = np.linalg.norm(outline[:, None] - corners[hull.vertices], axis=2)
+    np.testing.assert_allclose([*distances.min(axis=0), *distances.min(axis=1)], 0.0, atol=1e-12)

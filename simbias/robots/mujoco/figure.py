@@ -16,6 +16,8 @@ from simbias.robots.mujoco.parameters import mujoco
 from simbias.robots.mujoco.rendering import Image, NoRendererError, Rendering
 from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
 
+EDGE_ON = 1e-9  # of the longest edge: what is seen of one along the line of sight
+
 
 @dataclass(frozen=True)
 class FigureFile:
@@ -29,7 +31,7 @@ class FigureFile:
 
 
 class Figure:
-    """Spheres are discs, capsules and cylinders are bars, boxes are polygons; other geoms are left out.
+    """Spheres are discs, capsules and cylinders are bars, boxes are their outlines; other geoms are left out.
 
     With these, MuJoCo renders it, where it can.
 
@@ -46,7 +48,9 @@ class Figure:
         self._view = axes_of(view)
         self._data: Any = mujoco().MjData(self._robot.model)
         self.thickness: dict[str, float] = {}  # of each part, in m
-        self._ends: dict[str, tuple[int, Array]] = {}  # a geom, and points (k, 3) in its frame
+        self._ends: dict[
+            str, tuple[int, Array]
+        ] = {}  # a geom, and points (k, 3) in its frame; of a box (3, 3)
         for index in range(self._robot.model.ngeom):
             geom, points = self._robot.model.geom(index), self._local(index)
             if points is not None:
@@ -68,7 +72,7 @@ class Figure:
         return None
 
     def _local(self, index: int) -> Array | None:
-        """The points (k, 3) of a geom in its own frame; None if it is not drawn."""
+        """Points (k, 3) of a geom about its centre, in its own frame; None if it is not drawn."""
         kind = mujoco().mjtGeom(int(self._robot.model.geom_type[index])).name
         size = self._robot.model.geom_size[index]
         if kind == "mjGEOM_SPHERE":
@@ -76,11 +80,7 @@ class Figure:
         if kind in ("mjGEOM_CAPSULE", "mjGEOM_CYLINDER"):
             return np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])
         if kind == "mjGEOM_BOX":
-            first, second = self._view
-            corners = np.zeros((4, 3))
-            corners[:, first] = size[first] * np.array([-1, 1, 1, -1])
-            corners[:, second] = size[second] * np.array([-1, -1, 1, 1])
-            return corners
+            return np.diag(size)  # half of each edge
         return None
 
     def points(self, x: Array) -> dict[str, Array]:
@@ -88,7 +88,21 @@ class Figure:
         model, data = self._robot.model, self._data
         data.qpos[:] = self._robot.physics(x[None])[0, 1 : 1 + model.nq]
         mujoco().mj_kinematics(model, data)
-        return {
-            name: (data.geom_xpos[geom] + points @ data.geom_xmat[geom].reshape(3, 3).T)[:, self._view]
-            for name, (geom, points) in self._ends.items()
-        }
+        placed = {}
+        for name, (geom, points) in self._ends.items():
+            centre, turned = data.geom_xpos[geom], points @ data.geom_xmat[geom].reshape(3, 3).T
+            if len(points) == 3:
+                placed[name] = _outline(centre[self._view], turned[:, self._view])
+            else:
+                placed[name] = (centre + turned)[:, self._view]
+        return placed
+
+
+def _outline(centre: Array, halves: Array) -> Array:
+    """Corners (4 or 6, 2) about a centre (2,) of a box, half of whose edges are seen as these (3, 2)."""
+    sizes = np.hypot(*halves.T)
+    halves = halves[sizes > EDGE_ON * sizes.max()]
+    halves = np.where(halves[:, 1:] < 0, -halves, halves) + 0.0  # upwards; -0.0 would have another angle
+    sides = halves[np.argsort(np.arctan2(halves[:, 1], halves[:, 0]))]
+    around = np.cumsum(2 * np.concatenate([sides, -sides[:-1]]), axis=0)
+    return centre - sides.sum(axis=0) + np.concatenate([np.zeros((1, 2)), around])
