@@ -48,9 +48,7 @@ class Figure:
         self._view = axes_of(view)
         self._data: Any = mujoco().MjData(self._robot.model)
         self.thickness: dict[str, float] = {}  # of each part, in m
-        self._ends: dict[
-            str, tuple[int, Array]
-        ] = {}  # a geom, and points (k, 3) in its frame; of a box (3, 3)
+        self._ends: dict[str, tuple[int, Array]] = {}  # a geom, and points (k, 3) about its centre
         for index in range(self._robot.model.ngeom):
             geom, points = self._robot.model.geom(index), self._local(index)
             if points is not None:
