@@ -13,9 +13,10 @@ from in_numpy import predict_in_numpy
 from pendulum import pendulum
 
 import simbias
-from simbias.core import Cost, Evaluation, Model
+from simbias.core import Cost, Evaluation, Model, Policy
 from simbias.core.records import Array, Rollout
 from simbias.testing.conformance import verdicts
+from simbias.testing.expectations import rollout
 from simbias.trial.study import Study
 
 FEW = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=2"]
@@ -60,6 +61,23 @@ def test_the_warm_up_keeps_to_the_policys_box() -> None:
     policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
     replace(study, policy=policy, evaluation=evaluation).warm_up()
     np.testing.assert_array_equal(evaluation.thetas, np.full((2, policy.n_parameters), 0.5))
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_what_is_checked_keeps_to_the_policys_box(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the hardware, which may break, and in simulation."""
+    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
+    policy, run, thetas = copy(study.policy), study.hardware.run, list[Array]()
+    policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
+
+    def noted(policy: Policy, theta: Array, *others: Any) -> Rollout:
+        thetas.append(theta)
+        return run(policy, theta, *others)
+
+    monkeypatch.setattr(study.hardware, "run", noted)
+    narrow = replace(study, policy=policy)
+    assert problems(narrow, "hardware") == []
+    np.testing.assert_array_equal([*thetas, rollout(narrow).parameters], 0.5)
 
 
 @pytest.mark.usefixtures("uncompiled")
