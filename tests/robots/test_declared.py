@@ -80,6 +80,15 @@ def test_failure_is_the_first_criterion_that_is_beyond_its_limit() -> None:
     assert task.failure(np.array([3.0, 1.0, 0.0, 0.0])) == "far"
 
 
+def test_only_an_upper_limit_of_a_state_bounds_it() -> None:
+    """A goal of a state that must not come near zero is beyond that."""
+    far, near = {"value": "abs(position)", "above": 2.0}, {"value": "abs(position)", "below": 0.2}
+    goal = {"position": "0.5 + 0.1 * sin(t)"}
+    task = declared(failure={"far": far, "near": near}, goal=goal)
+    assert [criterion.bounds for criterion in task.criteria] == [{"position": 2.0}, {}]
+    assert task.violated(np.array([[0.3, 0, 0, 0], [0.1, 0, 0, 0], [2.1, 0, 0, 0]])).tolist() == [-1, 1, 0]
+
+
 def test_other_numbers_need_no_other_code() -> None:
     texts = []
     for number in (2.5, 3.5):

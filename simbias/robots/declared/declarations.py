@@ -113,8 +113,8 @@ def bounds_of(inputs: Mapping[str, Input]) -> tuple[Array, Array]:
 
 
 def criterion_of(name: str, failure: Failure, states: Collection[str]) -> Criterion:
-    """The failure criterion; a limit of |state| also bounds the state by itself."""
+    """The failure criterion; an upper limit of |state| also bounds the state by itself."""
     limit = failure.above if failure.above is not None else -(failure.below or 0.0)
     value = failure.value.replace(" ", "")
-    bounds = {state: limit for state in states if value == f"abs({state})"}
+    bounds = {state: limit for state in states if failure.below is None and value == f"abs({state})"}
     return Criterion(name, failure.words or name.replace("_", " "), limit, failure.unit, bounds)
