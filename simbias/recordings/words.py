@@ -112,13 +112,14 @@ def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[st
         yield "No trajectory was found that keeps the limits."
         return
     gained = excitation.gained(before)
-    gained[[finding.prior.of_recording for finding in assessment.findings]] = 0.0  # of no use to others
+    own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)
+    gained[own] = 0.0  # of no use to others
     told = [f"{names[i]} (by {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if gained[i] > WORTH]
     seconds = excitation.rollout.frames * assessment.task.time_step
     if told:
         yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(told)}."
     else:
         yield f"No further {seconds:g} s within the limits should narrow a parameter by {100 * WORTH:.0f}%."
-    left = [names[i] for i in range(len(names)) if excitation.deviations[i] > 0.5]
+    left = [names[i] for i in np.flatnonzero(~own & (excitation.deviations > 0.5))]
     if left:
         yield f"No input should tell {', '.join(left)}: {REMEDY}."

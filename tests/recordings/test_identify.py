@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -21,11 +22,12 @@ from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings.assessment import Assessment, assess
+from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import draws, models, option_lines, write
 from simbias.recordings.horizons import Prediction, inside, predictions, regions, surprises
 from simbias.recordings.parts import parts
 from simbias.recordings.report import report
-from simbias.recordings.words import verdict
+from simbias.recordings.words import advice, verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
@@ -78,6 +80,16 @@ def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessm
     by_name = {name: abs(weight) for name, weight in direction.weights.items()}
     if set(by_name) == {"mass_1", "centre_1"}:
         assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
+
+
+def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: Assessment) -> None:
+    """No input tells it beforehand, and nothing that is weighed."""
+    first, *others = assessment.findings
+    own = replace(first, prior=first.prior._replace(of_recording=True))
+    useless = Excitation(Rollout(np.zeros((3, 4)), np.zeros((2, 2))), np.full(1 + len(others), 0.9), 0.0)
+    told = [" ".join(advice(replace(assessment, findings=[each, *others]), useless)) for each in (first, own)]
+    assert [each.count(f"No input should tell {first.prior.name}, ") for each in told] == [1, 0]
+    assert told[1].count(f"No input should tell {others[0].prior.name}, ") == 1
 
 
 @pytest.mark.slow
@@ -290,7 +302,8 @@ def test_the_command_tells_and_writes(
     trial = simbias.load_trial(folder, config_dir=tmp_path / "identified" / "conf")
     assert trial.iterations[0].model.nominal.estimates
     write_csv(experiment(study.nominal, np.random.default_rng(0)), tmp_path / "two.csv")
-    assert main([*arguments, "--held-out", "two.csv", "--attach"]) == 1
+    files, overrides = arguments[:2], arguments[2:]
+    assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
     assert "Do not use it." in capsys.readouterr().out
     for wrong, said in (
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
