@@ -18,7 +18,7 @@ from scipy.linalg import block_diag, solve_discrete_are
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
-from simbias.simulation.linearization import STEP, advanced, derivatives
+from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
@@ -79,7 +79,8 @@ def lqr_policies(
             linear = _with_integrals(model, linear, integral_weight)
     except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
         return []
-    each = [lqr_gains(linear, weight * np.diag(model.task.input_limit**-2.0)) for weight in input_weights]
+    limit = input_scale(model.task)
+    each = [lqr_gains(linear, weight * np.diag(limit**-2.0)) for weight in input_weights]
     records = _records(model, linear, [gains for gains in each if gains is not None])
     imitations = [model.policy.imitating(states, inputs) for states, inputs in records]
     return [theta for theta in imitations if theta is not None]
@@ -89,25 +90,25 @@ def rest(model: Model, near: Array | None = None) -> tuple[Array, Array]:
     """States (n,) and inputs (m,) that the model keeps, nearest to zero, or to states (n,) without input."""
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
-    task = model.task
+    task, limit = model.task, input_scale(model.task)
     n, rates = len(task.states), 1 / task.time_step
     begin = np.zeros(n + len(task.inputs))
     begin[:n] = 0.0 if near is None else near
 
     def residuals(both: Array) -> Array:
-        x, u = both[:n], both[n:] * task.input_limit
+        x, u = both[:n], both[n:] * limit
         moved = model.nominal.step(x, u) + model.bias.correction(x, u) - x
         return np.concatenate([rates * moved, NEAR * (both - begin)])
 
     with np.errstate(all="ignore"):  # some of what it tries is absurd
         found = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12).x
-    return found[:n], found[n:] * task.input_limit
+    return found[:n], found[n:] * limit
 
 
 def linearised(model: Model) -> Linear:
     """The corrected model with its state, by central differences."""
     x, u = rest(model)
-    n, size, limit = len(x), model.nominal.state_size, model.task.input_limit
+    n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
     model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
     point = np.concatenate([x, model_state, u])
     steps = STEP * np.concatenate([np.ones(n + size), limit])
@@ -148,14 +149,14 @@ def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple
 
     The model begins at the task's starts, and random inputs excite it.
     """
-    task, rng = model.task, np.random.default_rng(SEED)
+    task, limit, rng = model.task, input_scale(model.task), np.random.default_rng(SEED)
     n, m, frames, r = len(task.states), len(task.inputs), task.frames(SECONDS), len(gains)
     s, excitation = np.zeros((r, RECORDS, len(linear.rest))), np.empty((r, frames, RECORDS, m))
     for one, noise in zip(s, excitation, strict=True):
         one[:, :n] = [task.draw_start(rng) - linear.rest[:n] for _ in range(RECORDS)]
-        noise[:] = EXCITATION * task.input_limit * rng.standard_normal(noise.shape)
+        noise[:] = EXCITATION * limit * rng.standard_normal(noise.shape)
         if linear.steady:
-            noise += linear.steady * task.input_limit * rng.standard_normal((RECORDS, m))
+            noise += linear.steady * limit * rng.standard_normal((RECORDS, m))
     states, inputs = np.empty((frames, r, RECORDS, n)), np.empty((frames, r, RECORDS, m))
     K = -np.reshape(gains, (r, m, s.shape[-1])).transpose(0, 2, 1)
     for t in range(frames):

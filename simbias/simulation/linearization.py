@@ -6,10 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from simbias.core import FittedBias, Nominal
+from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array
 
 STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
+
+
+def input_scale(task: Task) -> Array:
+    """The inputs' limits (m,); one unit where there is none, as of a state."""
+    return np.where(np.isfinite(task.input_limit), task.input_limit, 1.0)
 
 
 def derivatives(function: Callable[[Array], Array], points: Array, steps: Array) -> Array:

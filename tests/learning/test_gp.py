@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from in_lanes import corrections
+from point_mass import PointMass
 
 import simbias
 from simbias.config.build import build
@@ -15,6 +16,7 @@ from simbias.core.records import Array, Transitions
 from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.learning.bias.inducing import Inducing
+from simbias.learning.bias.lscde import LeastSquaresDensity
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import exact
 from simbias.simulation.compiler import LANES, compile_closed_loop
@@ -82,6 +84,16 @@ def test_kernel_takes_more_states_than_its_panels_have_rows() -> None:
     inputs = transitions.inputs[:LANES]
     plain = fitted.correction(inputs[:, :8], inputs[:, 8:])
     np.testing.assert_allclose(corrections(fitted, inputs, 8), plain, rtol=0, atol=1e-5)
+
+
+def test_an_input_without_a_limit_needs_a_scale() -> None:
+    """Over infinity, it would be ignored."""
+    task = PointMass()
+    task.input_limit = np.array([np.inf])
+    for bias in GaussianProcess, LeastSquaresDensity:
+        with pytest.raises(ValueError, match=r"^force has no limit that scales it: .* bias\.input_scale$"):
+            bias(task)
+    GaussianProcess(task, input_scale=[1.0, 1.0, 10.0])
 
 
 def test_without_data_the_kernel_is_that_of_no_bias() -> None:

@@ -52,6 +52,16 @@ def test_a_robot_rests_where_nothing_accelerates() -> None:
     assert 0.01 < np.abs(x).max() < 0.2
 
 
+def test_an_input_without_a_limit_weighs_as_one_of_a_unit() -> None:
+    policies = []
+    for limit in (1.0, np.inf):
+        model = point_mass()
+        model.task.input_limit = np.array([limit])
+        policies.append(lqr_policies(model))
+    assert len(policies[0]) == len(INPUT_WEIGHTS)
+    np.testing.assert_allclose(*policies, rtol=1e-9)
+
+
 def test_a_bias_moves_the_rest() -> None:
     """A steady wind of 2 N, as a bias, is what the force has to balance."""
 

@@ -12,6 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from simbias.core import Nominal, Samples, Task
 from simbias.core.ranges import Positive, Span, frames_in
 from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
+from simbias.simulation.linearization import input_scale
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ class Thresholds(Samples):
         if not count:
             return transitions
         places = transitions.inputs.copy()
-        places[:, len(self._task.states) :] /= self._task.input_limit
+        places[:, len(self._task.states) :] /= input_scale(self._task)
         chosen, distance = [0], np.linalg.norm(places - places[0], axis=1)
         while len(chosen) < count:
             chosen.append(int(np.argmax(distance)))
