@@ -52,6 +52,8 @@ from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
 
 ERROR, REFUSED = "error_", "refused_"
+TEST = -1  # in front of the place of a policy test's episode
+ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
 COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
 
@@ -72,6 +74,7 @@ class FolderRecord(Record):
         self._study = study
         self._writes = writes
         self._iterations: list[Iteration] = []
+        self.testing = False  # the last policy, whose episodes are no experiments of the method's
 
     @cached_property
     def _steps(self) -> Iterator[Path]:
@@ -118,14 +121,21 @@ class FolderRecord(Record):
         path = self._replayed(EXPERIMENT)
         if path is not None:
             rollout = _loaded(path, self._experiment)[0]
-            if not np.array_equal(rollout.parameters, theta):
+            if not self._fits(rollout, theta):
                 raise changed(path)
             return rollout
-        place = place_of(rng)
+        place = (TEST, *place_of(rng)) if self.testing else place_of(rng)
         superseded, withdrawn = self._former(theta, place)
         rollout = superseded or make(another(rng, withdrawn))
         self._keep(EXPERIMENT, lambda file: save_rollout(file, rollout, place))
         return rollout
+
+    def _fits(self, rollout: Rollout, theta: Array) -> bool:
+        """Whether an experiment is with theta (p,): on the trial's only platform to the last bit."""
+        kept = rollout.parameters
+        if self.folder.platforms() == [platform.kind()]:
+            return np.array_equal(kept, theta)
+        return kept.shape == theta.shape and np.allclose(kept, theta, rtol=ROUNDING, atol=ROUNDING)
 
     def _experiment(self, path: Path) -> tuple[Rollout, tuple[int, ...]]:
         """An experiment and its place, as a hardware can have made it; those of a test may be longer."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -24,6 +25,8 @@ from simbias.trial.record import FolderRecord
 from simbias.trial.replay import EndOfRecord
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, TrialSummary
+
+ENDED = "simbias: trial %s ended without what this command asks for, such as a test; seed=N makes another"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,9 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
         try:
             run.run()
             record = run.record(Outcome.SUCCEEDED if run.succeeded else Outcome.NOT_SUCCEEDED)
+        except EndOfRecord:
+            logging.getLogger(__name__).warning(ENDED, study.hash)
+            record = run.record(Outcome.NOT_SUCCEEDED)  # it is shown as it ended
         except Waiting as reason:
             record = run.record(Outcome.WAITING, words(reason))
         except (KeyboardInterrupt, GeneratorExit):
@@ -118,6 +124,8 @@ class _Run(Observer):
         if self._iterations:
             last, trying = self._iterations[-1], self._observers.trying
             designed, theta = study.designed_on(last.model), last.parameters
+            if self._kept is not None:
+                self._kept.testing = True
             self._policy_test = run_policy_test(designed, theta, study.policy_test, trying)
 
     @property

@@ -12,7 +12,7 @@ from in_numpy import predict_in_numpy
 from point_mass import InTheWind
 
 import simbias
-from simbias.core import Policy
+from simbias.core import Policy, platform
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures.trial.comparison import in_simulation
@@ -24,7 +24,7 @@ from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.observer import Observer
-from simbias.trial.run import run_trial
+from simbias.trial.run import read_trial, run_trial
 from simbias.trial.steps import experiment
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, iteration_summary
@@ -142,3 +142,26 @@ def test_lqr_of_the_identified_model_is_designed_again(
     for one, other in zip(first.iterations, again.iterations, strict=True):
         np.testing.assert_array_equal(one.parameters, other.parameters)
         np.testing.assert_array_equal(one.experiments[0].states, other.experiments[0].states)
+
+
+@pytest.mark.slow
+def test_a_computed_policy_is_read_back_on_another_platform(tmp_path: Path) -> None:
+    """Where its last bits are others; on the trial's own they say that its code has changed."""
+    study = simbias.load(["preset=cartpole", "method=lqr", "tracking=none"])
+    record, experiment = run_trial(study, tmp_path), tmp_path / "0000_experiment.npz"
+    with np.load(experiment) as kept:
+        arrays = dict(kept)
+    for factor, where, refused in (
+        (1 + 1e-9, "here", True),
+        (1 + 1e-9, "there", False),
+        (1.1, "there", True),
+    ):
+        np.savez(experiment, **{**arrays, "parameters": factor * arrays["parameters"]})
+        attempts = tmp_path / "attempts.jsonl"
+        if where == "there":
+            attempts.write_text(attempts.read_text().replace(platform.kind(), "another processor"))
+        if refused:
+            with pytest.raises(ConfigError, match="does not fit the trial"):
+                read_trial(study, tmp_path)
+        else:
+            assert read_trial(study, tmp_path).summary.experiments == record.summary.experiments

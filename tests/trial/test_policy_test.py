@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,6 +37,16 @@ def test_it_changes_nothing_in_a_trial() -> None:
     assert_equal(replace(record, policy_test=None, summary=same), without)
     frames = [each.frames for iteration in without.iterations for each in iteration.experiments]
     assert summary.hardware_seconds == pytest.approx(plain.task.time_step * sum(frames))
+
+
+def test_a_trial_that_has_ended_without_it_stays_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One line says so, and nothing is written."""
+    ended = run_trial(study(), tmp_path)
+    files = sorted(tmp_path.iterdir())
+    again = run_trial(study("policy_test.episodes=3"), tmp_path)
+    assert (again.summary, again.policy_test) == (ended.summary, None)
+    assert "ended without what this command asks for" in caplog.text
+    assert sorted(tmp_path.iterdir()) == files
 
 
 def test_its_starts_are_those_of_every_seed_and_its_episodes_are_experiments() -> None:

@@ -193,3 +193,16 @@ def test_a_lab_is_asked_anew(ended: Ended, tmp_path: Path) -> None:
     assert run_trial(asking, folder).outcome is Outcome.WAITING
     assert run_trial(asking, folder).outcome is Outcome.WAITING
     assert len(list((tmp_path / "requests").iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_an_episode_of_the_test_takes_the_place_of_no_experiment(tmp_path: Path) -> None:
+    """LQR's experiments and the test's episodes are spawned alike."""
+    lqr = ["preset=cartpole", "method=lqr", "policy_test.episodes=2"]
+    study = simbias.load([*lqr, "policy_test.long_episodes=1", "tracking=none", "seed=4"])
+    first = run_trial(study, tmp_path)
+    withdraw(tmp_path / "0000_experiment.npz")
+    again = run_trial(study, tmp_path)
+    for made, before in zip(again.iterations[0].experiments, first.iterations[0].experiments, strict=True):
+        assert made.frames == study.task.horizon
+        np.testing.assert_array_equal(made.states[0], before.states[0])
