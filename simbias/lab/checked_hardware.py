@@ -28,7 +28,7 @@ BEGIN_SECONDS = 0.2  # that a thread may take to begin
 MESSAGE_LENGTH = 250  # characters of an error that a hardware raises
 
 
-def ask(theta: Array, start: Array) -> bool:
+def ask(policy: Policy, theta: Array, start: Array) -> bool:
     """Ask a person whether the hardware may be used; without a terminal it may not."""
     try:
         answer = input("Run this experiment, and those that follow, on the hardware? [y/N] ")
@@ -52,13 +52,13 @@ class ExperimentConditions:
     confirm
         Whether a person is asked before the first experiment.
     ask
-        Asks whether theta (p,) may be run from a start (n,).
+        Asks whether a policy with theta (p,) may be run from a start (n,).
     """
 
     timeout: float | None = None
     safety: Safety = NO_LIMITS
     confirm: bool = False
-    ask: Callable[[Array, Array], bool] = ask
+    ask: Callable[[Policy, Array, Array], bool] = ask
 
 
 DEFAULT_CONDITIONS = ExperimentConditions()
@@ -144,7 +144,7 @@ class CheckedHardware(Hardware):
     def _make(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """Make an experiment on the hardware."""
         if self._ask is not None:
-            if not self._ask(theta, start):
+            if not self._ask(policy, theta, start):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
             self._ask = None
         start, targets = np.split(start, [len(self._task.states)])

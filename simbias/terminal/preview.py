@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
+from simbias.core import Policy, Waiting
+from simbias.core.records import Array
 from simbias.lab.safety import Bounds
 from simbias.pictures.elements.style import save
 from simbias.pictures.preview import preview as picture
@@ -36,9 +41,7 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
             study = build(compose(overrides, config_dir, allow))
             rehearse(study)
         say(console, "Searching the trial's first policy; no experiment is made ...")
-        request = study.ask()
-        assert request is not None  # a trial begins with one
-        prediction = predict(study, request.theta, request.start)
+        prediction = first_prediction(study)
     bounds = study.conditions.safety.bounds(study.task)
     for line in describe(study, prediction, bounds):
         say(console, line)
@@ -47,6 +50,21 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
     except OSError as error:
         raise ConfigError(FILE, f"cannot be written ({error.strerror})") from error
     say(console, f"Look at it:  {FILE}")
+
+
+def first_prediction(study: Study) -> Prediction:
+    """What the first experiment of a trial will do, on the model that its policy is searched on."""
+    asked: list[tuple[Policy, Array, Array]] = []
+
+    def refuse(*experiment: Any) -> bool:
+        asked.append(experiment)
+        return False
+
+    conditions = replace(study.conditions, confirm=True, ask=refuse)
+    with suppress(Waiting):
+        next(replace(study, conditions=conditions).run())
+    policy, theta, start = asked[0]
+    return predict(replace(study, policy=policy), theta, start, nominal=study.first_model().nominal)
 
 
 def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[str]:

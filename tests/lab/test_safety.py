@@ -22,7 +22,9 @@ from simbias.core.commands import SUCCEEDED, WAITING
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
+from simbias.terminal.preview import first_prediction
 from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
+from simbias.trial.observer import Observer
 from simbias.trial.prediction import DRAWS, predict
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -198,6 +200,21 @@ def test_preview_shows_and_draws_the_first_experiment(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
+@pytest.mark.parametrize("preset", ["[pendulum_swingup,scratch]", "reacher"])
+def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -> None:
+    """A network's, or one that plays random inputs before there is one; with targets that a start has."""
+    quick = ["evaluation.rollouts=1", "optimizer.explorations=4", "optimizer.max_evaluations=8"]
+    study = simbias.load([f"preset={preset}", "tracking=none", "task.horizon=50", *quick])
+    prediction, made, observer = first_prediction(study), list[Rollout](), Observer()
+    observer.experimented = made.append  # type: ignore[method-assign]
+    next(study.run(observer))
+    np.testing.assert_allclose(prediction.expected.states[0], made[0].states[0])
+    np.testing.assert_allclose(prediction.expected.inputs[0], made[0].inputs[0], atol=0.5)  # N m; it is noisy
+    assert len(prediction.draws) == DRAWS
+
+
+@pytest.mark.slow
 def test_a_person_is_asked_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     answers: tuple[tuple[Any, int], ...] = (("y", SUCCEEDED), ("no", WAITING), (EOFError(), WAITING))
     for answer, status in answers:
@@ -221,7 +238,7 @@ def test_a_person_is_asked_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 def test_what_is_replayed_is_not_asked_for(point_mass: Study, tmp_path: Path) -> None:
     starts: list[Array] = []
 
-    def allow_first(theta: Array, start: Array) -> bool:
+    def allow_first(policy: Policy, theta: Array, start: Array) -> bool:
         starts.append(start)
         return len(starts) == 1
 
