@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 import simbias
 from simbias.core.cache import cache_folder
 from simbias.trial.study import Study
+from simbias.trial.warm_up import warm_up
 
 ROOT = Path(__file__).resolve().parent.parent
 OWN_CONF = ROOT / "notebooks" / "examples" / "conf"
@@ -81,7 +82,7 @@ def _compiled(request: pytest.FixtureRequest) -> None:
     biases = ("gp", "none") if os.environ.get("PYTEST_XDIST_WORKER") != "gw1" else ("none", "gp")
     for bias in biases:
         with FileLock(cache_folder("closed_loops") / f"tests_{bias}.lock"):
-            simbias.load(["tracking=none", f"bias={bias}"]).warm_up()
+            warm_up(simbias.load(["tracking=none", f"bias={bias}"]))
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from simbias.core import Model
+from simbias.core import Model, Policy
 from simbias.core.messages import brief
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
@@ -96,17 +96,17 @@ class TrialConsole(Observer):
         words = f"hardware experiment {self._experiments + 1} under way"
         self._progress.update(self._bar, description=words, completed=0, best="", visible=True)
 
-    def ask(self, theta: Array, start: Array) -> bool:
+    def ask(self, policy: Policy, theta: Array, start: Array) -> bool:
         """Show what is predicted of an experiment, and ask whether it may be made, on a screen at rest."""
         from simbias.terminal.preview import describe
 
         self._progress.stop()
-        study, model = self._study, self._model
+        study, model = replace(self._study, policy=policy), self._model
         bias, nominal = (model.bias, model.nominal) if model else (None, None)
         bounds = study.conditions.safety.bounds(study.task)
         for line in describe(study, predict(study, theta, start, bias, nominal), bounds):
             say(self._console, line)
-        allowed = ask(theta, start)
+        allowed = ask(policy, theta, start)
         self._progress.start()
         return allowed
 
@@ -158,6 +158,9 @@ class TrialConsole(Observer):
             say(self._console, f"{withdrawal}.", "yellow")
         for finding in summary.findings:
             say(self._console, finding)
+        if record.unfinished:
+            made = "  ".join(map(self._experiment_text, record.unfinished))
+            say(self._console, f"Experiments of an iteration that did not end: {made.strip()}.")
         if where:
             say(self._console, f"Look at it:  {where}")
 

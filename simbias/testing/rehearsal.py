@@ -8,6 +8,7 @@ from simbias.core.error_origin import is_own, told
 from simbias.core.errors import ConfigError
 from simbias.testing.conformance import verdicts
 from simbias.trial.study import Study
+from simbias.trial.warm_up import warm_up
 
 LEAST_SECONDS = 0.01  # of an experiment: in less nothing can fail, and every policy would succeed
 GROUPS = ("task", "nominal", "policy")  # whose checks take milliseconds
@@ -34,7 +35,7 @@ def rehearse(study: Study) -> None:
             raise ConfigError("", verdict.problem) from verdict.error
     try:
         with threadpool_limits(1, user_api="blas"):  # as in a trial
-            study.warm_up()
+            warm_up(study)
     except KeyboardInterrupt:
         raise
     except BaseException as error:

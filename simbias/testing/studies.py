@@ -7,6 +7,7 @@ import numpy as np
 from simbias.core.records import Rollout
 from simbias.testing.expectations import check, equal, expect, inputs, robot_states, rollout
 from simbias.trial.study import Study
+from simbias.trial.warm_up import warm_up
 
 SECONDS = 0.2  # of a rollout that is learned from
 
@@ -36,7 +37,7 @@ def _fits_motion_and_rest(study: Study) -> None:
 
 @check("identification", "a trial's warm-up: a rollout is simulated, learned from, and a policy evaluated")
 def _warms_up(study: Study) -> None:
-    study.warm_up()
+    warm_up(study)
 
 
 @check("cost", "the cost of a longer horizon, where the evaluation simulates one (evaluation.seconds)")

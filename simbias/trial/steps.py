@@ -42,7 +42,13 @@ def search(
     before. The best one is returned, with the evaluations of all. Each first evaluates the last policies
     (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the best of
     some trajectories (`simbias.search.optimizer.ilqr`) of the model, or without its bias if it has none.
+
+    Raises
+    ------
+    BudgetSpent
+        If its policy could not be tried.
     """
+    study.check_budget()
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -24,7 +23,6 @@ from simbias.core import (
     Policy,
     Samples,
     Simulator,
-    SlowWarning,
     Task,
 )
 from simbias.core.records import Array, Iteration, Rollout, Selection, Transitions
@@ -37,8 +35,6 @@ from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.policy_test import NO_TEST, PolicyTest
 from simbias.trial.replay import Record, ReplayedOptimizer
-
-WARM_UP = 0.2  # s of a rollout that is learned from, so that what learns is compiled
 
 
 class Origin(Protocol):
@@ -166,14 +162,24 @@ class Study:
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
         watching = observer or Observer()
-        if self.spending is not None:
-            self.spending.check()
+        self.check_budget()
         watching.experimenting(theta, begin)
         rollout = self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
         if self.spending is not None:
             self.spending.add(rollout.frames * self.task.time_step)
         watching.experimented(rollout)
         return rollout
+
+    def check_budget(self) -> None:
+        """Refuse what leads to another experiment if a trial's budget is spent.
+
+        Raises
+        ------
+        BudgetSpent
+            Then.
+        """
+        if self.spending is not None:
+            self.spending.check()
 
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: as the task says or, where it does not, the cost."""
@@ -272,26 +278,6 @@ class Study:
         """Rollouts with the states of the robot alone: nothing is learned of targets."""
         n = len(self.task.without_targets.states)
         return [rollout.of_states(n) for rollout in rollouts]
-
-    def warm_up(self) -> None:
-        """Compile what a simulated rollout and a search need, so that none begins with it."""
-        theta, rng = np.clip(0.0, *self.policy.bounds), np.random.default_rng(0)
-        n, m = len(self.task.without_targets.states), len(self.task.inputs)
-        some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))
-        self._warm_up(self.no_data, theta, rng)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SlowWarning)  # which has just been given
-            self._warm_up(some_data, theta, rng)  # a bias may have another kernel once it has learned
-
-    def _warm_up(self, data: Transitions, theta: Array, rng: np.random.Generator) -> None:
-        """Compile what is needed with the bias that is learned from some data."""
-        fitted_bias = self.bias.fit(data)
-        rollout = self.simulate(theta, fitted_bias)
-        if len(data):
-            frames = min(self.task.frames(WARM_UP), rollout.frames)
-            moved = self.of_robot([rollout.part(0, frames)])
-            self.bias.learn(data, moved, self.identified(moved))
-        self.evaluation.objective(self.model(fitted_bias), self.cost, rng)(theta)
 
     def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:
         """D, the union of all D_i (line 13): residuals against an (identified) nominal model."""

@@ -21,6 +21,7 @@ import simbias
 from simbias.core.records import Array
 from simbias.trial.policy_test import PolicyTest, run_policy_test
 from simbias.trial.study import Study
+from simbias.trial.warm_up import warm_up
 
 SEEDS = range(10)
 STARTS = 20
@@ -36,7 +37,7 @@ def balanced_starts(study: Study, theta: Array, starts: int = STARTS) -> int:
 def measure(seed: int, overrides: Sequence[str]) -> dict[str, Any]:
     """One trial, and its first and last policy on other starts."""
     study = simbias.load(["tracking=none", *overrides, f"seed={seed}"])
-    study.warm_up()
+    warm_up(study)
     began = time.perf_counter()
     iterations = list(study.run())
     seconds = time.perf_counter() - began

@@ -23,6 +23,7 @@ from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
+from simbias.trial.warm_up import warm_up
 
 SCALE = np.array([0.2, 0.2, 0.2, 1.0, 1.0, 1.0, 30.0])  # of plausible states and torques
 
@@ -173,7 +174,7 @@ def test_repeated_points_need_jitter_and_get_it() -> None:
 def test_warming_up_compiles_what_a_search_needs_once_something_is_learned(study: Study) -> None:
     """The kernel is another one with data; none of it is left for the first search through it."""
     compile_closed_loop.cache_clear()
-    study.warm_up()
+    warm_up(study)
     before = compile_closed_loop.cache_info().misses
     for transitions in (study.no_data, data(30)):
         model = study.model(study.bias.fit(transitions))

@@ -18,6 +18,7 @@ from simbias.core.records import Array, Rollout
 from simbias.testing.conformance import verdicts
 from simbias.testing.expectations import rollout
 from simbias.trial.study import Study
+from simbias.trial.warm_up import warm_up
 
 FEW = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=2"]
 
@@ -50,7 +51,7 @@ def test_what_rests_without_inputs_is_warmed_up(monkeypatch: pytest.MonkeyPatch)
     predict_in_numpy(monkeypatch)
     study = pendulum("identification=posterior", "bias=window_gp", "task.horizon=120", *FEW)
     assert not study.simulate(np.zeros(study.policy.n_parameters)).states.any()
-    study.warm_up()
+    warm_up(study)
     assert problems(study, "identification") == []
 
 
@@ -59,7 +60,7 @@ def test_the_warm_up_keeps_to_the_policys_box() -> None:
     study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
     policy, evaluation = copy(study.policy), Noting()
     policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
-    replace(study, policy=policy, evaluation=evaluation).warm_up()
+    warm_up(replace(study, policy=policy, evaluation=evaluation))
     np.testing.assert_array_equal(evaluation.thetas, np.full((2, policy.n_parameters), 0.5))
 
 

@@ -32,7 +32,12 @@ def spending(study: Study, budget: Budget) -> Study:
 
 @pytest.mark.slow
 def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path) -> None:
-    for budget, made in ((Budget(experiments=3), 3), (Budget(seconds=1e-3), 1), (Budget(), 10)):
+    for budget, made in (
+        (Budget(experiments=3), 3),
+        (Budget(experiments=4), 4),
+        (Budget(seconds=1e-3), 1),
+        (Budget(), 10),
+    ):
         study = spending(point_mass, budget)
         folder = tmp_path / str(made)
         record = run_trial(study, folder)
@@ -41,6 +46,7 @@ def test_no_experiment_begins_once_it_is_spent(point_mass: Study, tmp_path: Path
         assert record.summary.max_experiments == (budget.experiments or 10)
         assert record.summary.experiments_until_success == (budget.experiments or 10)
         assert len(record.iterations) == made // 2
+        assert len(list(folder.glob("*_search.json"))) == (made + 1) // 2  # none whose policy cannot be tried
         again = read_trial(study, folder)
         assert (again.summary, len(again.unfinished)) == (record.summary, made % 2)
 
