@@ -23,6 +23,9 @@ ENDS = "recording_ends"
 class Recorded(Hardware):
     """Experiment i of a trial is recording i, again from the first one after the last.
 
+    Experiments that a policy was allowed and did not need count: the second policy of an iteration of two that
+    ended with the first is tried by the third recording.
+
     A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
     Between samples, states and inputs change linearly; they are read off in each frame of the task, up to its
     horizon (`simbias.lab.recording`). One that is shorter counts as failed in its last frame.
@@ -32,7 +35,7 @@ class Recorded(Hardware):
     folder
         Where the recordings are.
     files
-        Their names, in order; by default every file of the folder, by name.
+        Their names, in order; by default every CSV file of the folder, by name.
     columns
         The name of the column of `time` (s), and of each state and input, by default its own, with its unit
         behind it if that is not the task's (`q1 [deg]`); of a ROS bag or an MCAP file `/topic.field[0]`.

@@ -258,3 +258,24 @@ def test_resampling_keeps_the_integral_of_inputs_and_lines_of_states(steps: list
     exact = np.sum(held * inputs[:-1, 0])
     jitter = 0.26 * TASK.time_step * 10  # rows on time to a quarter of a frame are taken as they are
     assert abs(TASK.time_step * rollout.inputs.sum() - exact) <= jitter + 1e-9
+
+
+def test_what_fails_behind_the_horizon_has_lasted(tmp_path: Path) -> None:
+    """A recording may run on, until somebody catches the robot."""
+    later, within = moving(rows=len(TIMES) + 5), moving(rows=len(TIMES))
+    for text, failed_at in ((later, None), (within, TASK.horizon)):
+        named = [*text[:-1], f"{text[-1].removesuffix(',')},caught"]
+        assert read(written(tmp_path, named), REQUEST).failed_at == failed_at
+
+
+def test_nothing_acts_after_the_last_frame(tmp_path: Path) -> None:
+    """Its inputs may be blank where zero is none that is allowed."""
+
+    class Pushed(PointMass):
+        input_bounds = (np.array([1.0]), np.array([5.0]))
+
+    task, times, (states, _) = Pushed(horizon=20), TIMES, motion(TIMES)
+    text = lines(HEADER, np.column_stack([times, states, np.full(len(times), 2.0)]))
+    blank = ",".join([*text[-1].split(",")[:3], "", ""])
+    rollout = read(written(tmp_path, [*text[:-1], blank]), requested(task, np.array([0.5, -1.0])))
+    np.testing.assert_allclose(rollout.inputs, 2.0)

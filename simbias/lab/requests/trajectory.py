@@ -116,7 +116,7 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
     times = recording.times - recording.times[0]
     _check_start(recording.states, rows, request, source)
     _check_times(times, rows, task, source)
-    _check_inputs(recording.inputs, rows, request, source)
+    _check_inputs(recording.inputs[:-1], rows, request, source)  # nothing acts after the last frame
     frames = np.arange(math.floor(times[-1] / task.time_step + JITTER) + 1)[: task.horizon + 1]
     wanted = frames * task.time_step
     if len(times) >= len(frames) and np.all(np.abs(times[: len(frames)] - wanted) <= JITTER * task.time_step):
@@ -124,7 +124,9 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
     else:
         states = np.stack([np.interp(wanted, times, column) for column in recording.states.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
-    return _ended(states, inputs, recording.failure, request, f"{source}: row {rows[-1]}")
+    within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
+    failure = recording.failure if within else None
+    return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
 
 
 def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
