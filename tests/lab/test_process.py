@@ -30,6 +30,7 @@ from simbias.core.records import Rollout
 from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
 from simbias.lab.requests import process
 from simbias.lab.requests.process import Process
+from simbias.lab.requests.program import alone
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
@@ -248,3 +249,16 @@ def test_an_experiment_does_not_wait_for_ever_for_another_one(
             replace(point_mass, hardware=shared).experiment(THETA, np.random.default_rng(1), START)
         os.kill(holder, signal.SIGTERM)
         wait_for(lambda: not runs(pids(tmp_path)[0]), 2.0)
+
+
+def test_a_robot_is_held_for_every_user_of_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In whatever environment: the lock lies among temporary files, and anybody may open it."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    for _ in range(2):
+        with alone(["drive", "robot"], 0.1):
+            (lock,) = tmp_path.iterdir()
+            assert lock.stat().st_mode & 0o777 == 0o666
+            with pytest.raises(HardwareError, match="still runs"), alone(["drive", "robot"], 0.0):
+                pass

@@ -8,6 +8,7 @@ import logging
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +17,6 @@ from pathlib import Path
 from typing import IO
 
 from simbias.core import HardwareError
-from simbias.core.cache import cache_folder
 from simbias.lab.requests import supervisor
 
 MOST_OUTPUT = 2**26  # bytes of standard output, and of standard error
@@ -115,7 +115,7 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
     import fcntl
 
     name = hashlib.sha256(json.dumps(list(command)).encode()).hexdigest()[:16]
-    with (Path(cache_folder("robots")) / f"{name}.lock").open("a+") as file:
+    with _shared_file(Path(tempfile.gettempdir(), f"simbias_robot_{name}.lock")) as file:
         until, waits = time.monotonic() + seconds, False
         while True:
             try:
@@ -135,8 +135,19 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
         yield file
 
 
+def _shared_file(path: Path) -> IO[str]:
+    """A file that every user of this machine may open, in whatever environment."""
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CREAT, 0o666)
+        os.fchmod(handle, 0o666)  # whatever the umask
+    return os.fdopen(handle, "r+")
+
+
 def note(file: IO[str], pid: int) -> None:
     """Write into a held file which process to end."""
-    file.truncate(0)
+    file.seek(0)
+    file.truncate()
     file.write(f"{pid}\n")
     file.flush()
