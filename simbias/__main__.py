@@ -124,11 +124,14 @@ def _of_recordings(parsed: argparse.Namespace) -> Request:
     from simbias.recordings.reading import columns
     from simbias.terminal.identify import Request
 
-    places = [word for word in parsed.words if "=" not in word or os.path.exists(word)]
-    overrides = [word for word in parsed.words if word not in places]
+    def are_places(words: Sequence[str]) -> list[str]:
+        return [word for word in words if "=" not in word or os.path.exists(word)]
+
+    places, held_out = are_places(parsed.words), are_places(parsed.held_out)
+    overrides = [word for word in (*parsed.words, *parsed.held_out) if word not in (*places, *held_out)]
     named = columns(parsed.columns) if parsed.columns else None
     folder = Path(parsed.into)
-    return Request(places, parsed.held_out, overrides, named, folder, parsed.config_dir, parsed.allow)
+    return Request(places, held_out, overrides, named, folder, parsed.config_dir, parsed.allow)
 
 
 def _withdraw(parsed: argparse.Namespace) -> int:

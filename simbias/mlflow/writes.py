@@ -39,7 +39,7 @@ def flush(
         with workplace.temporary_folder() as folder:
             for name, content in files.items():
                 path = Path(folder, name)
-                path.parent.mkdir(exist_ok=True)
+                path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content) if isinstance(content, bytes) else shutil.copyfile(content, path)
             client.log_artifacts(run_id, folder)
     params = [Param(key, value) for key, value in parameters.items()]

@@ -7,8 +7,10 @@ import time
 import warnings
 import zipfile
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from socket import gethostname
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from simbias.config import Composition
@@ -45,16 +47,18 @@ class Result(NamedTuple):
 
 
 def run_plan(plan: Plan) -> Result:
-    """Run or resume a trial."""
-    with warnings.catch_warnings():
+    """Run or resume a trial; without a shared disk in a folder of its own, as only what is sent counts."""
+    apart = bool(plan.marker) and not Path(plan.marker).exists()
+    folder = None if plan.folder is None else Path(plan.folder)
+    with warnings.catch_warnings(), ExitStack() as stack:
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
-        folder = None if plan.folder is None else Path(plan.folder)
-        apart = bool(plan.marker) and not Path(plan.marker).exists()
         try:
-            if folder is not None and not apart and not folder.parent.exists():
+            if folder is not None and apart:
+                folder = Path(stack.enter_context(TemporaryDirectory()), folder.name)
+                if plan.kept:
+                    unpack(plan.kept, folder)
+            elif folder is not None and not folder.parent.exists():
                 return lost(GONE.format(folder.parent))
-            if folder is not None and apart and plan.kept:
-                unpack(plan.kept, folder)
             study = build(plan.composition)
             theirs = code(plan.composition) if plan.code else {}  # some may be loaded there or here alone
             if other := [
@@ -66,11 +70,11 @@ def run_plan(plan: Plan) -> Result:
                 from simbias.pictures.trial.gallery import illustrate  # lazily: most trials have none
 
                 illustrate(record, folder, plan.pictures)
+            packed = pack(folder) if folder is not None and apart else b""
         except KeyboardInterrupt:
             raise
         except BaseException as error:
             return lost(with_type(error) + _where(apart))
-    packed = pack(folder) if folder is not None and apart else b""
     return Result(record.summary, "" if folder else record.traceback, packed)
 
 

@@ -238,6 +238,8 @@ def test_a_trial_is_shown_while_it_runs(folder: Path) -> None:
 
 def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None:
     record = run_trial(study(), at(folder))
+    (at(folder) / "videos" / "of today").mkdir(parents=True)
+    (at(folder) / "videos" / "of today" / "1.mp4").write_bytes(b"what a person put there")
     export_all(folder)
     client = MlflowClient(uri(folder))
     (run,) = found_runs(client, "params.seed = '0'")

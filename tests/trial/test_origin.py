@@ -67,6 +67,7 @@ states: {angle: {unit: rad, kind: angle, mean: 0.1}, rate: {unit: rad/s, kind: v
 inputs: {torque: {unit: N m, limit: 1.0}}
 failure: {far: {value: abs(angle), above: 1.0, unit: rad, words: too far}}
 figure: {file: robot.xml}
+reference: path.csv
 """
 ROD = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.5\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
@@ -79,6 +80,8 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, 
         "robot.xml": ROBOT,
         "parts.xml": '<mujoco><asset><mesh name="rod" file="rod.obj"/></asset></mujoco>',
         "shapes/rod.obj": ROD,
+        "path.csv": "t,angle\n0,0.1\n0.5,0.1\n",
+        "policy.json": '{"parameters": [0.5, 0.0]}',
         "recordings/1.csv": "time,angle,rate,torque\n0,0.1,0,0\n1,0.1,0,0\n",
         "conf/task/mine.yaml": TASK,
         "conf/nominal/mine.yaml": "_target_: simbias.robots.mujoco.model.Mujoco\nfile: robot.xml\n",
@@ -88,6 +91,7 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, 
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     overrides = ["task=mine", "nominal=mine", "hardware=recorded", "cost=acrobot", "samples=thresholds"]
+    overrides += ["method=model_based", f"method.first_policy={tmp_path / 'policy.json'}"]
     study = simbias.load([*overrides, "bias=none", "tracking=none", "optimizer.max_evaluations=5"], conf)
     run_trial(study, tmp_path / "trial")
     assert changed_since(study, tmp_path / "trial") == ""

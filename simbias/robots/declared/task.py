@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -122,6 +123,7 @@ class Declared(Task):
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
         ]
+        self.source_files += [Path(reference)] if reference else []
         self._set_drawing(dict(drawing or {}))
 
     def _set_states(

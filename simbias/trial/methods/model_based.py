@@ -100,6 +100,11 @@ class ModelBased(Method):
             problem = f"{self.passes} are fewer than the {self.experiments} experiments of an iteration"
             raise ValueError(f"passes: {problem}")
 
+    @property
+    def source_files(self) -> list[Path]:
+        """The first policy's file, if it is there."""
+        return [file for file in map(Path, filter(None, [self.first_policy])) if file.is_file()]
+
     @cached_property
     def max_experiments(self) -> int:
         """Hardware experiments of a trial that never succeeds, at most."""
