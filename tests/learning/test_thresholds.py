@@ -80,6 +80,10 @@ def test_the_failing_contact_is_rejected_by_its_own_criterion(study: Study) -> N
     selection = Thresholds(study.task, stride=1, residual=1.0).select([failed], study.nominal)
     assert selection.rejected["board_leaves_wheel"] == 1
     assert len(selection.transitions) == rollout.frames - 1
+    unsafe = replace(failed, failure="unsafe_rate_of_force")  # no criterion of the task
+    others = Thresholds(study.task, stride=1, residual=1.0).select([unsafe], study.nominal)
+    assert others.rejected == {**dict.fromkeys(selection.rejected, 0), "other_failure": 1}
+    assert others.sampled == len(others.transitions) + 1
 
 
 # Measured states

@@ -14,6 +14,8 @@ from simbias.core.ranges import Positive, Span, frames_in
 from simbias.core.records import Array, Indices, Rollout, Selection, Transitions
 from simbias.simulation.linearization import input_scale
 
+OTHERS = "other_failure"  # what failed by a criterion that is not the task's, as of a hardware's own
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -93,6 +95,8 @@ class Thresholds(Samples):
             transitions = self._spread(self._union(candidates, 1), len(transitions))
         frames = sum(rollout.frames for rollout in rollouts)
         rejected = {name: verdicts.count(index) for index, name in enumerate(self._limits)}
+        if others := verdicts.count(len(rejected)):
+            rejected[OTHERS] = others
         return Selection(transitions, frames, len(verdicts), rejected, self._why_none(rollouts))
 
     def _window_of(self, rollout: Rollout) -> int:
