@@ -25,6 +25,8 @@ from simbias.simulation.compiler import (
     of_nominal,
 )
 
+SOME = 5  # frames that tell whether a model remembers states
+
 
 @dataclass(frozen=True, eq=False)
 class Windows:
@@ -111,6 +113,8 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
     correct = constant(np.zeros(n)) if bias is None else of_bias(bias, points).kernel
     if correct is None or any(each is None or each.function is not kernels[0].function for each in kernels):
         return plain(models, windows, bias)
+    if _remembers_states(models[0].nominal, windows):
+        return plain(models, windows, bias)
     offsets = [np.zeros(n) if model.offset is None else model.offset for model in models]
     return _compiled(
         windows,
@@ -120,6 +124,14 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
         np.array(offsets),
         models[0].nominal.state_size,
     )
+
+
+def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
+    """Whether a model's memory follows from states: compiled, it would from predicted, not recorded ones."""
+    if not nominal.state_size:
+        return False
+    x, u = windows.states[:SOME], windows.inputs[:SOME]
+    return not np.array_equal(nominal.model_states(x, u), nominal.model_states(x + 1.0, u))
 
 
 def _compiled(

@@ -44,6 +44,23 @@ def _lagging(x, u, parameters, memory):
     return (x[0] + 0.01 * velocity, velocity), (force,)
 
 
+class Integrating(Lagging):
+    """A mass whose memory is the integral of its position, which pulls it back."""
+
+    def __init__(self, share: float) -> None:
+        self.kernel = Kernel(_integrating, np.array([share]))
+
+    def advance(self, x: Array, u: Array, memory: Array) -> tuple[Array, Array]:
+        assert self.kernel is not None
+        velocity = x[..., 1] + 0.01 * (u - self.kernel.parameters[0] * memory)[..., 0]
+        return np.stack([x[..., 0] + 0.01 * velocity, velocity], axis=-1), memory + x[..., :1]
+
+
+def _integrating(x, u, parameters, memory):
+    velocity = x[1] + 0.01 * (u[0] - parameters[0] * memory[0])
+    return (x[0] + 0.01 * velocity, velocity), (memory[0] + x[0],)
+
+
 def models(study: Study) -> list[PredictionModel]:
     rng = np.random.default_rng(1)
     return [
@@ -70,6 +87,16 @@ def test_memory_runs_on_where_the_state_is_reset() -> None:
     np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
     np.testing.assert_allclose(alone[0, 0], made[0, 2], rtol=1e-12)  # without a lag, all is in x
     assert np.abs(alone[2, 0] - made[2, 2]).max() > 1e-3
+
+
+def test_memory_of_states_is_that_of_the_record() -> None:
+    """Not of what was predicted before the state was reset."""
+    rng = np.random.default_rng(0)
+    windows = Windows.of([Rollout(rng.standard_normal((51, 2)), rng.standard_normal((50, 1)))], 10, 5)
+    models = [PredictionModel(Integrating(share)) for share in (1.0, 2.0)]
+    with interpreted():
+        made = predict(models, windows)
+    np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
 
 
 def test_a_prediction_is_the_models_steps(study: Study) -> None:
