@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -94,13 +95,20 @@ def correlation_time(e: Array, experiments: Indices) -> float:
 
     The sum over lags ends with the last positive pair (C. J. Geyer, Statistical Science 7, 1992).
     """
-    sums = np.zeros(max(np.bincount(experiments)))
-    for experiment in np.unique(experiments):
-        own = e[experiments == experiment]
-        for lag in range(len(own)):
-            sums[lag] += np.sum(own[lag:] * own[: len(own) - lag])
-    time, lag = 1.0, 1
-    while lag + 1 < len(sums) and sums[lag] + sums[lag + 1] > 0 < sums[0]:
-        time += 2.0 * float(sums[lag] + sums[lag + 1]) / float(sums[0])
+    own = [e[experiments == each] for each in np.unique(experiments)]
+    time, lag, square = 1.0, 1, _lagged(own, 0)
+    while lag + 1 < max(map(len, own)) and square > 0:
+        pair = _lagged(own, lag) + _lagged(own, lag + 1)
+        if pair <= 0:
+            break
+        time += 2.0 * pair / square
         lag += 2
     return time
+
+
+def _lagged(errors: Sequence[Array], lag: int) -> float:
+    """Sum of products of errors (w, d) of each experiment with those this number of windows later."""
+    total = 0.0
+    for own in errors:
+        total += float(np.sum(own[lag:] * own[: max(len(own) - lag, 0)]))
+    return total
