@@ -73,9 +73,6 @@ class Spring(Policy):
         force = theta[..., 2:] - np.sum(theta[..., :2] * x, axis=-1, keepdims=True)
         return np.clip(force, -self._limit, self._limit), policy_state
 
-    def outputs(self, x: Array) -> Array:
-        return x.copy()
-
 
 class EveryFifth(Samples):
     def select(self, rollouts: Sequence[Rollout], nominal: Nominal) -> Selection:

@@ -39,10 +39,6 @@ class Policy(ABC):
         and return the policy state as it came.
         """
 
-    @abstractmethod
-    def outputs(self, x: Array) -> Array:
-        """The feedback quantities z (..., q) of the policy at states x (..., n)."""
-
     def designed_on(self, nominal: Nominal) -> Self:
         """The policy, what it takes from the model being that of this one, as identified; by default itself.
 

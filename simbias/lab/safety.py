@@ -173,10 +173,6 @@ class SafetyLimitedPolicy(Policy):
         beyond = np.where(self._task.measure(x) <= limits, 0.0, np.nan)
         return u + beyond.sum(axis=-1, keepdims=True), policy_state
 
-    def outputs(self, x: Array) -> Array:
-        """The policy's outputs z (..., q) at states x (..., n)."""
-        return self.policy.outputs(x)
-
     def law(self, theta: Array) -> Law:
         """The policy's law."""
         return self.policy.law(theta)

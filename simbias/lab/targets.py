@@ -27,10 +27,6 @@ class WithTargets(Policy):
         """Inputs u (..., m) at the robot's states x (..., n), and the policy state for the next frame."""
         return self._policy.act(theta, self._seen(x), t, policy_state)
 
-    def outputs(self, x: Array) -> Array:
-        """The feedback quantities z (..., q) at the robot's states x (..., n)."""
-        return self._policy.outputs(self._seen(x))
-
     def law(self, theta: Array) -> Law:
         """The policy's law, with the targets."""
         law = self._policy.law(theta)

@@ -94,7 +94,7 @@ class DynamicOutputFeedback(Policy):
         """Inputs u (..., m) at states x (..., n), and y (q), rho w (q), last inputs (m d)."""
         q, m, d = self._q, self._m, self._delay
         H, smoothing, gathering, g, u_0 = self._parameters(theta)
-        z = self.outputs(x)
+        z = self._task.output(x)
         before, w, past = policy_state[..., :q], policy_state[..., q : 2 * q], policy_state[..., 2 * q :]
         y = before + smoothing * (z - before)
         past = past.reshape(*past.shape[:-1], m, d)
@@ -105,16 +105,12 @@ class DynamicOutputFeedback(Policy):
         kept = [y, w + gathering * y * free, sent.reshape(*sent.shape[:-2], m * d)]
         return u, np.concatenate(kept, axis=-1)
 
-    def outputs(self, x: Array) -> Array:
-        """Outputs z (..., q) at states x (..., n)."""
-        return self._task.output(x)
-
     def imitating(self, states: Array, inputs: Array) -> Array:
         """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n).
 
         They have no filter; of several integrals, rho is the one that comes nearest to all.
         """
-        z, ones = self.outputs(states), np.ones((*states.shape[:2], 1))
+        z, ones = self._task.output(states), np.ones((*states.shape[:2], 1))
         w = np.pad(np.cumsum(self.integrated(states), axis=1), ((0, 0), (1, 0), (0, 0)))[:, :-1]
         H, g, u_0, G = [], [], [], []
         for u in np.moveaxis(inputs, -1, 0):
@@ -133,7 +129,7 @@ class DynamicOutputFeedback(Policy):
 
     def integrated(self, x: Array) -> Array:
         """The outputs (..., i) that are integrated, at states x (..., n)."""
-        return self.outputs(x)[..., (self._integrated > 0) & self._integrates]
+        return self._task.output(x)[..., (self._integrated > 0) & self._integrates]
 
     def _rate(self, H: Array, G: Array) -> Array:
         """rho (1,) for which rho H comes nearest to the gains G (m, i) of the integrals."""

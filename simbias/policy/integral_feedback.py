@@ -45,24 +45,20 @@ class IntegralFeedback(Policy):
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the next integral w (..., i)."""
-        z = self.outputs(x)
+        z = self._task.output(x)
         gains = signed_exponential(theta).reshape(*theta.shape[:-1], len(self._task.inputs), -1)
         asked = (gains @ np.concatenate([z, policy_state], axis=-1)[..., None])[..., 0]
         u = np.clip(asked, *self._task.input_bounds)
         free = np.where(np.abs(u - asked).sum(axis=-1, keepdims=True) > 0, 0.0, 1.0)
         return u, policy_state + self._task.time_step * free * z[..., self._chosen]
 
-    def outputs(self, x: Array) -> Array:
-        """Outputs z (..., q) at states x (..., n)."""
-        return self._task.output(x)
-
     def integrated(self, x: Array) -> Array:
         """The outputs (..., i) that are integrated, at states x (..., n)."""
-        return self.outputs(x)[..., self._chosen]
+        return self._task.output(x)[..., self._chosen]
 
     def imitating(self, states: Array, inputs: Array) -> Array:
         """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n)."""
-        z = self.outputs(states)
+        z = self._task.output(states)
         w = self._task.time_step * np.cumsum(z[..., self._chosen], axis=1)
         features = np.concatenate([z, np.pad(w, ((0, 0), (1, 0), (0, 0)))[:, :-1]], axis=-1)
         gains = [least_squares_gains(features, inputs[..., i]) for i in range(inputs.shape[-1])]

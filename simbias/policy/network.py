@@ -92,7 +92,7 @@ class Network(Policy):
 
     def ask(self, theta: Array, estimate: Array, t: float) -> Array:
         """Inputs u (..., m) at an estimate (..., n) of the state."""
-        z = self.outputs(estimate)
+        z = self._task.output(estimate)
         z = np.concatenate([z, self._task.error(estimate, t)], axis=-1) if self._errors else z
         return self._middle + self._half * self._network(theta[..., : self._weights], z)
 
@@ -107,7 +107,3 @@ class Network(Policy):
     def _with_targets(self, own: Array, x: Array) -> Array:
         """The robot's own states and the targets in x, which are known (..., n)."""
         return np.concatenate([own, x[..., self._n :]], axis=-1)
-
-    def outputs(self, x: Array) -> Array:
-        """Outputs z (..., q) at states x (..., n)."""
-        return self._task.output(x)

@@ -28,7 +28,7 @@ class OutputFeedback(Policy):
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n) (Eq. 9)."""
-        u = (self.gains(theta) @ self.outputs(x)[..., None])[..., 0]
+        u = (self.gains(theta) @ self._task.output(x)[..., None])[..., 0]
         return np.clip(u, *self._task.input_bounds), policy_state
 
     def law(self, theta: Array) -> Law:
@@ -38,12 +38,8 @@ class OutputFeedback(Policy):
             {"H": self.gains(theta)},
         )
 
-    def outputs(self, x: Array) -> Array:
-        """Outputs z (..., q) at states x (..., n)."""
-        return self._task.output(x)
-
     def imitating(self, states: Array, inputs: Array) -> Array:
         """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n)."""
-        z = self.outputs(states)
+        z = self._task.output(states)
         H = [least_squares_gains(z, inputs[..., i]) for i in range(inputs.shape[-1])]
         return np.clip(inverse_signed_exponential(np.concatenate(H)), *self.bounds)

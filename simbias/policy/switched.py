@@ -91,10 +91,6 @@ class Switched(Policy):
         kept = self._swing_up.keep(x, estimate, u, kept)
         return u, np.concatenate([kept, np.where(near, 1.0, 0.0)], axis=-1)
 
-    def outputs(self, x: Array) -> Array:
-        """Outputs z (..., q) at states x (..., n)."""
-        return self._task.output(x)
-
 
 def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array]:
     """K (m, n) of u = -K e, and S (n, n), scaled to 1 on the largest ellipsoid where no input is cut off."""

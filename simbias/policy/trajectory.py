@@ -133,7 +133,3 @@ class Trajectory(Policy):
         )
         rows = theta.reshape(self._knots, -1)
         return Law(words, {"knots": np.concatenate([self.times[:, None], rows], axis=1)})
-
-    def outputs(self, x: Array) -> Array:
-        """Outputs z (..., q) at states x (..., n)."""
-        return self._task.output(x)

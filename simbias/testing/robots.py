@@ -151,7 +151,6 @@ def _policy_acts(study: Study) -> None:
     expect(within.all(), "policy.act", f"inputs within {lower} and {upper}", u)
     expect_any_leading_axes(act, "policy.act", thetas, x, policy_state)
     expect_arguments_left(act, "policy.act", thetas, x, policy_state)
-    expect_any_leading_axes(policy.outputs, "policy.outputs", x)
 
 
 @check("policy", "what imitates inputs is a policy")

@@ -55,10 +55,6 @@ class StateFeedback(Policy):
         u = (K @ x[..., None])[..., 0]
         return np.clip(u, -self._task.input_limit, self._task.input_limit), memory
 
-    def outputs(self, x: Array) -> Array:
-        """The states."""
-        return x
-
 
 def linearised(study: Study) -> tuple[Array, Array]:
     """A (n, n) and B (n, m) of the nominal model at the equilibrium, where all states are zero."""

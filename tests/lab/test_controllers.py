@@ -47,9 +47,6 @@ class Integral(Policy):
         u = -theta * total * t + np.sign(x[..., 1:]) * np.sqrt(np.abs(x[..., 1:]))
         return np.clip(u, *self._task.input_bounds), total
 
-    def outputs(self, x: Array) -> Array:
-        return x
-
 
 class Branching(Integral):
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:

@@ -123,9 +123,6 @@ def test_what_has_no_lqr_has_no_policies_and_searches_say_so() -> None:
         def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
             return np.sum(theta * x, axis=-1, keepdims=True), memory
 
-        def outputs(self, x: Array) -> Array:
-            return x
-
     for model in (point_mass(Stuck), point_mass(Burst), point_mass(policy=Other)):
         assert lqr_policies(model) == []
     with pytest.warns(SlowWarning, match="begin without LQR: Gain imitates none"):

@@ -277,15 +277,12 @@ class Filtered(Policy):
         self._task, self._linear, self._dt = study.task, study.policy, study.task.time_step
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
-        z = self.outputs(x)
+        z = self._task.output(x)
         smooth = policy_state[..., 0] + 0.1 * (z[..., 0] - policy_state[..., 0])
         total = policy_state[..., 1] + self._dt * smooth * (t >= 0.1)
         u = (self._linear.gains(theta) @ z[..., None])[..., 0] + 5 * (smooth + total)[..., None]
         limit = self._task.input_limit
         return np.clip(u, -limit, limit), np.stack([smooth, total], axis=-1)
-
-    def outputs(self, x: Array) -> Array:
-        return self._task.output(x)
 
 
 def test_a_policy_with_a_state_and_time(study: Study) -> None:

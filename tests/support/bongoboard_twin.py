@@ -29,9 +29,6 @@ class Constant(Policy):
     def act(self, theta: Array, x: Array, t: float, memory: Array) -> tuple[Array, Array]:
         return theta, memory
 
-    def outputs(self, x: Array) -> Array:
-        return x
-
 
 def build_task(
     limits: dict[str, float] | None = None, robot: dict[str, float] | None = None, **changes: Any

@@ -109,11 +109,8 @@ class Feedback(Policy):
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         gains = np.sign(theta) * np.expm1(np.abs(theta))
         H = gains.reshape(*theta.shape[:-1], len(self._task.inputs), len(self._task.outputs))
-        u = np.einsum("...ij,...j->...i", H, self.outputs(x))
+        u = np.einsum("...ij,...j->...i", H, self._task.output(x))
         return np.clip(u, -self._task.input_limit, self._task.input_limit), policy_state
-
-    def outputs(self, x: Array) -> Array:
-        return self._task.output(x)
 
 
 def _correct(x: Array, u: Array, data: tuple[()], correction: Array) -> None:

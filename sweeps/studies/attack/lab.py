@@ -112,9 +112,6 @@ class Formula(Policy):
         kept = np.concatenate([np.clip(value(rng.randint(1, 4)), -5.0, 5.0) for _ in range(2)], axis=-1)
         return np.clip(u, *self._task.input_bounds), kept
 
-    def outputs(self, x: Array) -> Array:
-        return x
-
 
 def controllers(rng: random.Random, work: Path) -> list[Result]:
     """C and Python of a random policy with random limits, over frames near, at and beyond these."""
