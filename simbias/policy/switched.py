@@ -6,7 +6,6 @@ from copy import copy
 from typing import final
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Policy, Task
 from simbias.core.ranges import NonNegative, Positive
@@ -14,7 +13,7 @@ from simbias.core.records import Array
 from simbias.policy.network import Bound, Network, Units
 from simbias.policy.networks import Kind
 from simbias.policy.observer import ObserverKind
-from simbias.simulation.linearization import linearization
+from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
 
 LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest where the regulator is not cut off
@@ -101,9 +100,8 @@ def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array
     A, B = linearization(nominal, x, np.zeros(len(limit)), limit)
     R = input_weight * np.diag(limit**-2.0)
     try:
-        S = solve_discrete_are(A, B, np.eye(len(x)), R)
+        K, S = linear_regulator(A, B, np.eye(len(x)), R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(f"the nominal model has no regulator at the goal: {error}") from error
-    K = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
     largest = np.min(limit**2 / np.einsum("ij,jk,ik->i", K, np.linalg.inv(S), K))
     return K, S / largest

@@ -14,11 +14,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, solve_discrete_are
+from scipy.linalg import block_diag
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
-from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale
+from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
@@ -136,12 +136,10 @@ def _with_integrals(model: Model, linear: Linear, weight: float) -> Linear:
 
 def lqr_gains(linear: Linear, R: Array) -> Array | None:
     """K (m, l) of u = u_0 - K (s - s_0), which minimises the sum of |x - x_0|^2 + u R u; None without one."""
-    A, B = linear.A, linear.B
     try:
-        S = solve_discrete_are(A, B, linear.Q, R)
+        return linear_regulator(linear.A, linear.B, linear.Q, R)[0]
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
 
 
 def _records(model: Model, linear: Linear, gains: Sequence[Array]) -> list[tuple[Array, Array]]:

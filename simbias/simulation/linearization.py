@@ -1,10 +1,11 @@
-"""Derivatives of a model by central differences."""
+"""Derivatives of a model by central differences, and the regulator of a linear one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array
@@ -38,3 +39,15 @@ def linearization(nominal: Nominal, x: Array, u: Array, input_limit: Array) -> t
     points = np.concatenate([x, u], axis=-1)
     both = derivatives(lambda each: nominal.step(each[..., :n], each[..., n:]), points, steps)
     return both[..., :n], both[..., n:]
+
+
+def linear_regulator(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """K (m, l) of u = -K s, which minimises the sum of s Q s + u R u, and S (l, l) of the sum s S s.
+
+    Raises
+    ------
+    LinAlgError, ValueError
+        If there is none.
+    """
+    S = solve_discrete_are(A, B, Q, R)
+    return np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A), S

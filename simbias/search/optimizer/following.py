@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from simbias.core import GoalWeights, Model, wrapped
 from simbias.core.records import Array
@@ -17,7 +16,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.lqr import rest
 from simbias.search.optimizer.plan import Plan, Slopes, goal_along, moves
 from simbias.search.optimizer.riccati import regulator, solved
-from simbias.simulation.linearization import linearization
+from simbias.simulation.linearization import linear_regulator, linearization
 
 STIFFER = 30.0  # times that gains at rest grow for the friction of joints without a motor
 ALONG = 0.1  # share of a joint's friction that is not along the inputs' effect, below which they overcome it
@@ -101,10 +100,7 @@ class Following:
         R = weight * np.diag(limit**-2.0)
 
         def regulated(share: float) -> Array:
-            A = sliding + share * friction
-            S = solve_discrete_are(A, B, np.eye(n), R)
-            K: Array = np.linalg.solve(R + B.T @ S @ B, B.T @ S @ A)
-            return K
+            return linear_regulator(sliding + share * friction, B, np.eye(n), R)[0]
 
         soft, share, above = regulated(0.0), 0.0, float(friction.any())
         for _ in range(BISECTIONS):
