@@ -20,7 +20,6 @@ PARAMETER_NAMES = (
     "trust",
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
-SHOWN = 3  # weights of a direction
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
 

@@ -6,7 +6,7 @@ import numpy as np
 from in_lanes import from_python
 from numba import njit
 
-from simbias.simulation.compiler import arctan, sincos, tanh
+from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 from simbias.simulation.compiler.compilation import Compilation
 
 compiled = Compilation().compiled(sincos)

@@ -34,7 +34,7 @@ from simbias.simulation.compiler.tracing import (
     of_nominal,
     parts_of,
 )
-from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
+from simbias.simulation.compiler.trigonometry import arctan, sincos
 from simbias.simulation.compiler.written import NUMPY, C, Formulas
 
 __all__ = [
@@ -73,5 +73,4 @@ __all__ = [
     "sincos",
     "store",
     "sum_of",
-    "tanh",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 
 def tuple_of(element: str, size: int, offset: int = 0) -> str:
@@ -25,8 +25,3 @@ def sum_of(terms: Sequence[str]) -> str:
 def assign(rows: str, values: str, size: int) -> list[str]:
     """A tuple is put into a lane."""
     return [f"{rows}[{i}, lane] = {values}[{i}]" for i in range(size)]
-
-
-def indent(lines: Iterable[str], spaces: int) -> str:
-    """Lines after the first, which the template indents."""
-    return ("\n" + " " * spaces).join(lines)
