@@ -145,12 +145,7 @@ def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool
 def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
     """Windows of this number of frames, also shifted by half of it; None if no rollout lasts as long."""
     shifts = sorted({round(share * frames) for share in SHIFTS})
-    cut = [
-        Rollout(r.states[: len(r.states) - shift], r.inputs[: len(r.inputs) - shift])
-        for r in rollouts
-        for shift in shifts
-        if r.frames - shift >= frames
-    ]
+    cut = [r.part(0, r.frames - shift) for r in rollouts for shift in shifts if r.frames - shift >= frames]
     return Windows.of(cut, frames, 1) if cut else None
 
 

@@ -36,5 +36,4 @@ def others(all_parts: Sequence[Part], index: int) -> list[Rollout]:
 def _piece(rollout: Rollout, index: int) -> Rollout:
     """A third of a recording."""
     begin, end = (rollout.frames * i // PIECES for i in (index, index + 1))
-    states = rollout.states[begin : end + 1]
-    return Rollout(states, rollout.inputs[begin:end], measured=states, sensed=rollout.sensed)
+    return rollout.part(begin, end)

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array
 from simbias.pictures.elements.layout import legend, panels
 from simbias.pictures.elements.style import (
     HARDWARE,
@@ -88,7 +88,7 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
     rollout = part.rollouts[0]
     window = min(task.frames(SECONDS), rollout.frames)
     frames = min(task.frames(DRAWN), rollout.frames) // window * window
-    rollout = Rollout(rollout.states[: frames + 1], rollout.inputs[:frames])
+    rollout = rollout.part(0, frames)
     windows = Windows.of([rollout], window, 1)
     models = [assessment.nominal, assessment.models[index]]
     made = [predict([PredictionModel(model)], windows)[0] for model in models]

@@ -24,7 +24,7 @@ def _fits_motion_and_rest(study: Study) -> None:
     n = len(study.task.without_targets.states)
     whole, x, u = rollout(study).of_states(n), robot_states(study), inputs(study)
     frames = min(study.task.frames(SECONDS), whole.frames)
-    moving = Rollout(whole.states[: frames + 1], whole.inputs[:frames])
+    moving = whole.part(0, frames)
     rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs))
     for recorded in (moving, rest):
         fitted = study.identification.fit(study.nominal, [recorded])

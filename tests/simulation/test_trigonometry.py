@@ -6,8 +6,8 @@ import numpy as np
 from in_lanes import from_python
 from numba import njit
 
-from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 from simbias.simulation.compiler.compilation import Compilation
+from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
 compiled = Compilation().compiled(sincos)
 
