@@ -85,10 +85,10 @@ def test_errors_are_those_of_steps_one_by_one(short: Study, trial: list[Iteratio
     pieces = windows(short, trial[-1], 30)
     zero, learned = short.bias.fit(short.no_data), trial[-1].model.bias
     for bias in (zero, learned):
-        one, many = prediction_error(short, bias, pieces, [1, 30])
-        for piece, (states, inputs) in enumerate(zip(pieces.states[:5], pieces.inputs, strict=False)):
-            path = [states[0]]
-            for u in inputs:
+        one, many = prediction_error(bias, short.nominal, pieces, [1, 30])
+        for piece, first in enumerate(pieces.firsts[:5].tolist()):
+            states, path = pieces.states[first : first + 31], [pieces.states[first]]
+            for u in pieces.inputs[first : first + 30]:
                 path.append(short.nominal.step(path[-1], u) + bias.correction(path[-1], u))
             np.testing.assert_allclose(one[piece], path[1] - states[1], rtol=1e-6, atol=1e-9)
             np.testing.assert_allclose(many[piece], path[30] - states[30], rtol=1e-4, atol=1e-7)
@@ -102,7 +102,7 @@ def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
     marks = [(iteration, zero, NOMINAL, "s", iteration.index) for iteration in trial]
     marks.append((trial[1], trial[1].model.bias, SIMULATION, "o", 0))  # nothing was learned before the first
     for iteration, bias, color, marker, number in marks:
-        errors = prediction_error(short, bias, windows(short, iteration, 20), [1, 20])
+        errors = prediction_error(bias, short.nominal, windows(short, iteration, 20), [1, 20])
         for row, states in enumerate((slice(0, 3), slice(3, 6))):
             for column in range(2):
                 mark = lines(figure.axes[2 * row + column], color, marker)[number]
@@ -116,7 +116,7 @@ def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: 
     first = trial[0].experiments[0]
     cut = replace(first, states=first.states[:11], inputs=first.inputs[:10], failed_at=10)
     brief = replace(trial[0], experiments=(cut,))
-    assert [len(windows(short, brief, horizon).states) for horizon in (10, 11)] == [1, 0]
+    assert [len(windows(short, brief, horizon)) for horizon in (10, 11)] == [1, 0]
     assert len(prediction_errors(short, [brief], [1, 20]).axes) == 2  # one horizon, two units
     assert len(prediction_errors(short, [brief, trial[0]], [1, 20]).axes) == 4  # of the other iteration's
     exact = replace(trial[0], experiments=tuple(again(short, trial[0])))  # hardware that is the model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,6 +28,8 @@ from simbias.pictures.elements.style import (
     whole_numbers,
 )
 from simbias.pictures.trial.comparison import learned_before
+from simbias.simulation.open_loop import PredictionModel, Windows
+from simbias.simulation.open_loop import plain as predict_in_numpy
 from simbias.trial.study import Study
 
 HORIZONS = (1, 5, 20, 100)  # frames
@@ -67,10 +69,10 @@ def prediction_errors(
         for name, (bias, nominal) in _models(study, iterations, iteration).items():
             color, marker = STYLES[name]
             shown[name] = Line2D([], [], color=color, marker=marker, linewidth=2.5, markeredgecolor="white")
-            pieces = windows(study, iteration, max(horizons), nominal)
-            if not len(pieces.states):
+            pieces = windows(study, iteration, max(horizons))
+            if not len(pieces):
                 continue  # its experiments ended too early
-            errors = prediction_error(study, bias, pieces, horizons, nominal)
+            errors = prediction_error(bias, nominal, pieces, horizons)
             for row, states in zip(grid, groups.values(), strict=True):
                 for axes, values in zip(row, errors, strict=True):
                     norms = np.linalg.norm(values[:, states], axis=1)
@@ -90,43 +92,25 @@ def prediction_errors(
     return figure
 
 
-class Windows(NamedTuple):
-    """Pieces of experiments, k frames long."""
-
-    states: Array  # (w, k+1, n) recorded
-    inputs: Array  # (w, k, m) commanded
-    model_states: Array  # (w, s) of the nominal model where they begin
-
-
 def _models(
     study: Study, iterations: Sequence[Iteration], iteration: Iteration
-) -> dict[str, tuple[FittedBias, Nominal | None]]:
+) -> dict[str, tuple[FittedBias, Nominal]]:
     """The biases and nominal models that predict an iteration's experiments, by name."""
-    models: dict[str, tuple[FittedBias, Nominal | None]] = {
-        NOMINAL_ALONE: (study.bias.fit(study.no_data), None)
-    }
+    models = {NOMINAL_ALONE: (study.bias.fit(study.no_data), study.nominal)}
     model = iteration.model
     if model is not None and learned_before(iterations, iteration):
         models[CORRECTED] = model.bias, model.nominal
     return models
 
 
-def windows(study: Study, iteration: Iteration, frames: int, nominal: Nominal | None = None) -> Windows:
+def windows(study: Study, iteration: Iteration, frames: int) -> Windows:
     """Pieces of `frames` frames, spread evenly over the experiments that last as long."""
     experiments = study.of_robot(iteration.experiments)
-    starts = [
-        (rollout, t)
-        for rollout in experiments
-        for t in _spread(rollout.frames - frames, max(1, WINDOWS // len(experiments)))
-    ]
-    model, n, m = nominal or study.nominal, len(study.task.without_targets.states), len(study.task.inputs)
-    model_states = {id(r): model.model_states(r.states[:-1], r.inputs) for r in experiments}
-    s, w = model.state_size, len(starts)
-    return Windows(
-        np.array([rollout.states[t : t + frames + 1] for rollout, t in starts]).reshape(w, frames + 1, n),
-        np.array([rollout.inputs[t : t + frames] for rollout, t in starts]).reshape(w, frames, m),
-        np.array([model_states[id(rollout)][t] for rollout, t in starts]).reshape(w, s),
-    )
+    whole, most = Windows.of(experiments, 1, 1), max(1, WINDOWS // len(experiments))
+    starts = [_spread(rollout.frames - frames, most) for rollout in experiments]
+    leads = np.array([t for each in starts for t in each], np.int64)
+    firsts = np.repeat(whole.firsts, [len(each) for each in starts]) + leads
+    return replace(whole, firsts=firsts, leads=leads, frames=np.full(len(leads), frames), window=frames)
 
 
 def _spread(last: int, most: int) -> list[int]:
@@ -135,22 +119,10 @@ def _spread(last: int, most: int) -> list[int]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def prediction_error(
-    study: Study,
-    fitted_bias: FittedBias,
-    pieces: Windows,
-    horizons: Sequence[int],
-    nominal: Nominal | None = None,
-) -> Array:
+def prediction_error(bias: FittedBias, nominal: Nominal, pieces: Windows, horizons: Sequence[int]) -> Array:
     """Errors (horizons, w, n) of predictions (Eq. 7) from the first state of each piece, under its inputs."""
-    x, model_state, errors = pieces.states[:, 0], pieces.model_states, []
-    for k in range(1, max(horizons) + 1):
-        u = pieces.inputs[:, k - 1]
-        predicted, model_state = (nominal or study.nominal).advance(x, u, model_state)
-        x = predicted + fitted_bias.correction(x, u)
-        if k in horizons:
-            errors.append(x - pieces.states[:, k])
-    return np.array(errors)
+    errors = predict_in_numpy([PredictionModel(nominal)], pieces, bias)[0] - pieces.means
+    return np.moveaxis(errors[:, np.array(horizons) - 1], 1, 0)
 
 
 def _groups(task: Task) -> dict[str, list[int]]:
