@@ -12,11 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import ROOT
+from pendulum import pendulum
 
 from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.bias.none import ConstantBias
+from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.rig import Motor
+from simbias.learning.identification.rig import Rig as LearnedRig
 from simbias.recordings import horizons
 from simbias.simulation.open_loop import plain
 
@@ -189,3 +193,16 @@ def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
         made = dict(zip(known.parameters, values_at(rig.prior.parameters, np.array(known.mode)), strict=True))
         for parameter, value in rig.lab_values.items():
             assert made[parameter] == pytest.approx(value, rel=1e-6), name
+
+
+def test_recordings_differ_by_their_own_and_a_little_by_all_else() -> None:
+    from ways import SHIFT, of_shared, of_shift
+
+    study = pendulum()
+    rig = LearnedRig(study.task, study.nominal, {"tau1": Motor(offset=0.2, zero=0.1)}, {})
+    p, names = len(rig.parameters), [each.name for each in rig.parameters]
+    model = Identified(rig, np.zeros(p), 0.5 * np.eye(p), {})
+    for other, own, else_ in (of_shift(model), 1.0, SHIFT), (of_shared(model), 0.0, 0.5):
+        deviations = dict(zip(names, np.sqrt(np.diag(other.covariance)), strict=True))
+        assert deviations.pop("tau1.zero") == own
+        assert set(deviations.values()) == {else_}

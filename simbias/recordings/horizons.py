@@ -149,21 +149,20 @@ def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
     return Windows.of(cut, frames, 1) if cut else None
 
 
-def regions(spreads: Array, known: Array, known_spreads: Array, unseen: Array | float = 0.0) -> Array:
+def regions(spreads: Array, known: Array, known_spreads: Array) -> Array:
     """Covariances (w, n, n) of errors: normal ones of these have the 90% regions that are told.
 
     Known errors (v, n) scale the spread of predictions, (w, n, n) and (v, n, n), and a little of their own
     second moments, so that regions hold 90% of another such error. That is a larger quantile of few of them
     (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005); those of shifted
-    windows are not independent. What no known error holds, as other zeros of sensors, adds its spread
-    `unseen` (w, n, n) as it is.
+    windows are not independent. What no known error holds, as other zeros of sensors, is not in them.
     """
     known = np.clip(known, -LARGEST_ERROR, LARGEST_ERROR)
     moments = known.T @ known / len(known)
     independent = len(known) / len(SHIFTS)
     share = min(1.0, np.ceil(REGION * (independent + 1)) / independent)
     limit = np.quantile(_sizes(known, known_spreads + COMMON * moments), share)
-    return limit / _normal_limit(known.shape[1]) * (spreads + COMMON * moments) + unseen
+    return limit / _normal_limit(known.shape[1]) * (spreads + COMMON * moments)
 
 
 def inside(wrong: Array, covariances: Array) -> Flags:

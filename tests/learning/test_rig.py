@@ -14,7 +14,7 @@ from simbias.core import Nominal
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
-from simbias.learning.identification.identified import SHIFT, Identified, KnownPrior
+from simbias.learning.identification.identified import Identified, KnownPrior
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
@@ -116,18 +116,13 @@ def test_a_zero_is_of_one_recording(study: Study) -> None:
 
 
 def test_a_motors_zero_is_an_offset_of_one_recording(study: Study) -> None:
-    """It acts as an offset; how recordings differ is told by zeros as declared, and a little by all else."""
+    """It acts as an offset."""
     rig = Rig(study.task, study.nominal, {"tau1": Motor(offset=0.2, zero=0.1)}, {})
-    rng, p = np.random.default_rng(0), len(rig.parameters)
+    rng = np.random.default_rng(0)
     x, u = rng.standard_normal((20, 4)), rng.standard_normal((20, 2))
     by_zero, by_offset = at(rig, **{"tau1.zero": 0.05}), at(rig, **{"tau1.offset": 0.05})
     np.testing.assert_array_equal(by_zero.step(x, u), by_offset.step(x, u))
     assert [each.name for each in rig.parameters if each.of_recording] == ["tau1.zero"]
-    shift = Identified(rig, rng.standard_normal(p), 0.1 * np.eye(p), {}).of_shift()
-    names = [each.name for each in rig.parameters]
-    deviations = dict(zip(names, np.sqrt(np.diag(shift.covariance)), strict=True))
-    assert deviations.pop("tau1.zero") == 1.0
-    assert set(deviations.values()) == {SHIFT}
 
 
 SHARED = {"tau1.offset": 0.15, "tau1.lag": 0.015, "tau1.load": 0.25, "pos1.offset": 0.08}

@@ -137,7 +137,7 @@ def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
     known, none = rng.standard_normal((4000, 2)), np.zeros((4000, 2, 2))
     wrong = rng.standard_normal((4000, 2)) + rng.standard_normal((4000, 2)) * np.sqrt(np.diag(zeros))
     assert np.mean(inside(wrong, regions(none, known, none))) < 0.7
-    covariances = regions(none, known, none, zeros)
+    covariances = regions(none, known, none) + zeros
     assert np.mean(inside(wrong, covariances)) == pytest.approx(0.9, abs=0.02)
     np.testing.assert_allclose(covariances[0], np.eye(2) + zeros, rtol=0.05, atol=0.05)
     expected = multivariate_normal([0.0, 0.0], covariances[0]).logpdf(wrong)

@@ -17,7 +17,6 @@ from simbias.core.records import Array, Indices
 from simbias.learning.prediction_errors import ErrorDistribution
 
 QUANTILE = 1.6449  # 95% of a standard normal
-SHIFT = 0.1  # standard deviations of the prior, by which parameters differ from recording to recording
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class Identified(Nominal):
 
     def narrowed(self, scale: float) -> Identified:
         """The model at the same mode, with `scale` times the standard deviations of the posterior."""
-        return self._with_spread(scale * self.spread)
+        return self.with_spread(scale * self.spread)
 
     @staticmethod
     def of_recordings(
@@ -122,20 +121,7 @@ class Identified(Nominal):
         names = [parameter.name for parameter in self.parameters]
         return Known(names, self.mode.tolist(), self.spread.tolist())
 
-    def of_share(self, own: bool) -> Identified:
-        """The model, uncertain in what each recording has of its own alone, or in all else alone."""
-        rows = np.array([parameter.of_recording == own for parameter in self.parameters], bool)
-        return self._with_spread(np.where(rows[:, None], self.spread, 0.0))
-
-    def of_shift(self) -> Identified:
-        """The model of other recordings, uncertain by how recordings differ alone.
-
-        What each has of its own varies as declared, all else by `SHIFT`, as friction that warms.
-        """
-        own = np.array([parameter.of_recording for parameter in self.parameters], bool)
-        return self._with_spread(np.diag(np.where(own, 1.0, SHIFT)))
-
-    def _with_spread(self, spread: Array) -> Identified:
+    def with_spread(self, spread: Array) -> Identified:
         """The model at the same mode, with another square root (p, q) of the covariance."""
         return Identified(self._prior, self.mode, spread, self.diagnostics, self.errors)
 

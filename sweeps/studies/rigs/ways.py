@@ -12,7 +12,7 @@ from scipy.optimize import brentq, least_squares
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.parameters import values_at
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Flags, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.horizons import errors, ratio, regions, spread
@@ -23,6 +23,7 @@ from simbias.trial.study import Study
 GUARDED = (0.1, 0.2, 0.5)  # s
 MOST_RATIO = 1.0  # of errors with a residual over those without, on any recording, at any horizon
 MOST = 4.0  # prior standard deviations that least squares may go
+SHIFT = 0.1  # prior standard deviations by which parameters differ from recording to recording
 
 
 class Learned(NamedTuple):
@@ -52,8 +53,26 @@ class Learned(NamedTuple):
         spreads = np.concatenate([spread(model, [one], frames) for model, one in pairs])
         if self.apart:
             return regions(spread(self.model, rollouts, frames), wrong, spreads)
-        unseen = spread(self.model.of_shift(), rollouts, frames, noisy=False)
-        return regions(spread(self.model.of_share(own=False), rollouts, frames), wrong, spreads, unseen)
+        unseen = spread(of_shift(self.model), rollouts, frames, noisy=False)
+        return regions(spread(of_shared(self.model), rollouts, frames), wrong, spreads) + unseen
+
+
+def of_shared(model: Identified) -> Identified:
+    """The model, uncertain in all but what each recording has of its own."""
+    return model.with_spread(np.where(_own(model)[:, None], 0.0, model.spread))
+
+
+def of_shift(model: Identified) -> Identified:
+    """The model of other recordings, uncertain by how recordings differ alone.
+
+    What each has of its own varies as declared, all else by `SHIFT`, as friction that warms.
+    """
+    return model.with_spread(np.diag(np.where(_own(model), 1.0, SHIFT)))
+
+
+def _own(model: Identified) -> Flags:
+    """Which parameters (p,) each recording has of its own."""
+    return np.array([parameter.of_recording for parameter in model.parameters], bool)
 
 
 Way = Callable[[Rig, Sequence[Rollout]], Learned]
