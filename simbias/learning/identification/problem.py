@@ -67,11 +67,6 @@ class Comparison:
         J = self.errors.whiten(each[1:] - each[0]).reshape(len(z), -1) / STEP
         return self.errors.independent_share * J @ J.T
 
-    def losses(self, z: Array) -> Array:
-        """Twice the negative log-likelihoods (k,) of coordinates z (k, p), up to a constant."""
-        white = self.errors.whiten(self.prediction_errors(z))
-        return self.errors.independent_share * self.errors.losses(white).sum(axis=1)
-
     def residuals(self, z: Array) -> tuple[Array, Array]:
         """Residuals (w d,), whose squares sum to the loss, and their derivatives by z, (w d, p)."""
         p = len(z)
@@ -187,11 +182,6 @@ class Problem:
             scattered = H @ np.hstack([np.eye(p), *across])
             spread = qr(scattered.T, mode="economic")[1].T
         return spread
-
-    def log_densities(self, z: Array) -> Array:
-        """Posterior log-density (k,) at coordinates z (k, p), up to a constant."""
-        losses = self._weights**2 @ np.array([each.losses(z) for each in self._comparisons])
-        return -0.5 * (np.sum(z**2, axis=1) + losses)
 
     def _at(self, z: Array) -> tuple[Array, Array]:
         """Residuals (R + p,), the prior's last, and their derivatives by z (p,)."""
