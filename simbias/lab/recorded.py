@@ -23,8 +23,8 @@ ENDS = "recording_ends"
 class Recorded(Hardware):
     """Experiment i of a trial is recording i, again from the first one after the last.
 
-    Experiments that a policy was allowed and did not need count: after an iteration of two that ended with the
-    first, the next policy has the third recording.
+    Experiments that were allowed and not made count: after an iteration of two that ended with the first, the
+    next policy has the third recording.
 
     A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
     Between samples, states and inputs change linearly; they are read off in each frame of the task, up to its
