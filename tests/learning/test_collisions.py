@@ -6,6 +6,7 @@ from copy import copy
 
 import numpy as np
 import pytest
+from in_numpy import predict_in_numpy
 
 from simbias.core import Nominal
 from simbias.core.parameters import uncertain
@@ -24,6 +25,12 @@ TASK = Declared(
     time_step=FRAME,
     horizon=100,
 )
+
+
+@pytest.fixture(autouse=True)
+def _in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions: `test_open_loop.py` holds compiled ones to them."""
+    predict_in_numpy(monkeypatch)
 
 
 class Bouncing(Nominal):
