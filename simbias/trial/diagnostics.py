@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from simbias.core import Model, Nominal
+from simbias.core import Cost, Model, Nominal
 from simbias.core.records import Array, Iteration, Search, Selection
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
@@ -43,7 +43,7 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
         )
 
 
-def of_goal(theta: Array, model: Model | None) -> Iterator[Remark]:
+def of_goal(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
     """Why a policy theta (p,) does not succeed on the model that it was made on, where the task says success.
 
     Limits, time and how near to the goal it came: that of the quantities that are no rates.
@@ -51,7 +51,9 @@ def of_goal(theta: Array, model: Model | None) -> Iterator[Remark]:
     if model is None or not model.task.goals:
         return
     task = model.task
-    rollout = simulator(model).rollout(theta, task.start_mean)
+    if task.succeeds(np.tile(task.start_mean, (task.horizon + 1, 1))) is None:
+        return
+    rollout = simulator(model, cost=cost).rollout(theta, task.start_mean)  # in the loop that searches compile
     if rollout.failed_at is not None or task.succeeds(rollout.states) is not False:
         return
     times = task.time_step * np.arange(len(rollout.states))
@@ -72,7 +74,7 @@ def of_goal(theta: Array, model: Model | None) -> Iterator[Remark]:
     )
 
 
-def of_model(theta: Array, model: Model | None) -> Iterator[Remark]:
+def of_model(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
     """Whether a policy theta (p,) stands on what the data do not determine of its identified model.
 
     It does if it lasts in simulation on the most probable model, but not on one that lies a standard
@@ -82,7 +84,7 @@ def of_model(theta: Array, model: Model | None) -> Iterator[Remark]:
         return
 
     def fails(other: Nominal) -> bool:
-        rollout = simulator(replace(model, nominal=other)).rollout(theta, model.task.start_mean)
+        rollout = simulator(replace(model, nominal=other), cost=cost).rollout(theta, model.task.start_mean)
         return rollout.failed_at is not None
 
     directions = undetermined(nominal)
@@ -123,22 +125,23 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
     yield Remark("experiments without a sample to learn from", f"no samples to learn from: {why}")
 
 
-def of_iteration(iteration: Iteration, earlier: Sequence[Iteration]) -> list[Remark]:
+def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], cost: Cost) -> list[Remark]:
     """Everything odd about an iteration that has ended, but that the model was cleared, which is no fault."""
-    found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration)]
+    found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration, cost)]
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found
 
 
-def _of_simulations(iteration: Iteration) -> tuple[Remark, ...]:
+def _of_simulations(iteration: Iteration, cost: Cost) -> tuple[Remark, ...]:
     """Remarks that take simulations of an iteration's policy; these are made once."""
     if iteration not in _simulated:
         theta, model = iteration.parameters, iteration.model
-        _simulated[iteration] = (*of_goal(theta, model), *of_model(theta, model))
+        _simulated[iteration] = (*of_goal(theta, model, cost), *of_model(theta, model, cost))
     return _simulated[iteration]
 
 
-def of_trial(iterations: Sequence[Iteration]) -> list[Remark]:
+def of_trial(iterations: Sequence[Iteration], cost: Cost) -> list[Remark]:
     """Everything odd about the iterations of a trial."""
-    return [remark for i, each in enumerate(iterations) for remark in of_iteration(each, iterations[:i])]
+    found = (of_iteration(each, iterations[:index], cost) for index, each in enumerate(iterations))
+    return [remark for remarks in found for remark in remarks]

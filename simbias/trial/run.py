@@ -157,6 +157,7 @@ class _Run(Observer):
         """The record of the trial so far, with how it ended."""
         method, test = self._study.method, self._policy_test
         before = self._kept.folder if self._kept else None
+        remarks = diagnostics.of_trial(self._iterations, self._study.cost)
         claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
         summary = TrialSummary(
             outcome=outcome,
@@ -178,7 +179,7 @@ class _Run(Observer):
             claimed_share=claim.low if claim else nan,
             platforms=tuple(dict.fromkeys([*(before.platforms() if before else ()), platform.kind()])),
             processor=platform.processor(),
-            diagnostics=tuple(sorted({remark.kind for remark in diagnostics.of_trial(self._iterations)})),
+            diagnostics=tuple(sorted({remark.kind for remark in remarks})),
         )
         made_of = tuple(self._iterations), tuple(self._unfinished), test, traceback
         return TrialRecord(self._study, summary, *made_of, tuple(before.withdrawals()) if before else ())

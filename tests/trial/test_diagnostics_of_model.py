@@ -28,7 +28,7 @@ def of_spread(study: Study, open_deviation: float) -> tuple[Identified, list[str
     nominal = Identified(study.nominal, np.zeros(p), spread, {})
     model = study.model(None, nominal)
     (theta,) = lqr_policies(model, (INPUT_WEIGHTS[1],))
-    return nominal, [remark.words for remark in of_model(theta, model)]
+    return nominal, [remark.words for remark in of_model(theta, model, study.cost)]
 
 
 @pytest.mark.slow
@@ -46,7 +46,7 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     (theta,) = lqr_policies(model, (INPUT_WEIGHTS[1],))
     made = [Iteration(index, theta, (), 0.0, False, 0, model) for index in range(2)]
     kind = "a policy stands on what the data do not determine"
-    assert kind in {remark.kind for remark in of_trial(made)}
+    assert kind in {remark.kind for remark in of_trial(made, study.cost)}
     first, second = (iteration_summary(study, made[i], made[:i])["events"] for i in range(2))
     assert any("not a standard deviation aside in 1.0 length" in event for event in first)
     assert kind in second
@@ -57,4 +57,4 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:
     assert of_spread(study, 0.6)[1] == []
     assert undetermined(of_spread(study, 0.4)[0]) == []
-    assert list(of_model(np.zeros(2), study.model())) == []
+    assert list(of_model(np.zeros(2), study.model(), study.cost)) == []
