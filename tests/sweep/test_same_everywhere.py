@@ -14,7 +14,6 @@ from sweeping import content
 
 from simbias.config import compose
 from simbias.engine.contract import Engine
-from simbias.engine.dask import Dask
 from simbias.engine.loky import Loky
 from simbias.engine.sequential import Sequential
 from simbias.sweep.worker import Plan, run_plan
@@ -53,10 +52,8 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 def test_engines_and_jobs_change_no_bit(expected: list[str], tmp_path: Path) -> None:
-    """Nor does the order: they run backwards here."""
+    """Nor does the order: they run backwards here. Dask's are in `tests/engine/test_sweeps.py`."""
     assert digests(Loky(n_jobs=2), tmp_path / "loky", backwards=True) == expected
-    pytest.importorskip("distributed")
-    assert digests(Dask(n_jobs=1), tmp_path / "dask", backwards=True) == expected
 
 
 def test_hash_seeds_and_threads_change_no_bit(expected: list[str], tmp_path: Path) -> None:
