@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
-from sweeping import simbias
 
 from simbias.__main__ import main
 from simbias.core.commands import BAD_INPUT
 
 
 @pytest.mark.slow
-def test_a_new_robot_keeps_its_contracts_and_learns(tmp_path: Path) -> None:
-    made = simbias("new", "arm", folder=tmp_path)
-    assert made.returncode == 0, made.stderr
-    folder = tmp_path / "arm"
+def test_a_new_robot_keeps_its_contracts_and_learns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In this process; `test_command_line.py` starts others."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "arm"]) == 0
+    made, folder = capsys.readouterr().out, tmp_path / "arm"
     files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
     groups = ("cost", "hardware", "nominal", "preset", "task")
     assert files == {"arm.py", "test_arm.py", "README.md", *(f"conf/{group}/arm.yaml" for group in groups)}
     assert not any("my_robot" in (folder / file).read_text() for file in files)
-    commands = [line.split(" -m simbias ")[1].split() for line in made.stdout.splitlines() if " -m " in line]
+    commands = [line.split(" -m simbias ")[1].split() for line in made.splitlines() if " -m " in line]
     assert [command[0] for command in commands] == ["check", "preview", "--config-dir"]
-    checked = simbias(*commands[0], "hardware=arm", "nominal=arm", "task=arm", folder=folder)
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    assert "hardware arm, nominal arm, task arm: all checks hold." in checked.stdout
-    ran = simbias(*commands[2], "tracking=none", folder=folder)
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "Succeeded after 3 hardware experiments" in ran.stdout
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
+    try:
+        checked = main([*commands[0], "hardware=arm", "nominal=arm", "task=arm"])
+        out, err = capsys.readouterr()
+        assert checked == 0, out + err
+        assert "hardware arm, nominal arm, task arm: all checks hold." in out
+        ran = main([*commands[2], "tracking=none"])
+        out, err = capsys.readouterr()
+        assert ran == 0, out + err
+        assert "Succeeded after 3 hardware experiments" in out
+    finally:
+        sys.modules.pop("arm", None)
 
 
 def test_a_name_that_does_not_do_is_bad_input(
