@@ -32,7 +32,7 @@ SMALL = {
         *MIXED,
         "sweep.trials=2",
         "sweep.figures.fig7.x.points=3",
-        "sweep.figures.fig7.y.points=5",
+        "sweep.figures.fig7.y.points=3",
         "sweep.figures.fig7.experiments=1",
     ],
 }
@@ -133,7 +133,7 @@ def test_success_rates_are_those_of_experiments_from_the_grid(
             x = np.array([row["alpha_w"], row["alpha_b"], *study.task.start_mean[2:]])
             assert study.cost.passes(study.experiment(policy, rng, x)) == row["succeeded"]
     with chdir(folder):
-        assert main([*command("fig7"), "sweep.figures.fig7.x.points=2"]) == 0
+        assert main([*command("fig7"), "sweep.figures.fig7.y.points=2"]) == 0
     assert len(batches(folder)) == 2 * len(once)
     assert once.items() < batches(folder).items()
     assert len(trials(folder)) == 4
