@@ -80,11 +80,6 @@ def run(*arguments: str, folder: Path, timeout: float = 120, **options: Any) -> 
     return finish(process, timeout)
 
 
-def simbias(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """What `python -m simbias` has done."""
-    return subprocess.CompletedProcess(arguments, *run(*arguments, folder=folder))
-
-
 def finish(process: subprocess.Popen[str] | Forked, timeout: float = 120) -> tuple[int, str, str]:
     """Wait for a process, but not for ever."""
     killer = threading.Timer(timeout, lambda: os.killpg(process.pid, signal.SIGKILL))

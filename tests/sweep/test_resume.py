@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 from pathlib import Path
@@ -101,7 +100,7 @@ def test_disk_is_full(folder: Path, uninterrupted: Path) -> None:
 def test_a_later_start_removes_what_a_kill_left(
     folder: Path, uninterrupted: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """While a sweep runs, no other process may run it; of the later start a worker is killed, too."""
+    """While a sweep runs, no other process may run it. Workers die in `tests/engine/test_engines.py`."""
     temporary = tmp_path_factory.mktemp("temporary")
     process = start(*COMMAND, folder=folder, temporary=temporary)
     until_trials(process, 1)
@@ -113,10 +112,7 @@ def test_a_later_start_removes_what_a_kill_left(
     assert list(temporary.iterdir())
     assert list(sweep_folder(folder).glob(".shared_*"))
     done = finished(folder)
-    process = start(*COMMAND, folder=folder, temporary=temporary)
-    until_trials(process, 1)
-    os.kill(workers(process)[0], signal.SIGKILL)
-    status, out, err = finish(process)
+    status, out, err = run(*COMMAND, folder=folder, temporary=temporary)
     assert (status, err) == (0, ""), out + err
     assert done.items() < finished(folder).items()
     check(folder, uninterrupted)
