@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import sys
 import zipfile
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from distributed import WorkerPlugin
+
+from simbias.core.digest import short_digest
 
 
 class SentCode(WorkerPlugin):
@@ -22,7 +23,7 @@ class SentCode(WorkerPlugin):
 
     def setup(self, worker: Any) -> None:
         """Lay it out in the worker's folder; modules of an earlier one are imported again."""
-        folder = Path(worker.local_directory, f"own-{hashlib.sha256(self._packed).hexdigest()[:12]}")
+        folder = Path(worker.local_directory, f"own-{short_digest(self._packed)}")
         with zipfile.ZipFile(io.BytesIO(self._packed)) as archive:
             archive.extractall(folder)
             sent = {Path(name).parts[0].removesuffix(".py") for name in archive.namelist()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ import numpy as np
 from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import HardwareError, Waiting
+from simbias.core.digest import short_digest
 from simbias.core.records import Array
 
 COLUMNS = ("costs", "frames", "failures", "successes")  # of the outcomes that are kept
@@ -34,7 +34,7 @@ class Batch:
     def hash(self) -> str:
         """Identity: 12 hexadecimal digits of everything that affects the outcomes."""
         parts = [self.composition.group_hash, self.parameters, self.starts, self.seed]
-        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]
+        return short_digest(json.dumps(parts).encode())
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED
 from simbias.config.hydra_config import overridden
 from simbias.core import Task
+from simbias.core.digest import short_digest
 from simbias.core.ranges import Share
 from simbias.sweep.axes import Axis, label, read_axis
 from simbias.sweep.figure import SweepFigure
@@ -113,7 +114,7 @@ class Sweep:
     @property
     def hash(self) -> str:
         """Identity of a sweep whose cells and trials may grow: its name and what all trials share."""
-        return hashlib.sha256(f"{self.name} {self.base.trial.hash}".encode()).hexdigest()[:12]
+        return short_digest(f"{self.name} {self.base.trial.hash}".encode())
 
 
 def trial_seed(cell: str, base_seed: int, repetition: int) -> int:
