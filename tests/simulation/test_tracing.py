@@ -323,9 +323,8 @@ def test_what_thetas_alone_decide_is_computed_once(cartpole: Study) -> None:
         assert "expm1" not in part.kernel.function.__code__.co_names
 
 
-@pytest.mark.slow
 def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
-    """All of it but the declared task, in two scenarios in lockstep."""
+    """All of it but the declared task, in two scenarios in lockstep; `test_closed_loop.py` compiles one."""
     task = cartpole.task
     nominal = CartPole(task, VALUES)
     first = Model(task, Later(task), nominal, ZeroBias(4))
@@ -335,7 +334,8 @@ def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
     together = join([simulator(model) for model in models])
     assert isinstance(together, CompiledSimulator)
     reference = PlainSimulator(models, [None, None])
-    made, expected = (loop.rollouts(thetas, starts, scenarios) for loop in (together, reference))
+    with interpreted():
+        made, expected = (loop.rollouts(thetas, starts, scenarios) for loop in (together, reference))
     assert len({rollout.frames for rollout in made}) > 3
     for one, other in zip(made, expected, strict=True):
         assert one.frames == other.frames
