@@ -76,14 +76,12 @@ def fitted(**noise: float) -> Identified:
     return found
 
 
-@pytest.mark.slow
 def test_no_posterior_is_far_wider_than_the_prior() -> None:
     """The ground is harder than the model's: without noise, bounces are outliers by a factor of thousands."""
     assert np.linalg.eigvalsh(fitted().covariance).max() > 1e3
     assert np.linalg.eigvalsh(fitted(position_variance=1e-14).covariance).max() < 1.0 + 1e-9
 
 
-@pytest.mark.slow
 def test_with_the_noise_of_what_is_measured_bounces_tell_of_parameters() -> None:
     found = fitted(position_variance=1e-6, velocity_variance=2.5e-3)
     gravity, ground = found.estimates
