@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,17 @@ from numba import njit
 from simbias.core import FittedBias
 from simbias.core.records import Array
 from simbias.simulation.compiler import LANES
-from simbias.simulation.compiler.compilation import Compilation
+from simbias.simulation.compiler.compilation import OPTIONS, Compilation
 
 
 @cache
 def from_python(function: Callable, inline: bool = True) -> Any:
-    """A function, compiled as a part of compiled code, that Python can call all the same."""
-    part = Compilation().compiled(function, inline)
-
-    @njit
-    def call(*arguments):
-        return part(*arguments)
-
-    return call
+    """A function, compiled as a part of compiled code, that Python can call all the same; kept on disk."""
+    compilation = Compilation()
+    part = compilation.compiled(function, inline)
+    arguments = ", ".join(f"a{index}" for index in range(len(signature(function).parameters)))
+    module = compilation.module(f"def call({arguments}):\n    return part({arguments})\n", part=part)
+    return njit(**OPTIONS, cache=True)(module.call)
 
 
 def corrections(fitted: FittedBias, inputs: Array, n: int = 6) -> Array:
