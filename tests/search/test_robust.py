@@ -174,7 +174,7 @@ def test_a_search_in_fresh_scenarios_holds_on_models_that_it_has_not_met() -> No
     held = {}
     for name in ("nominal_start", "fresh_randomization"):
         study, lasted = simbias.load([*options, f"evaluation={name}"]), []
-        for seed in range(3):
+        for seed in range(2):
             made = search(study, study.first_model(), np.random.default_rng(seed), Observer())
             asked = made.optimum.parameters[None]
             for each in unmet.scenarios:
