@@ -213,7 +213,13 @@ def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
     assert "no failure above" in files(strict)["README.txt"]
 
 
-@given(st.text(max_size=60), st.sampled_from(["", "*/", "\\", "\n", '"""', "??/", "/*", "\u2028", "\r"]))
+ENDS = 'a "\\\n\r\0*/?{}é²\u2028'  # of what may end a string, a comment or a line
+
+
+@given(
+    st.text(st.sampled_from(ENDS), max_size=60),
+    st.sampled_from(["", "*/", "\\", "\n", '"""', "??/", "/*", "\u2028", "\r"]),
+)
 @settings(max_examples=10, deadline=None)
 def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
     """The Python module is the same but for its first string, the header but for its comments."""
