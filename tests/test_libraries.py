@@ -7,19 +7,25 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import packages_distributions
 
 from conftest import ROOT
 
 PACKAGE = ROOT / "simbias"
-TREES = {
-    file.relative_to(PACKAGE).as_posix(): ast.parse(file.read_text())
-    for file in sorted(PACKAGE.rglob("*.py"))
-    if not {"__pycache__", "templates"} & set(file.parts)
-}
 # Numba documents some of its modules by these names.
 DOCUMENTED = ("numba.core.cgutils", "numba.core.errors", "numba.core.event", "numba.core.types")
 PRIVATE = re.compile(r"\._[a-z]|\.externals\b|^numba\.core\b")
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """The package's modules by their files; not at import, as each of the tests' processes imports this."""
+    return {
+        file.relative_to(PACKAGE).as_posix(): ast.parse(file.read_text())
+        for file in sorted(PACKAGE.rglob("*.py"))
+        if not {"__pycache__", "templates"} & set(file.parts)
+    }
 
 
 def imports(tree: ast.Module) -> set[str]:
@@ -54,7 +60,7 @@ def attributes(tree: ast.Module) -> Iterator[str]:
 def test_no_private_parts() -> None:
     """Nor does a module use those of another one."""
     found = {}
-    for file, tree in TREES.items():
+    for file, tree in trees().items():
         own = {"_asdict", "_exit", "_fields", "_make", "_replace", *own_names(tree)}  # Python documents these
         private = {name for name in imports(tree) if PRIVATE.search(name) and not name.startswith(DOCUMENTED)}
         private |= {name for name in attributes(tree) if re.match("_[a-z]", name) and name not in own}
@@ -69,7 +75,7 @@ def test_what_is_imported_is_declared() -> None:
     always = set(map(name_of, project["dependencies"]))
     extras = {name_of(line) for lines in project["optional-dependencies"].values() for line in lines}
     packages = packages_distributions()
-    modules = {name.split(".")[0] for tree in TREES.values() for name in imports(tree)}
+    modules = {name.split(".")[0] for tree in trees().values() for name in imports(tree)}
     needed = {module: {name_of(each) for each in packages.get(module, [module])} for module in modules}
     assert {module for module, names in needed.items() if not names & (always | extras)} == set()
     assert always - set().union(*needed.values()) == set()
@@ -84,7 +90,7 @@ def test_no_docstring_begins_with_what() -> None:
     """A docstring names its object, so that it stands by itself."""
     found = [
         f"{file}: {text}"
-        for file, tree in TREES.items()
+        for file, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
         and (text := ast.get_docstring(node) or "").startswith("What")
