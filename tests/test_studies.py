@@ -39,13 +39,6 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     return run_study
 
 
-def test_two_sweeps_of_the_same_cells_are_compared(study: Study) -> None:
-    text = study("two_sweeps", "table2", "table2_box2d")
-    assert "difference: -0.64 [-1.43, 0.15]" in text
-    assert "cells with more, with fewer: 8, 15; sign test, p = 0.21" in text
-    assert "equivalent over cells within experiments of: 2" in text
-
-
 def test_last_policies_of_a_sweep_are_tried(
     study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

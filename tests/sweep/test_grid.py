@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import itertools
 import random
 from pathlib import Path
 
@@ -10,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweeping import write_sweep
 
-from simbias.config import ConfigError, Variations, compose, sweeps
+from simbias.config import ConfigError, compose, sweeps
 from simbias.sweep.axes import RESERVED, read_axis
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.results import COLUMNS
-from simbias.sweep.statistics import holds
 from simbias.sweep.tables import MEASURES
 
 VALUES = [0.0, 0.001, 0.1, 0.35, 1.5]
@@ -58,27 +56,6 @@ def test_what_is_added_or_reordered_changes_no_other_trial(
     more = [*torque, *(value for value in VALUES if value not in torque)]
     after = identities(grid(conf, rng.sample(more, len(more)), errors[::-1], trials + 1))
     assert before.items() <= after.items()
-
-
-@pytest.mark.slow
-def test_trials_are_what_composing_their_overrides_gives() -> None:
-    """Axes of options too; interpolations follow: cost.failure_weight is that of cost.max_cost."""
-    sweep = expand(["+sweep=components", "sweep.trials=1"])
-    found = {trial.cell.labels: trial for trial in sweep.trials}
-    assert set(found) == set(itertools.product(["gp", "none"], ["nlopt_direct", "nlopt_crs", "cma"]))
-    trial = found[("none", "cma")]
-    overrides = ["bias=none", "optimizer=cma", "hardware.noise.torque_variance=0.1", f"seed={trial.seed}"]
-    composed = compose(overrides)
-    assert (trial.composition, trial.hash) == (composed.trial, composed.hash)
-    chosen: dict[str, object]
-    for chosen in (
-        {"bias": "none", "cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "seed": 7},
-        {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
-        {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
-    ):
-        assert Variations().composition(chosen) == compose(
-            [f"{key}={value}" for key, value in chosen.items()]
-        )
 
 
 @pytest.mark.slow
@@ -181,35 +158,3 @@ def test_an_axis_may_add_a_key() -> None:
 
 def test_shipped_sweeps_are_the_files() -> None:
     assert sweeps() == sorted(file.stem for file in (ROOT / "sweeps").glob("*.yaml"))
-
-
-@pytest.mark.slow
-def test_common_seeds_pair_the_points_of_an_axis() -> None:
-    """A repetition has one seed along the axis; the point that the base has keeps the seeds it had."""
-    alone = {trial.hash for trial in expand(["+sweep=learners", "sweep.common_seeds=[]"]).trials}
-    sweep = expand(["+sweep=learners"])
-    met: dict[tuple[object, ...], set[int]] = {}
-    for trial in sweep.trials:
-        *others, bias = trial.cell.labels
-        met.setdefault((*others, trial.repetition), set()).add(trial.seed)
-        assert (trial.hash in alone) == (bias == "gp")
-    assert len(met) == len(sweep.trials) / 2
-    assert {len(seeds) for seeds in met.values()} == {1}
-    assert len(set().union(*met.values())) == len(met)
-
-
-@pytest.mark.slow
-def test_the_suites_cells_for_development_and_for_the_test_are_others() -> None:
-    """So are the starts of their tests, of which there are enough to pass the bar."""
-    splits = [expand(["+sweep=suite", f"sweep.suite.split={name}"]) for name in ("development", "test")]
-    hashes = [{cell.composition.group_hash for cell in each.cells} for each in splits]
-    assert not hashes[0] & hashes[1]
-    assert [len(each) for each in hashes] == [11, 11]
-    development, test = (each.base.config["policy_test"] for each in splits)
-    assert development["seed"] != test["seed"]
-    assert holds("1" * test["episodes"], splits[1].report.bar)
-    assert (test["long_episodes"], test["long_seconds"]) == (test["episodes"], 60)
-    for cell in splits[0].cells + splits[1].cells:
-        if "gaps" in (hardware := cell.composition.config["hardware"]):
-            assert hardware["record"] == "measured"
-            assert min(hardware["noise"].values()) > 0

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import runpy
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,7 +23,7 @@ from shipped import shortened
 from side_by_side import side_by_side
 from sweeping import sweep_folder, table
 
-from simbias.config import ConfigError, sweeps
+from simbias.config import ConfigError, Variations, compose, sweeps
 from simbias.config.build import build
 from simbias.core import markdown
 from simbias.engine.sequential import Sequential
@@ -28,6 +32,7 @@ from simbias.sweep import results, tables
 from simbias.sweep.grid import Cell, Sweep, expand
 from simbias.sweep.running import run_sweep
 from simbias.sweep.state import finished
+from simbias.sweep.statistics import holds
 from simbias.sweep.tracking import Folders
 from simbias.terminal.sweep import SweepConsole
 
@@ -58,6 +63,11 @@ def swept(folder: str) -> Sweep:
     if folder in LAST_CELL:
         overrides.append(f"sweep.axes.cell.points={LAST_CELL[folder]}")
     return expand([f"+sweep={name}", *overrides])
+
+
+def of_overrides(overrides: Sequence[str]) -> Sweep:
+    """In the place of `expand`, in studies of whole sweeps."""
+    return swept(overrides[0].removeprefix("+sweep="))
 
 
 def published(sweep: Sweep, folder: str) -> pd.DataFrame:
@@ -106,7 +116,7 @@ def test_every_sweep_runs_shortened(
 
 @pytest.mark.slow
 def test_the_published_table_is_that_of_the_published_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("paired.expand", lambda overrides: swept(overrides[0].removeprefix("+sweep=")))
+    monkeypatch.setattr("paired.expand", of_overrides)
     for folder in PUBLISHED:
         sweep = swept(folder.name)
         trials = published(sweep, folder.name)
@@ -167,7 +177,7 @@ def test_what_is_not_published_or_lacks_a_column_is_named(
 @pytest.mark.slow
 def test_readme_shows_the_published_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """Table II of both sweeps, the ablation, and what the policies for separate feet are worth."""
-    monkeypatch.setattr("side_by_side.expand", lambda overrides: swept(overrides[0].removeprefix("+sweep=")))
+    monkeypatch.setattr("side_by_side.expand", of_overrides)
     assert side_by_side() in README
     assert (RESULTS / "ablation" / "table.md").read_text() in README
     sweep, policies = swept("feet"), pd.read_csv(RESULTS / "feet" / "policies.csv")
@@ -191,3 +201,70 @@ def test_the_table_of_tracking_errors_is_that_of_the_trials() -> None:
     assert list(errors["repetition"]) == list(results.published(sweep)["repetition"])
     rivals = ("nothing learned", "nominal model alone")
     assert goal_errors.table(sweep, errors, rivals) == (folder / "errors.md").read_text()
+
+
+@pytest.mark.slow
+def test_trials_are_what_composing_their_overrides_gives() -> None:
+    """Axes of options too; interpolations follow: cost.failure_weight is that of cost.max_cost."""
+    sweep = swept("components")
+    found = {trial.cell.labels: trial for trial in sweep.trials if trial.repetition == 0}
+    assert set(found) == set(itertools.product(["gp", "none"], ["nlopt_direct", "nlopt_crs", "cma"]))
+    trial = found[("none", "cma")]
+    overrides = ["bias=none", "optimizer=cma", "hardware.noise.torque_variance=0.1", f"seed={trial.seed}"]
+    composed = compose(overrides)
+    assert (trial.composition, trial.hash) == (composed.trial, composed.hash)
+    chosen: dict[str, object]
+    for chosen in (
+        {"bias": "none", "cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "seed": 7},
+        {"cost.max_cost": 100.0, "hardware.noise.torque_variance": 1e-6, "bias.length_scale": [1.0] * 7},
+        {"bias": "gp", "bias.d": 2.0, "hardware.feet": "fixed"},
+    ):
+        assert Variations().composition(chosen) == compose(
+            [f"{key}={value}" for key, value in chosen.items()]
+        )
+
+
+@pytest.mark.slow
+def test_common_seeds_pair_the_points_of_an_axis() -> None:
+    """A repetition has one seed along the axis; the point that the base has keeps the seeds it had."""
+    alone = {trial.hash for trial in expand(["+sweep=learners", "sweep.common_seeds=[]"]).trials}
+    sweep = swept("learners")
+    met: dict[tuple[object, ...], set[int]] = {}
+    for trial in sweep.trials:
+        *others, bias = trial.cell.labels
+        met.setdefault((*others, trial.repetition), set()).add(trial.seed)
+        assert (trial.hash in alone) == (bias == "gp")
+    assert len(met) == len(sweep.trials) / 2
+    assert {len(seeds) for seeds in met.values()} == {1}
+    assert len(set().union(*met.values())) == len(met)
+
+
+@pytest.mark.slow
+def test_the_suites_cells_for_development_and_for_the_test_are_others() -> None:
+    """So are the starts of their tests, of which there are enough to pass the bar."""
+    splits = [swept(name) for name in ("suite", "suite_test")]
+    hashes = [{cell.composition.group_hash for cell in each.cells} for each in splits]
+    assert not hashes[0] & hashes[1]
+    assert [len(each) for each in hashes] == [11, 11]
+    development, test = (each.base.config["policy_test"] for each in splits)
+    assert development["seed"] != test["seed"]
+    assert holds("1" * test["episodes"], splits[1].report.bar)
+    assert (test["long_episodes"], test["long_seconds"]) == (test["episodes"], 60)
+    for cell in splits[0].cells + splits[1].cells:
+        if "gaps" in (hardware := cell.composition.config["hardware"]):
+            assert hardware["record"] == "measured"
+            assert min(hardware["noise"].values()) > 0
+
+
+@pytest.mark.slow
+def test_two_sweeps_of_the_same_cells_are_compared(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("simbias.sweep.grid.expand", of_overrides)
+    program = str(ROOT / "sweeps" / "studies" / "two_sweeps.py")
+    monkeypatch.setattr(sys, "argv", [program, "table2", "table2_box2d"])
+    runpy.run_path(program, run_name="__main__")
+    text = capsys.readouterr().out
+    assert "difference: -0.64 [-1.43, 0.15]" in text
+    assert "cells with more, with fewer: 8, 15; sign test, p = 0.21" in text
+    assert "equivalent over cells within experiments of: 2" in text
