@@ -9,10 +9,14 @@ started again, it goes on.
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pandas as pd
@@ -20,8 +24,10 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support"))  # the tests' own helpers
 
-from mlflow_ui import browse, serve, visit
+from mlflow_ui import PATIENCE, browse, free_port, is_up, visit
 from playwright.sync_api import Page, expect
+
+from simbias.mlflow.ui import SPARING
 
 SHORT = [
     *("task.horizon=20", "method.max_iterations=1", "optimizer.max_evaluations=3", "bias=none"),
@@ -63,6 +69,45 @@ def start_seconds(command: list[str], store: Path) -> float:
         taken = time.monotonic() - began
         parent.stdout.read()
     return taken
+
+
+@contextmanager
+def serve(command: str, folder: Path) -> Iterator[str]:
+    """Run the command that a sweep prints, and kill it at the end; yields its address."""
+    port = free_port()
+    root = f"http://127.0.0.1:{port}"
+    environment = {
+        **os.environ,
+        **SPARING,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+    }
+    log = folder / "server.log"
+    with log.open("w") as said:
+        server = subprocess.Popen(
+            f"{command} --port {port}",
+            shell=True,
+            cwd=folder,
+            env=environment,
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    try:
+        _wait_until_up(root, server, log)
+        yield root
+    finally:
+        os.killpg(server.pid, signal.SIGKILL)
+        server.wait()
+
+
+def _wait_until_up(root: str, server: subprocess.Popen[bytes], log: Path) -> None:
+    end = time.monotonic() + 2 * PATIENCE
+    while time.monotonic() < end and server.poll() is None:
+        if is_up(root):
+            return
+        time.sleep(0.05)
+    raise AssertionError(log.read_text())
 
 
 def seconds_to_show(page: Page, address: str, name: str) -> float:
