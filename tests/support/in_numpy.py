@@ -66,38 +66,6 @@ class CartPole(Nominal):
         return changed
 
 
-class DoublePendulum(Nominal):
-    """`simbias.robots.double_pendulum.DoublePendulum`: the same equations, of arrays."""
-
-    def __init__(self, parameters: Array, sub_steps: int) -> None:
-        self._parameters = parameters
-        self._sub_steps = sub_steps
-
-    def step(self, x: Array, u: Array) -> Array:
-        h = self._parameters[0]
-        for _ in range(self._sub_steps):
-            q, v = x[..., :2], x[..., 2:]
-            w = self._velocities(v, u, x, h / 2)
-            middle = np.concatenate([q + h / 2 * v, w], axis=-1)
-            x = np.concatenate([q + h * w, self._velocities(v, u, middle, h)], axis=-1)
-        return x
-
-    def _velocities(self, v: Array, u: Array, at: Array, h: float) -> Array:
-        _, a_1, a_2, a_3, rotor, gear, g_1, g_2, *friction = self._parameters
-        damping, coulomb = np.array(friction[:2]), np.array(friction[2:])
-        q_1, q_2, w_1, w_2 = np.moveaxis(at, -1, 0)
-        slope = damping + coulomb * 100 / (1 + (100 * v) ** 2)
-        rubbing = damping * v + coulomb * np.arctan(100 * v)
-        m_11 = a_1 + a_2 + 2 * a_3 * np.cos(q_2) + (gear**2 + 1) * rotor + h / 2 * slope[..., 0]
-        m_12 = a_2 + a_3 * np.cos(q_2) - gear * rotor
-        m_22 = a_2 + gear**2 * rotor + h / 2 * slope[..., 1]
-        turning = a_3 * np.sin(q_2) * np.stack([w_2 * (2 * w_1 + w_2), -(w_1**2)], axis=-1).T
-        f = u - rubbing - np.stack([g_1 * np.sin(q_1) + g_2 * np.sin(q_1 + q_2), g_2 * np.sin(q_1 + q_2)], -1)
-        f_1, f_2 = np.moveaxis(f, -1, 0) + turning
-        det = m_11 * m_22 - m_12**2
-        return v + h * np.stack([(m_22 * f_1 - m_12 * f_2) / det, (m_11 * f_2 - m_12 * f_1) / det], axis=-1)
-
-
 class Feedback(Policy):
     """`simbias.policy.output_feedback.OutputFeedback`, of arrays."""
 
