@@ -1,8 +1,8 @@
-"""Searches that predict, and hardware experiments that have, the costs that a test says."""
+"""Searches and experiments on hardware that have the costs that a test says; a method by chance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,8 @@ from point_mass import PointMass
 from simbias.core import Evaluation, Hardware
 from simbias.core.records import Iteration, Rollout
 from simbias.trial.method import Method
+from simbias.trial.observer import Observer
+from simbias.trial.steps import experiment
 from simbias.trial.study import Study
 
 FRAMES = 25  # of an experiment: five become training data
@@ -36,6 +38,35 @@ class ScriptedHardware(Hardware):
     def run(self, policy, theta, start, rng):
         states = np.full((FRAMES + 1, 2), next(self._costs))
         return Rollout(states, np.zeros((FRAMES, 1)))
+
+
+class Guessing(Method):
+    """Two iterations of two experiments, with policies by chance; its numbers are NumPy's."""
+
+    max_iterations = 2
+    max_experiments = 4
+    counts_from = 0
+    shares_its_generator = False
+    breaks = False
+    succeeds = False
+
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        for index in range(2):
+            if self.shares_its_generator:
+                theta = 0.1 * rng.standard_normal(study.policy.n_parameters)
+                made = tuple(study.experiment(theta, rng) for _ in range(2))
+                for each in made:
+                    observer.experimented(each)
+            else:
+                theta_rng, experiment_rng = rng.spawn(2)
+                theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
+                made = experiment(study, None, theta, experiment_rng, observer, 2)
+            if self.breaks:
+                raise ZeroDivisionError("of nothing")
+            cost = np.max([rollout.cost for rollout in made])
+            succeeded = np.bool_(self.succeeds and index == 1)
+            count = np.int64(self.counts_from + 2 * (index + 1))
+            yield Iteration(index, theta, made, cost, succeeded, count)  # type: ignore[arg-type]
 
 
 def scripted(

@@ -18,20 +18,19 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS
 from hardware import counted
 from records import assert_equal, step_names, timeless
+from scripted import Guessing
 
 import simbias
 from simbias.config import ConfigError
 from simbias.config.stored import read_folder
 from simbias.core import platform
-from simbias.core.records import Iteration, Rollout
+from simbias.core.records import Rollout
 from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, is_locked, write_whole
 from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
-from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.run import TrialRecord, read_trial, run_trial
-from simbias.trial.steps import experiment
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
 
@@ -325,24 +324,11 @@ def test_pandas_reads_it(whole: tuple[Path, TrialRecord]) -> None:
         assert {"states", "inputs", "parameters"} <= set(file.files)
 
 
-class Guessing(Method):
-    """Two policies by chance; its numbers are NumPy's."""
-
-    max_iterations, max_experiments = 2, 4
-
-    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        for index in range(2):
-            theta_rng, experiment_rng = rng.spawn(2)
-            theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
-            made = experiment(study, None, theta, experiment_rng, observer, 2)
-            cost = np.max([rollout.cost for rollout in made])
-            succeeded = np.bool_(index == 1)
-            yield Iteration(index, theta, made, cost, succeeded, np.int64(2 * index + 2))  # type: ignore[arg-type]
-
-
 @pytest.mark.slow
 def test_any_method_runs_resumes_and_is_read_back(point_mass: Study, tmp_path: Path) -> None:
-    study = replace(point_mass, method=Guessing())
+    method = Guessing()
+    method.succeeds = True
+    study = replace(point_mass, method=method)
     uninterrupted = run_trial(study, tmp_path / "whole")
     assert (uninterrupted.outcome, uninterrupted.summary.experiments) == (Outcome.SUCCEEDED, 4)
     assert_equal(read_trial(study, tmp_path / "whole"), uninterrupted)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,50 +9,22 @@ import numpy as np
 import pytest
 from in_numpy import predict_in_numpy
 from point_mass import InTheWind
+from scripted import Guessing
 
 import simbias
 from simbias.core import Policy, platform
 from simbias.core.errors import ConfigError
-from simbias.core.records import Array, Iteration, Rollout
+from simbias.core.records import Array, Rollout
 from simbias.pictures.trial.comparison import in_simulation
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search.lqr import lqr_policies
 from simbias.testing.conformance import verdicts
-from simbias.trial.method import Method
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
-from simbias.trial.observer import Observer
 from simbias.trial.run import read_trial, run_trial
-from simbias.trial.steps import experiment
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome, iteration_summary
-
-
-class Guessing(Method):
-    """Two iterations of two experiments, with policies by chance."""
-
-    max_iterations = 2
-    max_experiments = 4
-    counts_from = 0
-    shares_its_generator = False
-    breaks = False
-
-    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        for index in range(2):
-            if self.shares_its_generator:
-                theta = 0.1 * rng.standard_normal(study.policy.n_parameters)
-                made = tuple(study.experiment(theta, rng) for _ in range(2))
-                for each in made:
-                    observer.experimented(each)
-            else:
-                theta_rng, experiment_rng = rng.spawn(2)
-                theta = 0.1 * theta_rng.standard_normal(study.policy.n_parameters)
-                made = experiment(study, None, theta, experiment_rng, observer, 2)
-            if self.breaks:
-                raise ZeroDivisionError("of nothing")
-            cost = max(rollout.cost for rollout in made)
-            yield Iteration(index, theta, made, cost, False, self.counts_from + 2 * (index + 1))
 
 
 class Gusty(InTheWind):
