@@ -209,13 +209,6 @@ def test_a_span_in_seconds_is_whole_frames(point_mass: Study) -> None:
     assert len(one) == 49
 
 
-@pytest.mark.slow
-def test_the_default_spans_are_those_of_the_published_trials() -> None:
-    """In frames; the option in seconds is another."""
-    assert simbias.load(["tracking=none"]).hash == simbias.load(["samples.stride=35", "tracking=none"]).hash
-    assert simbias.load(["samples=thresholds", "tracking=none"]).hash != simbias.load(["tracking=none"]).hash
-
-
 def test_while_an_experiment_is_under_way_the_screen_says_so(point_mass: Study) -> None:
     file = StringIO()
     console = Console(file=file, width=100, force_terminal=True, highlight=False)

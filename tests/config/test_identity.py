@@ -56,6 +56,7 @@ def test_what_changes_no_result_changes_no_identity() -> None:
         ["hardware.noise.torque_variance=0", "method.experiments=2", "preset=paper"],  # defaults
         ["tracking=none", "engine=sequential", "experiment_timeout=3"],
         ["tracking.experiment=other", "engine.n_jobs=7"],
+        ["budget.experiments=null", "samples.stride=35"],  # frames; samples=thresholds has seconds
     ):
         assert compose(overrides).hash == base
     options = ["identification=posterior", "evaluation=domain_randomization_30s", "method=model_selection"]
@@ -71,6 +72,7 @@ def test_what_may_change_a_result_changes_the_identity() -> None:
         *("seed=1", "bias.d=2", "bias=none", "method=model_based", "hardware.noise.torque_variance=0.1"),
         *("task.robot.leg_length=0.4", "task.start.deviation=0.01", "optimizer.max_evaluations=999"),
         *("optimizer=nlopt_crs", "samples.limits.speed=7", "samples.window.measured=1"),
+        *("budget.experiments=5", "samples=thresholds"),
     ]
     settings = [override.split("=") for override in overrides]
     variations = Variations()

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simbias.config import compose
 from simbias.core.records import Iteration
 from simbias.trial.budget import Budget
 from simbias.trial.folder import TrialFolder
@@ -67,8 +66,3 @@ def test_a_method_that_goes_its_own_way_is_stopped_too(point_mass: Study, tmp_pa
     study = replace(point_mass, method=Direct(), budget=Budget(experiments=3))
     run_trial(study, tmp_path)
     assert len(TrialFolder(tmp_path).steps()) == 3
-
-
-def test_no_budget_changes_no_identity() -> None:
-    assert compose(["budget.experiments=null"]).hash == compose().hash
-    assert compose(["budget.experiments=5"]).hash != compose().hash
