@@ -53,7 +53,7 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
 
 
 def first_prediction(study: Study) -> Prediction:
-    """What the first experiment of a trial will do, on the model that its policy is searched on."""
+    """Simulate the first experiment of a trial on the model that its policy is searched on."""
     asked: list[tuple[Policy, Array, Array]] = []
 
     def refuse(*experiment: Any) -> bool:
