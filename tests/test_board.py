@@ -258,6 +258,17 @@ def test_uptime_counts_what_the_policy_holds(monkeypatch: pytest.MonkeyPatch) ->
     assert len(held) == 101  # as their scripts: until their clock exceeds 0.2 s
 
 
+def test_the_fastest_plans_that_are_published_begin_where_resets_end() -> None:
+    import fastest
+    from plant import RESET, STEP, resets
+
+    published = pd.read_csv(ROOT / "sweeps" / "results" / "board" / "fastest_pendubot.csv")
+    for one in published[1:].sample(5, random_state=0).itertuples():
+        x, up = fastest.after_reset(resets(one.seed)[0][one.reset - 1])
+        np.testing.assert_allclose([one.angle_1, one.angle_2, one.d_angle_1, one.d_angle_2], x, atol=1e-4)
+        assert one.down == pytest.approx(RESET + STEP - up + one.seconds, abs=2e-4)
+
+
 THEIRS = ["preset=pendubot_trajectory", "hardware=their_simulator", "tracking=none"]
 
 
