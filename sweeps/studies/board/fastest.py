@@ -145,7 +145,9 @@ def main() -> None:
     for seed in range(arguments.seeds):
         each += [(seed, k, angles) for k, angles in enumerate(resets(seed)[0], start=1)]
     joint = DRIVEN.index(arguments.robot)
-    table = pd.DataFrame(Parallel(arguments.jobs)(delayed(row)(joint, *one) for one in each))
+    from fastest import row as own  # processes do not find what a script defines
+
+    table = pd.DataFrame(Parallel(arguments.jobs)(delayed(own)(joint, *one) for one in each))
     table.round(4).to_csv(arguments.out, index=False)
     start, after = table.iloc[0], table.iloc[1:].replace(np.inf, np.nan)
     shares = 1.0 - (start["down"] + RESETS * after.groupby("seed")["down"].mean()) / MINUTE
