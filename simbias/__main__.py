@@ -124,10 +124,10 @@ def _of_recordings(parsed: argparse.Namespace) -> Request:
     from simbias.recordings.reading import columns
     from simbias.terminal.identify import Request
 
-    def are_places(words: Sequence[str]) -> list[str]:
+    def places_among(words: Sequence[str]) -> list[str]:
         return [word for word in words if "=" not in word or os.path.exists(word)]
 
-    places, held_out = are_places(parsed.words), are_places(parsed.held_out)
+    places, held_out = places_among(parsed.words), places_among(parsed.held_out)
     overrides = [word for word in (*parsed.words, *parsed.held_out) if word not in (*places, *held_out)]
     named = columns(parsed.columns) if parsed.columns else None
     folder = Path(parsed.into)

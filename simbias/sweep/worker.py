@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from socket import gethostname
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from simbias.config import Composition
@@ -18,6 +17,7 @@ from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.messages import with_type
 from simbias.core.platform import package_digest
+from simbias.engine.workplace import temporary_folder
 from simbias.trial.disk import write_whole
 from simbias.trial.folder import OUTCOME, TrialFolder
 from simbias.trial.run import run_trial
@@ -54,7 +54,7 @@ def run_plan(plan: Plan) -> Result:
         warnings.simplefilter("ignore", SlowWarning)  # a line for each fit of each trial is too many
         try:
             if folder is not None and apart:
-                folder = Path(stack.enter_context(TemporaryDirectory()), folder.name)
+                folder = Path(stack.enter_context(temporary_folder()), folder.name)
                 if plan.kept:
                     unpack(plan.kept, folder)
             elif folder is not None and not folder.parent.exists():

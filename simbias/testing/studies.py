@@ -7,9 +7,7 @@ import numpy as np
 from simbias.core.records import Rollout
 from simbias.testing.expectations import check, equal, expect, inputs, robot_states, rollout
 from simbias.trial.study import Study
-from simbias.trial.warm_up import warm_up
-
-SECONDS = 0.2  # of a rollout that is learned from
+from simbias.trial.warm_up import SECONDS, warm_up
 
 
 @check("identification", "without rollouts, the model itself, maybe with motors and sensors of its own")

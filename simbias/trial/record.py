@@ -133,9 +133,10 @@ class FolderRecord(Record):
     def _fits(self, rollout: Rollout, theta: Array) -> bool:
         """Whether an experiment is with theta (p,): on the trial's only platform to the last bit."""
         kept = rollout.parameters
-        if self.folder.platforms() == [platform.kind()]:
-            return np.array_equal(kept, theta)
-        return kept.shape == theta.shape and np.allclose(kept, theta, rtol=ROUNDING, atol=ROUNDING)
+        if np.array_equal(kept, theta):
+            return True
+        elsewhere = kept.shape == theta.shape and self.folder.platforms() != [platform.kind()]
+        return elsewhere and np.allclose(kept, theta, rtol=ROUNDING, atol=ROUNDING)
 
     def _experiment(self, path: Path) -> tuple[Rollout, tuple[int, ...]]:
         """An experiment and its place, as a hardware can have made it; those of a test may be longer."""

@@ -138,10 +138,10 @@ def alone(command: Sequence[str], seconds: float) -> Iterator[IO[str] | None]:
 def _shared_file(path: Path) -> IO[str]:
     """A file that every user of this machine may open, in whatever environment."""
     try:
-        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
-    except FileNotFoundError:
-        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CREAT, 0o666)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         os.fchmod(handle, 0o666)  # whatever the umask
+    except FileExistsError:
+        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     return os.fdopen(handle, "r+")
 
 

@@ -103,7 +103,8 @@ class ModelBased(Method):
     @property
     def source_files(self) -> list[Path]:
         """The first policy's file, if it is there."""
-        return [file for file in map(Path, filter(None, [self.first_policy])) if file.is_file()]
+        file = Path(self.first_policy or "")
+        return [file] if file.is_file() else []
 
     @cached_property
     def max_experiments(self) -> int:
