@@ -28,6 +28,7 @@ from simbias.core.records import Rollout
 from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, is_locked, write_whole
+from simbias.trial.files import load_rollout
 from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
 from simbias.trial.observer import Observer
 from simbias.trial.run import TrialRecord, read_trial, run_trial
@@ -213,6 +214,18 @@ def test_an_experiment_that_no_hardware_can_have_made_is_named(
             with pytest.raises(ConfigError, match=r"0001_experiment\.npz: cannot be read") as caught:
                 read_trial(short, file.parent)
             assert "\n" not in str(caught.value)
+
+
+def test_an_experiment_that_holds_objects_runs_nothing(tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple:
+            return Path.touch, (tmp_path / "ran",)
+
+    names = ("states", "inputs", "parameters")
+    np.savez(tmp_path / "evil.npz", **{name: np.array([Evil()], dtype=object) for name in names})
+    with pytest.raises(ValueError, match="allow_pickle"):
+        load_rollout(tmp_path / "evil.npz")
+    assert not (tmp_path / "ran").exists()
 
 
 def test_steps_of_other_code_are_one_line(
