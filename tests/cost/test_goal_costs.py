@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from conftest import ROOT
 from interpreted import interpreted
-from omegaconf import OmegaConf
+from mechanisms import declared
 
 import simbias
-from simbias.config.components import construct
 from simbias.core import Cost, Model, Task
 from simbias.core.records import Array, Rollout
 from simbias.cost.declared import Declared
@@ -20,12 +16,7 @@ from simbias.cost.tracking import Tracking
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler.closed_loop import REDUCTIONS
 
-CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
 GOAL = {"position": "0.3 * sin(2 * t)", "angle": 0.05}
-
-
-def task_of(**changes: Any) -> Task:
-    return construct({**CARTPOLE, "goal": GOAL, **changes}, Task, "task")
 
 
 def costs(task: Task) -> list[Cost]:
@@ -49,7 +40,7 @@ def expected(x: Array, u: Array, task: Task) -> list[float]:
 
 
 def test_they_are_their_formulas_and_summed_up_frame_by_frame() -> None:
-    task, study = task_of(failure=None, horizon=25), simbias.load(["preset=cartpole"])
+    task, study = declared(goal=GOAL, failure=None, horizon=25), simbias.load(["preset=cartpole"])
     model = Model(task, study.policy, study.nominal, study.bias.fit(study.no_data))
     starts = np.array([[0.0, 0.1, 0.0, 0.0], [0.1, 0.0, 0.1, 0.0]])
     thetas = np.full((2, 4), 0.5)
@@ -67,7 +58,7 @@ def test_they_are_their_formulas_and_summed_up_frame_by_frame() -> None:
 
 
 def test_a_failure_costs_what_it_takes_away() -> None:
-    task = task_of()
+    task = declared(goal=GOAL)
     x, u = np.zeros((26, 4)), np.zeros((25, 1))
     for cost, weight in zip(costs(task), (1.0, 10.0, 10.0), strict=True):
         failed = Rollout(x, u, 25, "falls")
@@ -80,7 +71,7 @@ def test_a_failure_costs_what_it_takes_away() -> None:
 
 
 def test_what_it_does_not_know_is_refused() -> None:
-    task = task_of()
+    task = declared(goal=GOAL)
     for widths, words in (
         ({"torque": 1.0}, "nothing is called torque"),
         ({}, "one has to be more than 0"),
@@ -94,7 +85,7 @@ def test_what_it_does_not_know_is_refused() -> None:
 
 def test_what_is_no_number_costs_a_finite_number() -> None:
     """As of a model that explodes within a frame; totals leave it out."""
-    task = task_of()
+    task = declared(goal=GOAL)
     for far in (1e160, np.inf, np.nan):
         rollout = Rollout(np.array([task.start_mean, np.full(4, far)]), np.zeros((1, 1)), 1, "state")
         assert all(np.isfinite(cost.of(rollout)) for cost in costs(task)), far

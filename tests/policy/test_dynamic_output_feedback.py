@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from interpreted import interpreted
+from interpreted import assert_alike, interpreted
 
 import simbias
 from simbias.core import Quantity, Task
@@ -120,10 +120,10 @@ def test_written_rollouts_are_the_plain_ones() -> None:
     with interpreted():
         written = compiled.rollouts(thetas, starts)
         assert compiled.rollouts(thetas[:0], starts[:0]) == []
-    for fast, slow in zip(written, plain.rollouts(thetas, starts), strict=True):
-        np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-6, atol=1e-8)
-        np.testing.assert_allclose(fast.states, slow.states, rtol=1e-7, atol=1e-10)
-        assert (np.abs(slow.inputs) == 100.0).any()  # at its limit, where the integral rests
+    assert_alike(written, plain.rollouts(thetas, starts), 1e-7, 1e-10, of_inputs=1e-8)
+    assert all(
+        (np.abs(each.inputs) == 100.0).any() for each in written
+    )  # at its limit, where the integral rests
     off, linear = DynamicOutputFeedback(study.task), OutputFeedback(study.task)
     np.testing.assert_array_equal(off.bounds, linear.bounds)
     theta, x = rng.uniform(-5, 5, (7, 5)), 0.1 * rng.normal(size=(7, 6))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
-from interpreted import interpreted
-from omegaconf import OmegaConf
+from interpreted import assert_alike, interpreted
+from mechanisms import CARTPOLE, declared
+from models import with_values
 
 import simbias
-from simbias.config.components import construct
 from simbias.core import Model, Policy, Task
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.rig import Motor, Rig
@@ -25,8 +23,6 @@ from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.study import Study
 
-CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
-
 
 @pytest.fixture(scope="module")
 def cartpole() -> Study:
@@ -37,7 +33,7 @@ def cartpole() -> Study:
 def turning() -> Task:
     """The cart-pole, whose angle wraps and which does not fail."""
     states = CARTPOLE["states"] | {"angle": {"unit": "rad", "mean": 0.3, "deviation": 0.1, "wraps": True}}
-    return construct({**CARTPOLE, "states": states, "failure": None, "horizon": 30}, Task, "task")
+    return declared(states=states, failure=None, horizon=30)
 
 
 def drawn(policy: Policy, count: int, scale: float = 0.3) -> Array:
@@ -66,8 +62,7 @@ def test_a_perceptron_and_radial_basis_functions_are_their_formulas(cartpole: St
 def late(task: Task, study: Study, frames: float) -> Rig:
     """The cart-pole with a motor that is so many frames late."""
     rig = Rig(task, study.nominal, {"force": Motor(delay=task.time_step)}, {})
-    delay = {"force.delay": frames * task.time_step}
-    return rig.with_parameters(np.array([delay.get(each.name, each.value) for each in rig.parameters]))
+    return with_values(rig, **{"force.delay": frames * task.time_step})
 
 
 def written(cartpole: Study, turning: Task, observer: ObserverKind) -> tuple[list[Rollout], list[Rollout]]:
@@ -93,15 +88,12 @@ def test_written_they_are_what_they_are_in_numpy(cartpole: Study, turning: Task)
     with interpreted():
         made = [written(cartpole, turning, observer) for observer in OBSERVERS]
     for fast, slow in made:
-        for one, other in zip(fast, slow, strict=True):
-            np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-5, atol=1e-4)
-            np.testing.assert_allclose(one.states, other.states, rtol=1e-5, atol=1e-6)
+        assert_alike(fast, slow, 1e-5, 1e-6, of_inputs=1e-4)
 
 
 def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: Study, turning: Task) -> None:
-    task = construct({**CARTPOLE, "goal": {"position": "sin(t)"}, "failure": None}, Task, "task")
     with pytest.raises(ValueError, match="goal has to be about all states"):
-        Switched(task, cartpole.nominal)
+        Switched(declared(goal={"position": "sin(t)"}, failure=None), cartpole.nominal)
     policy = Switched(turning, cartpole.nominal, hysteresis=4.0)
     theta = np.zeros(policy.n_parameters)  # the network's inputs are zero; level 1
     A, B = linearization(cartpole.nominal, np.zeros(4), np.zeros(1), turning.input_limit)

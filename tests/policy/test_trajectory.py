@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from interpreted import interpreted
+from models import with_values
 
 import simbias
 from simbias.core import Model
@@ -101,8 +102,7 @@ def test_exported_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """
     _, (theta,) = around(cartpole, 1)
     rig = Rig(cartpole.task, cartpole.nominal, {"force": Motor(delay=0.05)}, {})
-    late = {"force.delay": 1.5 * cartpole.task.time_step}
-    nominal = rig.with_parameters(np.array([late.get(each.name, each.value) for each in rig.parameters]))
+    nominal = with_values(rig, **{"force.delay": 1.5 * cartpole.task.time_step})
     policy = Trajectory(cartpole.task, cartpole.nominal, KNOTS, observer="kalman", sliding=True)
     rows = theta.reshape(KNOTS, 9)
     theta = np.concatenate([rows, 0.1 * rows[:, 5:]], axis=1).ravel()

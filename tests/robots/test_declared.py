@@ -7,29 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from errors import one_line
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanisms import DOUBLE
-from omegaconf import OmegaConf
+from mechanisms import CARTPOLE, DOUBLE, declared, shipped_task
 
-from simbias.config import ConfigError
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
 from simbias.core import Task
-from simbias.robots.declared.task import Declared
 from simbias.simulation.compiler import Expressions
 from simbias.simulation.compiler.choices import greater, lesser
 from simbias.simulation.compiler.symbolic_arrays import row
 from simbias.simulation.compiler.symbols import Trace
 from simbias.simulation.compiler.written import written
-
-CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
-
-
-def declared(**changes: Any) -> Declared:
-    """The cart-pole's task with other values."""
-    return construct({**CARTPOLE, **changes}, Task, "task")
 
 
 @given(st.floats(-4, 4), st.floats(-4, 4))
@@ -105,9 +95,8 @@ def test_nothing_else_is_an_expression() -> None:
         *("min(a)", "min(*a)", "eval(a)", "f'{a}'", "a[0]", "(a := 1)", "await a", "c", "1 +"),
         *("(" * 500 + "a" + ")" * 500, "-" * 900 + "a"),
     ):
-        with pytest.raises(ValueError, match=r"^f: ") as error:
+        with one_line("^f: ", ValueError):
             Expressions({"f": text}, ("a", "b"))
-        assert "\n" not in str(error.value)
 
 
 def test_a_bad_declaration_is_one_line() -> None:
@@ -125,10 +114,9 @@ def test_a_bad_declaration_is_one_line() -> None:
         ({"drawing": {"rail": {"points": [[0, 0, 0]]}}}, "task.drawing.rail.points.0: "),
     ]
     for changes, message in cases:
-        with pytest.raises(ConfigError) as error:
+        with one_line() as error:
             declared(**changes)
         assert str(error.value).startswith(message)
-        assert "\n" not in str(error.value)
 
 
 def test_the_order_of_states_counts_in_the_identity() -> None:
@@ -146,7 +134,7 @@ def test_the_drawing_is_to_scale() -> None:
 
 def test_a_file_draws_its_geoms() -> None:
     """Where the equations say that its poles are, which the declared drawing says too."""
-    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "double_cartpole.yaml"))
+    config = shipped_task("double_cartpole")
     of_file = construct({**config, "drawing": None, "figure": {"file": DOUBLE}}, Task, "task")
     x = np.array([0.3, 0.1, -0.2, 0.0, 0.0, 0.0])
     by_file, by_declaration = of_file.points(x), construct(config, Task, "task").points(x)

@@ -7,30 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from conftest import ROOT
-from interpreted import interpreted
-from omegaconf import OmegaConf
+from errors import one_line
+from interpreted import assert_alike, interpreted
+from mechanisms import CARTPOLE, declared
 
 import simbias
-from simbias.config import ConfigError
-from simbias.config.components import construct
-from simbias.core import Model, Task
+from simbias.core import Model
 from simbias.core.records import Rollout
 from simbias.lab.checks import check_rollout
-from simbias.robots.declared.task import Declared
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.noise import Noise
 from simbias.simulation.numpy_loop import PlainSimulator
 
-CARTPOLE: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "cartpole.yaml"))
 STILL = {"still": {"value": "abs(angle_error)", "below": 0.1}}
 PULSES = {"count": 3, "amplitude": [20.0, 50.0], "seconds": [0.05, 0.1]}
-
-
-def declared(**changes: Any) -> Declared:
-    """The cart-pole's task with other values."""
-    return construct({**CARTPOLE, **changes}, Task, "task")
 
 
 def table(folder: Path, text: str) -> str:
@@ -117,9 +107,7 @@ def test_without_failure_a_loop_runs_to_its_end_in_lanes_and_plain() -> None:
     thetas = np.full((2, 4), 0.1)
     with interpreted():
         made = compiled.rollouts(thetas, starts)
-    for one, other in zip(made, plain.rollouts(thetas, starts), strict=True):
-        assert (one.frames, one.failure) == (other.frames, other.failure)
-        np.testing.assert_allclose(one.states, other.states, rtol=1e-6, equal_nan=True)
+    assert_alike(made, plain.rollouts(thetas, starts), 1e-6, 0.0)
     assert made[0].frames == task.horizon
     assert made[1].failure == "not_a_number"
 
@@ -147,9 +135,8 @@ def test_what_cannot_be_meant_is_refused() -> None:
         ({"reference": "none.csv"}, "reference 'none.csv': .*No such file"),
     ]
     for changes, message in cases:
-        with pytest.raises(ConfigError, match=message) as raised:
+        with one_line(message):
             declared(**changes)
-        assert "\n" not in str(raised.value)
 
 
 def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
@@ -160,5 +147,5 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         ("time,position\n0,0\n5,1\n", "expected rows of t and of the goal's quantities"),
         ("t,position\n0,0\n0,1\n5,1\n", "t has to grow from 0"),
     ):
-        with pytest.raises(ConfigError, match=message):
+        with one_line(message):
             declared(reference=table(tmp_path, text))

@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import ROOT
-from mechanisms import DOUBLE
-from omegaconf import OmegaConf
+from mechanisms import DOUBLE, cart_pole, shipped_task
 from scipy.spatial import ConvexHull
 
 from simbias.config.components import construct
@@ -40,22 +39,14 @@ ROBOT = """
 
 def drawn_from(**figure: Any) -> Any:
     """The double cart-pole, drawn from a file."""
-    config: Any = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "task" / "double_cartpole.yaml"))
-    return construct({**config, "drawing": None, "figure": figure}, Task, "task")
+    return construct({**shipped_task("double_cartpole"), "drawing": None, "figure": figure}, Task, "task")
 
 
 def slider(file: Path) -> Any:
     """A slider, drawn from a file of which a stick figure lacks the hull."""
-    config = {
-        "_target_": "simbias.robots.declared.task.Declared",
-        "time_step": 0.01,
-        "horizon": 10,
-        "states": {"x": {"unit": "m", "kind": "position"}, "d_x": {"unit": "m/s", "kind": "velocity"}},
-        "inputs": {"force": {"unit": "N", "kind": "force", "limit": 20.0}},
-        "failure": {"leaves": {"value": "abs(x)", "above": 1.0, "unit": "m"}},
-        "figure": {"file": str(file)},
-    }
-    return construct(config, Task, "task")
+    states = {"x": {"unit": "m"}, "d_x": {"unit": "m/s"}}
+    leaves = {"value": "abs(x)", "above": 1.0}
+    return cart_pole(states=states, failure={"leaves": leaves}, figure={"file": str(file)})
 
 
 def rendered(task: Any, x: Array) -> Image:

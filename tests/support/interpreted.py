@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -10,9 +10,11 @@ from unittest.mock import patch
 
 import numpy as np
 
+from simbias.core.records import Array, Rollout
 from simbias.simulation import compiled, open_loop
 from simbias.simulation.compiler import compile_closed_loop, compile_open_loop
 from simbias.simulation.compiler.loop import Loop
+from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 
 
 @contextmanager
@@ -41,3 +43,23 @@ def _in_python(loop: Loop) -> Any:
     exec(loop.source, names)
     names["loop"].signatures = ["any"]  # there is nothing to compile
     return names["loop"]
+
+
+def predicted_as_plain(
+    models: Sequence[PredictionModel], windows: Windows, rtol: float, atol: float = 0.0
+) -> Array:
+    """What the written loop predicts of recordings; it is what NumPy predicts."""
+    with interpreted():
+        made = predict(models, windows)
+    np.testing.assert_allclose(made, plain(models, windows), rtol=rtol, atol=atol)
+    return made
+
+
+def assert_alike(
+    made: Sequence[Rollout], expected: Sequence[Rollout], rtol: float, atol: float, of_inputs: float = 0.0
+) -> None:
+    """Rollouts are others, to these tolerances; of inputs the absolute one may be another."""
+    for one, other in zip(made, expected, strict=True):
+        assert (one.frames, one.failure) == (other.frames, other.failure)
+        np.testing.assert_allclose(one.states, other.states, rtol=rtol, atol=atol)
+        np.testing.assert_allclose(one.inputs, other.inputs, rtol=rtol, atol=of_inputs or atol)

@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from omegaconf import OmegaConf
+
 from simbias.config.components import construct
 from simbias.core import Task
 from simbias.robots.declared.task import Declared
 
+CONF = Path(__file__).parents[2] / "conf"
 DOUBLE = "gymnasium:envs/mujoco/assets/inverted_double_pendulum.xml"
 MJCF = """
 <mujoco>
@@ -66,6 +69,19 @@ def mjcf(
     values = {"length": length, "half": length / 2, "inertia": 0.5 * length**2 / 12}
     file.write_text(MJCF.format(**values, damping=damping, actuators=actuators, step=step))
     return str(file)
+
+
+def shipped_task(name: str) -> Any:
+    """What conf/task/NAME.yaml says."""
+    return OmegaConf.to_container(OmegaConf.load(CONF / "task" / f"{name}.yaml"))
+
+
+CARTPOLE = shipped_task("cartpole")
+
+
+def declared(**changes: Any) -> Declared:
+    """The shipped cart-pole's task with other values."""
+    return construct({**CARTPOLE, **changes}, Task, "task")
 
 
 def cart_pole(**changes: Any) -> Declared:
