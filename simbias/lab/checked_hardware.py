@@ -6,12 +6,13 @@ import ctypes
 import os
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextvars import copy_context
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol, final
+from typing import Any, final
 
 import numpy as np
 
@@ -72,14 +73,16 @@ def place_of(rng: np.random.Generator) -> tuple[int, ...]:
     return tuple(getattr(rng.bit_generator.seed_seq, "spawn_key", ()))
 
 
-class ExperimentRecord(Protocol):
+class ExperimentRecord(ABC):
     """Keeps experiments, and replays those that it has kept."""
 
+    @abstractmethod
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         """The next experiment, with theta (p,): replayed, or made and kept before anyone uses it."""
 
     def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
         """Keep what a hardware returned that is no rollout; where it is, as the end of a message."""
+        return ""
 
 
 @final

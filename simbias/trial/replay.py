@@ -2,40 +2,31 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
-from simbias.core.records import Array, Iteration, Optimum, Rollout
-from simbias.lab.checked_hardware import MakeExperiment
+from simbias.core.records import Array, Iteration, Optimum
+from simbias.lab.checked_hardware import ExperimentRecord
 
 
 class EndOfRecord(Exception):  # noqa: N818 (no error: as far as a trial came)
     """A trial that is only read has made no further step."""
 
 
-class Record(ABC):
-    """The steps of a trial in their order; also a `simbias.lab.checked_hardware.ExperimentRecord`."""
+class Record(ExperimentRecord):
+    """The steps of a trial in their order."""
 
     @abstractmethod
     def search(self, make: Callable[[], Optimum]) -> Optimum:
         """The next search: replayed, or made and kept."""
 
-    @abstractmethod
-    def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
-        """The next experiment, with theta (p,): replayed, or made and kept."""
-
     def iteration(self, iteration: Iteration) -> Iteration:
         """The iteration that has ended, its seconds as they were when it ended first."""
         return iteration
-
-    def refuse(self, returned: Any, theta: Array, start: Array, why: str) -> str:
-        """Keep what a hardware returned that is no rollout; where it is, as the end of a message."""
-        return ""
 
 
 class ReplayedOptimizer(Optimizer):
