@@ -51,7 +51,7 @@ def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
     experiment = robot.experiment(theta, np.random.default_rng(0))
     errors = [distances(robot, each.states).mean() for each in (rollout, experiment)]
     assert errors[1] > 3 * errors[0]
-    tried = iteration_record(0, theta, (experiment,), False, 1, Stopwatch())
+    tried = iteration_record(robot, 0, theta, (experiment,), 1, Stopwatch())
     plane, *over_time = following(robot, [tried]).axes
     aims = robot.task.aim(experiment.states)
     np.testing.assert_array_equal(lines(plane, HARDWARE)[0], aims)

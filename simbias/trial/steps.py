@@ -171,21 +171,22 @@ def learn(
 
 
 def iteration_record(
+    study: Study,
     index: int,
     theta: Array,
     experiments: tuple[Rollout, ...],
-    succeeded: bool,
     total_experiments: int,
     clock: Stopwatch,
     model: Model | None = None,
     search: Search | None = None,
     learning: Learning | None = None,
 ) -> Iteration:
-    """The record of an iteration; its hardware cost Z_r is the largest of its experiments' (line 9).
+    """The record of an iteration, which succeeds if all of its experiments do (line 10).
 
-    `model` is the simulation that its policy was made on.
+    Its hardware cost Z_r is the largest of theirs (line 9); its policy was made on `model`.
     """
     cost = max(rollout.cost for rollout in experiments)
+    succeeded = all(map(study.passes, experiments))
     made = model, search, learning, clock.seconds
     return Iteration(index, theta, experiments, cost, succeeded, total_experiments, *made)
 

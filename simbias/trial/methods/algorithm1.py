@@ -57,7 +57,7 @@ class Algorithm1(Method):
                     model, data = learn(study, experiments, learned_from)  # 13, 14
                 selection = study.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset)
-            counts = succeeded, len(experiments)
-            yield iteration_record(i, theta, rollouts, *counts, clock, simulation, found, learning)
+            made = len(experiments)
+            yield iteration_record(study, i, theta, rollouts, made, clock, simulation, found, learning)
             if succeeded:  # 11
                 return

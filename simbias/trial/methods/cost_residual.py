@@ -70,12 +70,11 @@ class CostResidual(Method):
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
-            succeeded = all(map(study.passes, rollouts))
-            record = iteration_record(index, theta, rollouts, succeeded, made, clock, model, found)
+            record = iteration_record(study, index, theta, rollouts, made, clock, model, found)
             added = np.log(record.hardware_cost) - np.log(predicted(theta))
             tried, residuals = np.vstack([tried, theta]), np.vstack([residuals, [added]])
             yield record
-            if succeeded:
+            if record.succeeded:
                 return
 
 

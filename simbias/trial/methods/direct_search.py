@@ -82,10 +82,9 @@ class DirectSearch(Method):
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
-            succeeded = all(map(study.passes, rollouts))
-            record = iteration_record(index, theta, rollouts, succeeded, made, clock, model)
+            record = iteration_record(study, index, theta, rollouts, made, clock, model)
             yield record
-            if succeeded:
+            if record.succeeded:
                 return
             theta = proposals.send(record.hardware_cost)
 

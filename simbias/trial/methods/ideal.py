@@ -54,5 +54,4 @@ class Ideal(Method):
         observer.designed(theta, model, found)
         with clock("experiments"):
             rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments)
-        succeeded = all(map(study.passes, rollouts))
-        yield iteration_record(0, theta, rollouts, succeeded, len(rollouts), clock, model, found)
+        yield iteration_record(study, 0, theta, rollouts, len(rollouts), clock, model, found)

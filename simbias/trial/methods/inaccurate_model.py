@@ -53,10 +53,9 @@ class InaccurateModel(Method):
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
-            succeeded = all(map(study.passes, rollouts))
-            record = iteration_record(index, theta, rollouts, succeeded, made, clock, model, found)
+            record = iteration_record(study, index, theta, rollouts, made, clock, model, found)
             yield record
-            if succeeded:
+            if record.succeeded:
                 return
             clock, found = Stopwatch(), None
             with clock("search"):

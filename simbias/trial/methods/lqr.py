@@ -96,7 +96,7 @@ class Lqr(Method):
                 passes = self.passes_of(index)
                 rollouts = experiment(study, model, theta, rng, observer, passes, self.experiments)
             experiments += rollouts
-            succeeded = all(map(study.passes, rollouts))
-            yield iteration_record(index, theta, rollouts, succeeded, len(experiments), clock, model)
-            if succeeded:
+            record = iteration_record(study, index, theta, rollouts, len(experiments), clock, model)
+            yield record
+            if record.succeeded:
                 return

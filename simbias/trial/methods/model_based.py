@@ -163,8 +163,8 @@ class ModelBased(Method):
                     model, data = learn(study, experiments, learned_from, most_likely(likelihoods))
                 selection = study.select(rollouts, model.nominal)
             learning = Learning(selection, data, reset, likelihoods)
-            counts = succeeded, len(experiments)
-            yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)
+            made = len(experiments)
+            yield iteration_record(study, index, theta, rollouts, made, clock, simulation, found, learning)
             if succeeded:
                 return
 

@@ -80,8 +80,7 @@ class MultiFidelity(Method):
                     learned_from.append(rollouts)
                     model, data = learn(study, experiments, learned_from)
                 selection = study.select(rollouts, model.nominal)
-            counts = succeeded, len(experiments)
-            learning = Learning(selection, data)
-            yield iteration_record(index, theta, rollouts, *counts, clock, simulation, found, learning)
+            made, learning = len(experiments), Learning(selection, data)
+            yield iteration_record(study, index, theta, rollouts, made, clock, simulation, found, learning)
             if succeeded:
                 return

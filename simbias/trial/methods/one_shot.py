@@ -54,8 +54,6 @@ class OneShot(Method):
                 if not index and not succeeded:
                     model, data = learn(study, rollouts, [rollouts])
             learning = Learning(selection, data)
-            yield iteration_record(
-                index, theta, rollouts, succeeded, made, clock, simulation, found, learning
-            )
+            yield iteration_record(study, index, theta, rollouts, made, clock, simulation, found, learning)
             if succeeded:
                 return
