@@ -127,19 +127,3 @@ def holm(p: Mapping[str, float]) -> dict[str, float]:
         largest = max(largest, min(1.0, (len(p) - rank) * p[name]))
         adjusted[name] = largest
     return {name: adjusted[name] for name in p}
-
-
-def equivalent(differences: Sequence[float], margin: float) -> bool:
-    """Whether the mean of paired differences is within +-margin, by two one-sided t-tests at 5% each.
-
-    Only this lets one say "no difference" (D. Schuirmann, J. Pharmacokin. Biopharm. 15, 1987).
-    """
-    from scipy.stats import ttest_1samp
-
-    if len(differences) < 2:
-        return False
-    if np.ptp(differences) == 0:
-        return bool(abs(differences[0]) < margin)
-    above = ttest_1samp(differences, -margin, alternative="greater").pvalue
-    below = ttest_1samp(differences, margin, alternative="less").pvalue
-    return bool(max(above, below) < 0.05)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import runpy
+
 import numpy as np
 import pytest
+from conftest import ROOT
 from scipy.stats import mannwhitneyu
 
 from simbias.sweep.statistics import (
-    equivalent,
     holds,
     holm,
     interquartile_mean,
@@ -86,6 +88,8 @@ def test_holm_is_the_textbooks() -> None:
 
 
 def test_no_difference_is_said_only_within_the_margin() -> None:
+    program = str(ROOT / "sweeps" / "studies" / "two_sweeps.py")
+    equivalent = runpy.run_path(program)["equivalent"]
     near = np.random.default_rng(2).normal(0.0, 0.1, 30)
     assert equivalent(near.tolist(), 0.1)
     assert not equivalent(near.tolist(), 0.02)  # too few pairs to tell
