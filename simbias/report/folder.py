@@ -33,7 +33,7 @@ def write_report(folder: Path, config_dir: Path | str | None = None, allow: Sequ
         raise ConfigError(str(folder), "is the folder of no trial or sweep, as trials/7a29f4c5425f")
     for own, page in pages.items():
         try:
-            write_whole(own / FILE, lambda file, page=page: file.write(page.encode()))  # type: ignore[misc]
+            write_whole(own / FILE, page.encode())
         except OSError as error:
             raise ConfigError(str(own / FILE), f"cannot be written ({error.strerror})") from error
     return [own / FILE for own in pages]

@@ -45,7 +45,7 @@ class SweepFolder:
     def write_state(self, state: Mapping[str, Any], files: Mapping[str, str] = {}) -> None:
         """Write how far the sweep is, and files by name."""
         for name, text in files.items():
-            write_whole(self.path / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
+            write_whole(self.path / name, text.encode())
         write_json(self.path / STATE, state)
 
     @property
@@ -70,8 +70,7 @@ class SweepFolder:
     def keep_outcomes(self, batch: str, outcomes: Outcomes) -> None:
         """Keep the outcomes of a batch of experiments, by its hash."""
         (self.path / EXPERIMENTS).mkdir(exist_ok=True)
-        text = outcomes.as_json()
-        write_whole(self.path / EXPERIMENTS / f"{batch}.json", lambda file: file.write(text.encode()))
+        write_whole(self.path / EXPERIMENTS / f"{batch}.json", outcomes.as_json().encode())
 
     def outcomes(self, batches: Sequence[str]) -> dict[str, Outcomes]:
         """The outcomes that are kept, by the hashes of their batches."""

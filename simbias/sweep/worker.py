@@ -108,5 +108,4 @@ def unpack(packed: bytes, folder: Path) -> None:
         for name in archive.namelist():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            content = archive.read(name)
-            write_whole(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
+            write_whole(path, archive.read(name))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -86,15 +86,14 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a mapping as `write_whole` does."""
-    text = json.dumps(content, indent=1, default=str) + "\n"
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_whole(path, f"{json.dumps(content, indent=1, default=str)}\n".encode())
 
 
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
     part = require_file(path.with_name(f"{path.name}{PART}"))
     with part.open("wb") as file:
-        write(file)
+        file.write(content)
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from simbias.core.messages import printable
 from simbias.core.records import Rollout
 
-SCALARS = ("sensed", "cost", "failed_at", "failure")  # of a rollout
 
-
-def save_rollout(file: IO[bytes], rollout: Rollout, place: tuple[int, ...] = ()) -> None:
-    """Write a rollout, and the place of its experiment in its trial, as npz; what is None is left out.
+def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
+    """A rollout, and the place of its experiment in its trial, as an npz file; what is None is left out.
 
     Compressed, it would be 5% smaller, and take 20 times as long.
 
@@ -24,16 +23,18 @@ def save_rollout(file: IO[bytes], rollout: Rollout, place: tuple[int, ...] = ())
     failure, place.
     """
     given: dict[str, Any] = {name: value for name, value in vars(rollout).items() if value is not None}
+    file = io.BytesIO()
     np.savez(file, place=np.array(place, dtype=np.int64), **given)
+    return file.getvalue()
 
 
 def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:
-    """The rollout and its place, as `save_rollout` wrote them."""
+    """The rollout and its place, as `packed_rollout` packs them."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     place = tuple(arrays.pop("place").tolist())
-    scalars = {name: arrays.pop(name).item() for name in SCALARS if name in arrays}
-    return Rollout(**arrays, **scalars), place
+    fields: dict[str, Any] = {name: each if each.ndim else each.item() for name, each in arrays.items()}
+    return Rollout(**fields), place
 
 
 def raw_json(content: Any) -> str:

@@ -12,7 +12,7 @@ from dataclasses import asdict, replace
 from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from simbias.trial.disk import (
     write_json,
     write_whole,
 )
-from simbias.trial.files import load_rollout, raw_json, save_rollout
+from simbias.trial.files import load_rollout, packed_rollout, raw_json
 from simbias.trial.folder import (
     ATTEMPTS,
     EPISODES,
@@ -113,7 +113,7 @@ class FolderRecord(Record):
             return _loaded(path, _load_search)
         optimum = make()
         fields = {**asdict(optimum), "parameters": optimum.parameters.tolist()}
-        self._keep(SEARCH, lambda file: file.write(json.dumps(fields).encode()))
+        self._keep(SEARCH, json.dumps(fields).encode())
         return optimum
 
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
@@ -127,7 +127,7 @@ class FolderRecord(Record):
         place = (TEST, *place_of(rng)) if self.testing else place_of(rng)
         superseded, withdrawn = self._former(theta, place)
         rollout = superseded or make(another(rng, withdrawn))
-        self._keep(EXPERIMENT, lambda file: save_rollout(file, rollout, place))
+        self._keep(EXPERIMENT, packed_rollout(rollout, place))
         return rollout
 
     def _fits(self, rollout: Rollout, theta: Array) -> bool:
@@ -162,7 +162,7 @@ class FolderRecord(Record):
         path = self._replayed(ITERATION)
         if path is None:
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
-            self._keep(ITERATION, lambda file: file.write(_dumped(summary)))
+            self._keep(ITERATION, _dumped(summary))
         else:
             *kept, seconds = _loaded(path, lambda path: itemgetter(*COMPARED, "seconds")(read_json(path)))
             if kept != [iteration.index, iteration.total_experiments, iteration.succeeded]:
@@ -178,8 +178,7 @@ class FolderRecord(Record):
             files = (self.folder.path / f"{REFUSED}{number:04d}.json" for number in itertools.count())
             path = next(file for file in files if not file.exists())
             parts = (f"{json.dumps(name)}: {raw_json(part)}" for name, part in texts.items())
-            text = "{" + ",\n".join(parts) + "}\n"
-            write_whole(path, lambda file: file.write(text.encode()))
+            write_whole(path, ("{" + ",\n".join(parts) + "}\n").encode())
         except Exception as error:
             return f"; it could not be kept ({words(error)})"
         return f"; it is kept in {path}"
@@ -189,7 +188,7 @@ class FolderRecord(Record):
         count = sum("started" in each for each in self.folder.attempts())
         file = self.folder.path / f"{ERROR}{max(0, count - 1):04d}.txt"
         try:
-            write_whole(file, lambda stream: stream.write(text.encode()))
+            write_whole(file, text.encode())
         except OSError:  # which must not hide what raised
             return ""
         return str(file)
@@ -199,7 +198,7 @@ class FolderRecord(Record):
         if not self._writes:
             return
         if episodes is not None:
-            write_whole(self.folder.numbered(EPISODES), lambda file: file.write(episodes.encode()))
+            write_whole(self.folder.numbered(EPISODES), episodes.encode())
         if summary.outcome.final:
             write_json(self.folder.numbered(OUTCOME), summary.as_json())
         else:
@@ -222,11 +221,11 @@ class FolderRecord(Record):
             raise changed(step)
         return step
 
-    def _keep(self, kind: str, write: Callable[[IO[bytes]], object]) -> None:
+    def _keep(self, kind: str, content: bytes) -> None:
         """Append a step: whole, and on disk when this returns."""
         last = self.folder.all_steps()[-1:]
         count = number(last[0]) + 1 if last else 0
-        write_whole(self.folder.path / f"{count:04d}_{kind}", write)
+        write_whole(self.folder.path / f"{count:04d}_{kind}", content)
 
 
 def another(rng: np.random.Generator, times: int) -> np.random.Generator:

@@ -292,10 +292,10 @@ def test_a_full_disk_loses_nothing(
     for room in range(len(step_names(whole[0]))):
         steps = iter(range(100))
 
-        def until_full(path: Path, write: object, steps: Iterator[int] = steps, room: int = room) -> None:
+        def until_full(path: Path, content: bytes, steps: Iterator[int] = steps, room: int = room) -> None:
             if path.name[0].isdigit() and next(steps) >= room:
                 raise OSError(28, "No space left on device")
-            write_whole(path, write)  # type: ignore[arg-type]
+            write_whole(path, content)
 
         folder = tmp_path / str(room)
         with monkeypatch.context() as patch:
@@ -306,16 +306,20 @@ def test_a_full_disk_loses_nothing(
     assert_equal(timeless(run_trial(short, folder)), timeless(whole[1]))
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(short: Study, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(
+    short: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And a file is there in whole, or as it was."""
 
-    def fail(file: object) -> None:
+    def fail(file: int) -> None:
         raise OSError("disk full")
 
     path = tmp_path / "file"
-    write_whole(path, lambda file: file.write(b"old"))
-    with pytest.raises(OSError, match="disk full"):
-        write_whole(path, fail)
+    write_whole(path, b"old")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", fail)
+        with pytest.raises(OSError, match="disk full"):
+            write_whole(path, b"new")
     assert path.read_bytes() == b"old"
     with pytest.raises(ConfigError, match=r"file.*cannot be written"):
         run_trial(short, path / "trial")

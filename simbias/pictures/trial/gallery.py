@@ -45,7 +45,7 @@ ALL = (*FIGURES, ANIMATION)
 def pictures(
     study: Study,
     iterations: Sequence[Iteration],
-    names: Sequence[str] = (*FIGURES, ANIMATION),
+    names: Sequence[str] = ALL,
     withdrawn: Sequence[Withdrawal] = (),
 ) -> dict[str, bytes]:
     """The pictures of a trial as files by name, PNG and GIF; none of a trial without iterations.
@@ -78,7 +78,7 @@ def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) ->
         files = pictures(record.study, record.iterations, missing, record.withdrawn)
     target.mkdir(exist_ok=True)
     for name, content in files.items():
-        write_whole(target / name, lambda file, content=content: file.write(content))  # type: ignore[misc]
+        write_whole(target / name, content)
 
 
 def save_all(
