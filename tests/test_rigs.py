@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import ROOT
+from models import with_values
 from pendulum import pendulum
 
 from simbias.core import Nominal
@@ -35,12 +36,6 @@ QUICK = [
     "identification.evaluations=2",
     "identification.longer_windows=[]",
 ]
-
-
-def with_values(model: Nominal, true: dict[str, float]) -> Nominal:
-    """The model with these parameters, all else as declared."""
-    values = {parameter.name: parameter.value for parameter in model.parameters} | true
-    return model.with_parameters(np.array(list(values.values())))
 
 
 def simulated(robot: Nominal, x: Array, u: Array, push: Array | float = 0.0) -> Array:
@@ -69,7 +64,7 @@ def recordings(zeros: Sequence[float]) -> Iterator[pd.DataFrame]:
     from loading import load
 
     prior = load(quick("simple_pendulum") | {"development": []}, ROOT).prior
-    robot = with_values(prior, {"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8})
+    robot = with_values(prior, **{"hinge.friction": 0.2, "hinge.damping": 0.05, "hinge.gain": 0.8})
     rng, t, k = np.random.default_rng(0), 0.005 * np.arange(FRAMES)[:, None], len(zeros)
     u = sum(
         rng.uniform(0.5, 1.5, k) * np.sin(rng.uniform(2, 12, k) * t + rng.uniform(0, 6, k)) for _ in range(4)
@@ -151,7 +146,7 @@ def test_mujocos_own_identification_finds_a_double_pendulum(
     monkeypatch.setattr(horizons, "predict", plain)  # each model once
     monkeypatch.setattr(mujoco_sysid, "STEPS", 3)
     rig = load(declared()["design_C.1"] | {"development": []}, ROOT)
-    robot = with_values(rig.prior, {"friction_1": 0.1, "friction_2": 0.1, "mass_2": 0.7})
+    robot = with_values(rig.prior, friction_1=0.1, friction_2=0.1, mass_2=0.7)
     rng, t = np.random.default_rng(0), 0.002 * np.arange(200)[:, None]
     u = sum(rng.uniform(0.5, 1.0, 2) * np.sin(rng.uniform(3, 20, 2) * t) for _ in range(4))
     rollout = Rollout(simulated(robot, np.zeros(4), u), u)

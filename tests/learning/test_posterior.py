@@ -7,6 +7,7 @@ from copy import copy
 
 import numpy as np
 import pytest
+from models import with_values
 from pendulum import QUICK, experiment, pendulum, truth, with_a_fall
 
 import simbias
@@ -251,8 +252,7 @@ def test_lag_and_delay_of_the_bongoboard_are_identified() -> None:
     uncertain = [f"nominal.uncertainty.{name}={value}" for name, value in spreads.items()]
     study = simbias.load(["tracking=none", "identification=posterior", *uncertain])
     true = {"lag": 0.015, "delay": 0.008, "motor_gain": 0.8, "foot_mass": 0.5}
-    values = [true.get(each.name, each.value) for each in study.nominal.parameters]
-    robot, rng, rollouts = study.nominal.with_parameters(np.array(values)), np.random.default_rng(0), []
+    robot, rng, rollouts = with_values(study.nominal, **true), np.random.default_rng(0), []
     for _ in range(4):
         x, memory, states = study.task.draw_start(rng), np.zeros(robot.state_size), []
         u = np.repeat(20.0 * rng.standard_normal((15, 1)), 40, axis=0)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from interpreted import interpreted
+from interpreted import predicted_as_plain
 from mechanisms import cart_pole, mjcf
+from models import with_values
 from pendulum import NOISE, QUICK, pendulum
 
 from simbias.core import Nominal
@@ -17,7 +18,7 @@ from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, KnownPrior
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.robots.mujoco.model import Mujoco
-from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
 
 MOTOR = Motor(0.2, 0.1, 0.02, 0.01, "vel1", 0.3, 0.2)
@@ -27,12 +28,6 @@ SENSORS = {"pos1": Sensor(0.05, 0.1), "vel2": Sensor(0.1)}
 @pytest.fixture(scope="module")
 def study() -> Study:
     return pendulum("identification=posterior")
-
-
-def at(rig: Rig, **values: float) -> Rig:
-    """The rig with some parameters set."""
-    named = {parameter.name: parameter.value for parameter in rig.parameters}
-    return rig.with_parameters(np.array(list((named | values).values())))
 
 
 def recorded(rig: Nominal, rng: np.random.Generator, frames: int = 1000, noise: Array = NOISE) -> Rollout:
@@ -52,21 +47,19 @@ def test_a_rig_is_the_model_behind_motors_and_sensors_and_its_kernel_the_plain_o
     x, u = rng.standard_normal((20, 4)), rng.standard_normal((20, 2))
     ideal = Rig(study.task, study.nominal, {"tau1": MOTOR}, SENSORS)
     np.testing.assert_allclose(ideal.step(x, u), study.nominal.step(x, u), rtol=1e-12)
-    whole = at(
+    whole = with_values(
         ideal,
         **{"tau1.gain": 0.8, "tau1.offset": 0.05, "tau1.lag": 0.01, "tau1.delay": 0.005},
         **{"tau1.stribeck": 0.1, "tau1.load": 0.2, "pos1.offset": 0.05, "vel2.gain": 1.1},
     )
-    seen = at(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.1, "vel2.gain": 1.2})
+    seen = with_values(Rig(study.task, study.nominal, {}, SENSORS), **{"pos1.offset": 0.1, "vel2.gain": 1.2})
     gain, offset = [1, 1, 1, 1.2], [0.1, 0, 0, 0]
     there = study.nominal.step(x, u) * gain + offset
     np.testing.assert_allclose(seen.step(x * gain + offset, u), there, rtol=1e-9)
     for rig in (whole, seen):
         assert rig.kernel is not None
         windows = Windows.of([recorded(rig, rng, 100)], 50, 5)
-        with interpreted():
-            made = predict([PredictionModel(rig)], windows)
-        np.testing.assert_allclose(made, plain([PredictionModel(rig)], windows), rtol=1e-8, atol=1e-10)
+        predicted_as_plain([PredictionModel(rig)], windows, 1e-8, 1e-10)
 
 
 def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
@@ -75,7 +68,7 @@ def test_friction_brakes_and_falls_with_the_velocity(study: Study) -> None:
     rig = Rig(study.task, study.nominal, motors, {})
     x, u = np.array([0.0, 0.0, 0.2, 0.0]), np.array([0.5, 0.0])
     changes = [
-        (at(rig, **{name: value}).step(x, u) - study.nominal.step(x, u))[2]
+        (with_values(rig, **{name: value}).step(x, u) - study.nominal.step(x, u))[2]
         for name, value in (("tau1.stribeck", 0.1), ("tau1.stribeck", 0.2), ("tau1.load", 0.1))
     ]
     assert changes[0] < 0
@@ -87,15 +80,12 @@ def test_a_mujoco_model_has_motors_too(tmp_path: Path) -> None:
     task = cart_pole()
     model = Mujoco(task, mjcf(tmp_path), uncertainty={"pole.mass": 0.2})
     rig = Rig(task, model, {"force": Motor(gain=0.2, delay=0.02)}, {"angle": Sensor(offset=0.1)})
-    half = at(rig, **{"force.gain": 0.5})
+    half = with_values(rig, **{"force.gain": 0.5})
     x, u = np.array([[0.1, 0.05, 0.3, 0.4]]), np.array([[4.0]])
     np.testing.assert_allclose(half.step(x, u), model.step(x, 0.5 * u), rtol=1e-9)
     rng = np.random.default_rng(0)
     rollout = Rollout(0.1 * rng.standard_normal((31, 4)), rng.standard_normal((30, 1)))
-    windows = Windows.of([rollout], 10, 5)
-    with interpreted():
-        made = predict([PredictionModel(half)], windows)
-    np.testing.assert_allclose(made, plain([PredictionModel(half)], windows), rtol=1e-8)
+    predicted_as_plain([PredictionModel(half)], Windows.of([rollout], 10, 5), 1e-8)
 
 
 def test_a_zero_is_of_one_recording(study: Study) -> None:
@@ -120,7 +110,7 @@ def test_a_motors_zero_is_an_offset_of_one_recording(study: Study) -> None:
     rig = Rig(study.task, study.nominal, {"tau1": Motor(offset=0.2, zero=0.1)}, {})
     rng = np.random.default_rng(0)
     x, u = rng.standard_normal((20, 4)), rng.standard_normal((20, 2))
-    by_zero, by_offset = at(rig, **{"tau1.zero": 0.05}), at(rig, **{"tau1.offset": 0.05})
+    by_zero, by_offset = with_values(rig, **{"tau1.zero": 0.05}), with_values(rig, **{"tau1.offset": 0.05})
     np.testing.assert_array_equal(by_zero.step(x, u), by_offset.step(x, u))
     assert [each.name for each in rig.parameters if each.of_recording] == ["tau1.zero"]
 
@@ -143,7 +133,7 @@ def fitted() -> Identified:
     rig, rng = study.identification.prior(study.nominal), np.random.default_rng(2)  # type: ignore[attr-defined]
     joints = {"friction_1": 0.1, "friction_2": 0.1, "damping_1": 0.01}
     own = [{"pos2.zero": zero, "damping_2": load} for zero, load in zip(ZEROS, LOADS, strict=True)]
-    records = [recorded(at(rig, **joints, **SHARED, **each), rng) for each in own]
+    records = [recorded(with_values(rig, **joints, **SHARED, **each), rng) for each in own]
     found = study.identification.fit(study.nominal, records)
     assert isinstance(found, Identified)
     assert {each.name for each in found.estimates} == {each.name for each in rig.parameters}

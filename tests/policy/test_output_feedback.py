@@ -22,9 +22,6 @@ def test_gains_are_equation_10(study: Study) -> None:
     e, e10 = np.exp(1.0), np.exp(10.0)
     np.testing.assert_allclose(gains, [[0, e - 1, 1 - e, e10 - 1, 1 - e10]], rtol=1e-12)
     np.testing.assert_array_equal(study.policy.bounds, [[-10] * 5, [10] * 5])  # Table I
-    x = np.array([0.1, -0.05, 0.08, 0.3, -0.2, 0.5])
-    outputs = [-0.07885799, -0.30512553, 0.08, 0.5, 0.05]  # shared definitions of the bongoboard
-    np.testing.assert_allclose(study.task.output(x), outputs, atol=1e-8)
     broken = act(study, np.full(5, np.nan), study.task.start_mean)
     assert np.isnan(broken).all()  # it must not pass as zero torque
 

@@ -1,25 +1,20 @@
 """The bongoboard's equations of motion: reference values, laws of mechanics, and a second derivation."""
 
 import importlib
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bongoboard_twin import runge_kutta
+from bongoboard_twin import MOVING, START, build_task, runge_kutta
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from omegaconf import OmegaConf
+from models import with_values
 
 from simbias.robots.bongoboard.model import LagrangianBongoboard
-from simbias.robots.bongoboard.task import Bongoboard, Limits, Robot, Start
 from simbias.robots.bongoboard.uncertainty import MECHANICAL, Uncertainty
 
-CONFIG = Path(__file__).parents[2] / "conf" / "task" / "bongoboard.yaml"
 NO_TORQUE = np.zeros(1)
-START = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
-MOVING = np.array([0.1, -0.05, 0.08, 0.3, -0.2, 0.5])
 
 angles = st.tuples(*[st.floats(-0.6, 0.6)] * 3)
 rates = st.tuples(*[st.floats(-5, 5)] * 3)
@@ -30,18 +25,17 @@ MASSES = ("wheel_mass", "board_mass", "leg_mass", "pelvis_mass", "pelvis_inertia
 LENGTHS = ("wheel_radius", "board_length", "board_thickness", "ankle_height", "foot_length", "leg_length")
 
 
-def build_task(time_step=0.001, **factors):
-    """The task of conf/task/bongoboard.yaml, fields of its robot times factors."""
-    config = OmegaConf.to_container(OmegaConf.load(CONFIG))
-    robot = Robot(**config["robot"])
-    robot = replace(robot, **{name: getattr(robot, name) * factor for name, factor in factors.items()})
-    return Bongoboard(robot, Limits(**config["limits"]), Start(**config["start"]), time_step=time_step)
-
-
 TASK = build_task()
+
+
+def scaled(**factors):
+    """The task, fields of its robot times factors."""
+    return build_task(robot={name: getattr(TASK.robot, name) * factor for name, factor in factors.items()})
+
+
 MODEL = LagrangianBongoboard(TASK)
 factors = st.fixed_dictionaries(dict.fromkeys(MASSES + LENGTHS, st.floats(0.5, 2)))
-tasks = factors.map(lambda factors: build_task(**factors))
+tasks = factors.map(lambda factors: scaled(**factors))
 
 
 def fall(model, frames=300):
@@ -216,12 +210,12 @@ UNKNOWN = Uncertainty(
 )
 
 
-def with_values(task, **values):
+def knowing(**values):
     """A model that knows the values of these parameters exactly."""
     uncertain = Uncertainty(**dict.fromkeys(values, 1.0))
-    model = LagrangianBongoboard(task, foot_mass=1.0, uncertainty=uncertain)
+    model = LagrangianBongoboard(TASK, foot_mass=1.0, uncertainty=uncertain)
     assert {parameter.name for parameter in model.parameters} == set(values)
-    return model.with_parameters(np.array([values[parameter.name] for parameter in model.parameters]))
+    return with_values(model, **values)
 
 
 @given(
@@ -236,13 +230,12 @@ def with_values(task, **values):
 @settings(deadline=None, max_examples=15)
 def test_disturbed_accelerations_agree_with_newton_and_euler(x, u, slope, load, damping, stiffness, moment):
     """With dry friction at its full strength: rates are large against where it is smoothed."""
-    calm = with_values(TASK, **dict.fromkeys(MECHANICAL, 0.0))  # which is the paper's
+    calm = knowing(**dict.fromkeys(MECHANICAL, 0.0))  # which is the paper's
     np.testing.assert_allclose(calm.step(x, u), LagrangianBongoboard(TASK, 1.0).step(x, u), rtol=1e-12)
     x = x + np.where(x[3:] < 0, -20.0, 20.0) @ np.eye(6)[3:]
     friction = 0.5 * moment
     names = ("payload_mass", "payload_x", "payload_y")
-    model = with_values(
-        TASK,
+    model = knowing(
         slope=slope,
         ankle_damping=damping,
         ankle_stiffness=stiffness,
@@ -258,7 +251,7 @@ def test_disturbed_accelerations_agree_with_newton_and_euler(x, u, slope, load, 
 
 def test_losses_take_what_they_should_from_the_energy():
     """d theta^2, |d theta| and |d alpha_w| times their coefficients, over the time of a fall."""
-    model = with_values(TASK, ankle_damping=2.0, ankle_friction=1.0, rolling_resistance=0.5)
+    model = knowing(ankle_damping=2.0, ankle_friction=1.0, rolling_resistance=0.5)
     states = fall(model)
     d_alpha_w, d_theta = states[:, 3], states[:, 5]
     power = 2.0 * d_theta**2 + sum(
@@ -276,7 +269,7 @@ def test_what_is_added_to_the_uncertainty_changes_no_earlier_draw():
     names = ["wheel_mass", "board_mass", "foot_mass", "leg_mass", "pelvis_mass", "pelvis_inertia"]
     factors = dict(zip(names, np.exp(0.15 * rng.standard_normal(6)), strict=True))
     foot_mass = rng.uniform(0.0, 2.0)
-    expected = LagrangianBongoboard(build_task(**factors), foot_mass)
+    expected = LagrangianBongoboard(scaled(**factors), foot_mass)
     drawn = plain.draw(np.random.default_rng(3))
     np.testing.assert_array_equal(drawn.kernel.parameters, expected.kernel.parameters)
     lagging = Uncertainty(masses=0.15, foot_mass=2.0, lag=0.02)
@@ -305,8 +298,8 @@ def test_priors_are_as_declared():
 def test_a_motor_acts_on_the_torque():
     """Nothing but its offset, then its gain, too, differs from those of an ideal one."""
     x, u = np.tile(MOVING, (3, 1)), np.array([[-10.0], [0.0], [20.0]])
-    ideal, offset = LagrangianBongoboard(TASK, 1.0), with_values(TASK, torque_offset=3.0)
-    both = with_values(TASK, torque_offset=3.0, motor_gain=0.5)
+    ideal, offset = LagrangianBongoboard(TASK, 1.0), knowing(torque_offset=3.0)
+    both = knowing(torque_offset=3.0, motor_gain=0.5)
     for model, torque in ((ideal, u), (offset, u + 3.0), (both, 0.5 * u + 3.0)):
         memory = np.zeros((3, model.state_size))
         np.testing.assert_allclose(model.step(x, u), ideal.step(x, torque), rtol=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from bongoboard_twin import MOVING, START, Constant, build_task, build_twin, energy, experiment, runge_kutta
+from models import with_values
 
 from simbias.core.records import Array
 from simbias.robots.bongoboard.gaps import Gaps
@@ -31,7 +32,7 @@ def exact(values: dict[str, float], torque: float) -> Array:
     model = LagrangianBongoboard(
         build_task(), foot_mass=1.0, uncertainty=Uncertainty(**dict.fromkeys(values, 1e-2))
     )
-    model = model.with_parameters(np.array([values[parameter.name] for parameter in model.parameters]))
+    model = with_values(model, **values)
     gain, offset = values.get("motor_gain", 1.0), values.get("torque_offset", 0.0)
     lag, delay = values.get("lag", 0.0), values.get("delay", 0.0)
 

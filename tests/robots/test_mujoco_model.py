@@ -15,8 +15,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from errors import one_line
 from in_numpy import OfAllLanes
-from interpreted import interpreted
+from interpreted import interpreted, predicted_as_plain
 from mechanisms import DOUBLE, LIFT, MOTOR, URDF, cart_pole, mjcf
 from numba import get_num_threads, set_num_threads
 
@@ -30,7 +31,7 @@ from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
 
 
@@ -138,9 +139,7 @@ def test_predictions_of_a_record_are_the_plain_ones() -> None:
     windows = Windows.of(study.simulator().rollouts(0.01 * thetas, starts), 4, 2)
     scenarios = [PredictionModel(model.nominal) for model in models_of(study)]
     assert len(windows) >= 3
-    with interpreted():
-        made = predict(scenarios, windows)
-    np.testing.assert_allclose(made, plain(scenarios, windows), rtol=1e-12, atol=1e-12)
+    predicted_as_plain(scenarios, windows, 1e-12, 1e-12)
 
 
 @pytest.mark.slow
@@ -276,9 +275,8 @@ def test_a_bad_file_is_one_line(tmp_path: Path) -> None:
         ({"uncertainty": {"knee.*": 1.0}}, "no parameter is called 'knee.*'"),
     ]
     for arguments, message in cases:
-        with pytest.raises(ValueError, match=message) as error:
+        with one_line(message, ValueError):
             Mujoco(cart_pole(), **{"file": mjcf(tmp_path), **arguments})
-        assert "\n" not in str(error.value)
 
 
 def test_a_file_that_does_not_go_with_the_task_is_one_line(tmp_path: Path) -> None:
@@ -292,9 +290,8 @@ def test_a_file_that_does_not_go_with_the_task_is_one_line(tmp_path: Path) -> No
         (cart_pole(), "", "the task has 1 inputs"),
     ):
         broken = str(tmp_path / "broken.xml")
-        with pytest.raises(ValueError, match=message) as error:
+        with one_line(message, ValueError):
             Mujoco(task, broken if actuators is None else mjcf(tmp_path, actuators=actuators))
-        assert "\n" not in str(error.value)
 
 
 def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from in_numpy import simulate_in_numpy
+from models import with_values
 from scipy.linalg import solve_discrete_are
 
 import simbias
@@ -81,11 +82,7 @@ ELBOW, SHOULDER = {"friction_2": 0.12}, {"friction_1": 0.0127}  # N m, of arctan
 def rubbing(**friction: float) -> Following:
     """What follows plans of an acrobot whose joints rub, planned as they slide."""
     study = simbias.load(["preset=acrobot_trajectory", "tracking=none", "task.horizon=200"])
-    nominal = study.nominal
-    names = [each.name for each in nominal.parameters]
-    values = np.array([friction.get(each.name, each.value) for each in nominal.parameters])
-    assert set(friction) <= set(names)
-    return Following(study.model(None, nominal.with_parameters(values)), None, sliding=True)
+    return Following(study.model(None, with_values(study.nominal, **friction)), None, sliding=True)
 
 
 def test_inputs_overcome_the_friction_of_their_own_joint() -> None:

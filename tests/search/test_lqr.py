@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from models import with_values
 from point_mass import PointMass, WithoutWind
 
 import simbias
@@ -14,14 +15,7 @@ from simbias.learning.bias.none import ZeroBias
 from simbias.learning.identification.identified import Identified
 from simbias.policy.gains import signed_exponential
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.search.lqr import (
-    INPUT_WEIGHTS,
-    linearised,
-    lqr_candidates,
-    lqr_gains,
-    lqr_policies,
-    rest,
-)
+from simbias.search.lqr import INPUT_WEIGHTS, linearised, lqr_candidates, lqr_gains, lqr_policies, rest
 from simbias.trial.study import Study
 
 SLOPE = ["nominal.uncertainty.slope=0.025", "task.outputs=states"]
@@ -33,8 +27,7 @@ CONSTANT = ["policy=dynamic_output_feedback", "policy.constant=5.0"]
 def bongoboard(*overrides: str, **values: float) -> tuple[Study, Model]:
     """A study, and its model with other values of its parameters."""
     study = simbias.load(["tracking=none", "bias=none", *overrides])
-    known = [values.get(each.name, each.value) for each in study.nominal.parameters]
-    return study, study.model(None, study.nominal.with_parameters(np.array(known)))
+    return study, study.model(None, with_values(study.nominal, **values))
 
 
 def point_mass(dynamics: type[WithoutWind] = WithoutWind, policy: type[Policy] = OutputFeedback) -> Model:
@@ -164,9 +157,7 @@ def held(study: Study, nominal: Nominal, theta: Array) -> int:
 def test_dry_friction_is_no_damping_to_count_on(uncompiled: None) -> None:
     """Regulators of the acrobot that were designed for it as it sticks fall, simulated with that friction."""
     study = simbias.load(["preset=acrobot", "bias=none", "tracking=none"])
-    rubbing = {"friction_1": 0.02, "friction_2": 0.02}  # N m
-    values = np.array([rubbing.get(each.name, each.value) for each in study.nominal.parameters])
-    nominal = study.nominal.with_parameters(values)
+    nominal = with_values(study.nominal, friction_1=0.02, friction_2=0.02)  # N m
     sliding, sticking = (
         lqr_policies(study.model(None, nominal), (100.0,), sticking=each)[0] for each in (False, True)
     )

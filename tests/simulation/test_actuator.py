@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from interpreted import interpreted
+from interpreted import assert_alike, interpreted
 
 import simbias
 from simbias.core import Nominal
@@ -113,9 +113,7 @@ def test_models_with_memory_run_in_lanes_as_in_numpy(driven: Study) -> None:
         together = fast.rollouts(thetas, starts, scenarios)
     expected = PlainSimulator(models, [None] * 3).rollouts(thetas, starts, scenarios)
     assert len({rollout.frames for rollout in together}) > 3
-    for one, other in zip(together, expected, strict=True):
-        assert (one.frames, one.failure) == (other.frames, other.failure)
-        np.testing.assert_allclose(one.states, other.states, rtol=1e-6, atol=1e-9)
+    assert_alike(together, expected, 1e-6, 1e-9)
 
 
 def test_a_recorded_rollout_is_predicted_with_what_it_hides(driven: Study, uncompiled: None) -> None:

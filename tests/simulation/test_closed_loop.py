@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from in_numpy import OfAllLanes, by_value
-from interpreted import interpreted
+from interpreted import assert_alike, interpreted
 from numba import get_num_threads, set_num_threads
 
 import simbias
@@ -68,16 +68,9 @@ def test_single_steps_agree(one_step: Study) -> None:
     rng = np.random.default_rng(0)
     thetas, starts = rng.uniform(-5, 5, (100, 5)), rng.normal(size=(100, 6)) * STATE_SCALE
     noisy = [(ZeroBias(6), 1e-13, noise(rng, 1, 1.0, 0.01)) for _ in range(3)]
-    for bias, tolerance, disturbance in (
-        (ZeroBias(6), 1e-13, None),
-        *noisy,
-        (learned(one_step), 1e-9, None),
-    ):
-        loops = both(one_step, bias, disturbance)
-        for fast, slow in zip(*(loop.rollouts(thetas, starts) for loop in loops), strict=True):
-            np.testing.assert_allclose(fast.inputs, slow.inputs, rtol=1e-9, atol=1e-12)
-            np.testing.assert_allclose(fast.states, slow.states, rtol=1e-11, atol=tolerance)
-            assert (fast.failed_at, fast.failure) == (slow.failed_at, slow.failure)
+    for bias, tolerance, disturbance in ((ZeroBias(6), 1e-13, None), *noisy, (learned(one_step), 1e-9, None)):
+        fast, slow = (loop.rollouts(thetas, starts) for loop in both(one_step, bias, disturbance))
+        assert_alike(fast, slow, 1e-11, tolerance, of_inputs=1e-12)
 
 
 def test_noise_and_a_bias_of_all_lanes_are_written_as_the_plain_loop_has_them(study: Study) -> None:
@@ -91,9 +84,8 @@ def test_noise_and_a_bias_of_all_lanes_are_written_as_the_plain_loop_has_them(st
         assert isinstance(loop, CompiledSimulator)
         rollouts, (costs, _) = loop.rollouts(*asked), loop.costs(study.cost, *asked)
     plain = PlainSimulator([model, model], noises).rollouts(*asked)
-    for one, other, cost in zip(rollouts, plain, costs, strict=True):
-        np.testing.assert_allclose(one.states, other.states, rtol=1e-9, atol=1e-12)
-        assert cost == pytest.approx(study.cost.of(other), rel=1e-9)
+    assert_alike(rollouts, plain, 1e-9, 1e-12)
+    np.testing.assert_allclose(costs, [study.cost.of(each) for each in plain], rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -168,8 +160,7 @@ def test_a_plain_model_has_a_compiled_bias_beside_it(study: Study) -> None:
     with pytest.warns(SlowWarning):
         loops = join([simulator(each) for each in models]), PlainSimulator(models, [None] * 3)
     quick, plain = (loop.rollouts(thetas, starts, scenarios) for loop in loops)
-    for one, other in zip(quick, plain, strict=True):
-        np.testing.assert_allclose(one.states, other.states, rtol=1e-4, atol=1e-6)
+    assert_alike(quick, plain, 1e-4, 1e-6, of_inputs=1e-4)
     alone = simulator(models[scenarios[7]]).rollout(thetas[7], starts[7])
     np.testing.assert_array_equal(alone.states, quick[7].states)
     unbiased = PlainSimulator([replace(model, bias=ZeroBias(6))], [None]).rollout(thetas[7], starts[7])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from interpreted import interpreted
+from interpreted import interpreted, predicted_as_plain
 
 from simbias.core import Kernel, Nominal
 from simbias.core.records import Array, Rollout
-from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 
@@ -71,9 +71,7 @@ def models(study: Study) -> list[PredictionModel]:
 
 def test_written_agrees_with_plain(study: Study) -> None:
     windows = Windows.of(experiments(study), 12, 3)
-    with interpreted():
-        made = predict(models(study), windows)
-    np.testing.assert_allclose(made, plain(models(study), windows), rtol=1e-9, atol=1e-12)
+    predicted_as_plain(models(study), windows, 1e-9, 1e-12)
 
 
 def test_memory_runs_on_where_the_state_is_reset() -> None:
@@ -82,9 +80,7 @@ def test_memory_runs_on_where_the_state_is_reset() -> None:
     windows = Windows.of(rollouts, 10, 5)
     models = [PredictionModel(Lagging(share)) for share in (1.0, 0.3, 0.05)]
     short = Windows.of([Rollout(rollouts[0].states[20:31], rollouts[0].inputs[20:30])], 10, 5)
-    with interpreted():
-        made, alone = predict(models, windows), predict(models, short)
-    np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
+    made, alone = (predicted_as_plain(models, each, 1e-12) for each in (windows, short))
     np.testing.assert_allclose(alone[0, 0], made[0, 2], rtol=1e-12)  # without a lag, all is in x
     assert np.abs(alone[2, 0] - made[2, 2]).max() > 1e-3
 
@@ -94,9 +90,7 @@ def test_memory_of_states_is_that_of_the_record() -> None:
     rng = np.random.default_rng(0)
     windows = Windows.of([Rollout(rng.standard_normal((51, 2)), rng.standard_normal((50, 1)))], 10, 5)
     models = [PredictionModel(Integrating(share)) for share in (1.0, 2.0)]
-    with interpreted():
-        made = predict(models, windows)
-    np.testing.assert_allclose(made, plain(models, windows), rtol=1e-12)
+    predicted_as_plain(models, windows, 1e-12)
 
 
 def test_a_prediction_is_the_models_steps(study: Study) -> None:

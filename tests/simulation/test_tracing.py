@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from in_numpy import CartPole, Feedback
-from interpreted import interpreted
+from interpreted import assert_alike, interpreted, predicted_as_plain
 from scipy.interpolate import CubicSpline
 
 import simbias
@@ -27,7 +27,7 @@ from simbias.simulation.compiler.symbolic_arrays import Symbols
 from simbias.simulation.compiler.symbols import MOST, TraceError
 from simbias.simulation.compiler.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
+from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
 
 RNG = np.random.default_rng(0)
@@ -190,10 +190,7 @@ WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
     (by_mask, "IndexError: "),
     (lambda x, u: x + x.mean(axis=0), "what was written down gives other numbers"),
     (lambda x, u: x + sum(np.sin(x + u + i) for i in range(MOST)), f"it takes more than {MOST} operations"),
-    (
-        lambda x, u: x + np.random.default_rng().normal(size=3),
-        "it gives other numbers when it is asked",
-    ),
+    (lambda x, u: x + np.random.default_rng().normal(size=3), "it gives other numbers when it is asked"),
     (lambda x, u: {}["mass"], "KeyError: 'mass'"),
     (lambda x, u: x / (u - u), "it gives what is no number at most states"),
     (lambda x, u: x[..., :2], r"of one row it gives the shape \(1, 2\), not \(1, 3\)"),
@@ -337,10 +334,7 @@ def test_a_traced_loop_is_the_plain_one(cartpole: Study) -> None:
     with interpreted():
         made, expected = (loop.rollouts(thetas, starts, scenarios) for loop in (together, reference))
     assert len({rollout.frames for rollout in made}) > 3
-    for one, other in zip(made, expected, strict=True):
-        assert one.frames == other.frames
-        np.testing.assert_allclose(one.states, other.states, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(one.inputs, other.inputs, rtol=1e-9, atol=1e-8)
+    assert_alike(made, expected, 1e-9, 1e-9, of_inputs=1e-8)
 
 
 @pytest.mark.usefixtures("uncompiled")
@@ -348,6 +342,4 @@ def test_a_traced_model_predicts_recordings_as_the_plain_one(cartpole: Study) ->
     nominal = CartPole(cartpole.task, VALUES)
     windows = Windows.of([cartpole.simulate(np.ones(4))], 5, 5)
     scenarios = [PredictionModel(nominal), PredictionModel(nominal.with_parameters(1.2 * VALUES))]
-    with interpreted():
-        made = predict(scenarios, windows)
-    np.testing.assert_allclose(made, plain(scenarios, windows), rtol=1e-9, atol=1e-12)
+    predicted_as_plain(scenarios, windows, 1e-9, 1e-12)

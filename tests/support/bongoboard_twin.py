@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
+from mechanisms import shipped_task
 
 from simbias.core import Policy
 from simbias.core.records import Array, Rollout
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard, World
 from simbias.robots.bongoboard.task import Bongoboard, Limits, Robot, Start
 
-CONF = Path(__file__).parents[2] / "conf"
 START = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
 MOVING = np.array([0.1, -0.05, 0.08, 0.3, -0.2, 0.5])
 UNLIMITED = {"distance": 1e9, "body_angle": 1e9, "board_angle": 1e9, "speed": 1e9}
@@ -34,8 +32,7 @@ def build_task(
     limits: dict[str, float] | None = None, robot: dict[str, float] | None = None, **changes: Any
 ) -> Bongoboard:
     """The task of conf/task/bongoboard.yaml with some changes."""
-    config = OmegaConf.to_container(OmegaConf.load(CONF / "task" / "bongoboard.yaml"))
-    assert isinstance(config, dict)
+    config = shipped_task("bongoboard")
     return Bongoboard(
         Robot(**config["robot"] | (robot or {})),
         Limits(**config["limits"] | (limits or {})),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,7 @@ def mjcf(
     return str(file)
 
 
+@cache
 def shipped_task(name: str) -> Any:
     """What conf/task/NAME.yaml says."""
     return OmegaConf.to_container(OmegaConf.load(CONF / "task" / f"{name}.yaml"))
