@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from pathlib import Path
 
 from simbias.engine.workplace import workplace
@@ -34,10 +33,10 @@ class Export(Observer):
         """A trial of the sweep has ended or stopped."""
 
 
-class Tracking(ABC):
-    """Keeps trials in folders, and shows them elsewhere."""
+class Tracking:
+    """Keeps trials in folders; a subclass may show them elsewhere, too."""
 
-    folder: Path | None  # of all trials: each has its own, named by its hash; None: nothing is kept
+    folder: Path | None = None  # of all trials: each has its own, named by its hash; None: nothing is kept
     pictures: bool = False  # whether pictures are drawn of each trial that has ended
 
     def trial_folder(self, identity: str) -> Path | None:
@@ -48,7 +47,6 @@ class Tracking(ABC):
         """The folder of the sweep of this name and hash; one of this process where nothing is kept."""
         return SweepFolder((self.folder or workplace()) / "sweeps" / f"{name}_{identity}")
 
-    @abstractmethod
     def export_trial(self, folder: Path) -> Export:
         """Show a trial elsewhere.
 
@@ -57,10 +55,11 @@ class Tracking(ABC):
         ConfigError
             If the store cannot be used.
         """
+        return Export(str(folder))
 
-    @abstractmethod
     def export_sweep(self, folder: SweepFolder) -> Export:
         """Show a sweep elsewhere; errors as of `export_trial`."""
+        return Export(str(folder.path) if self.folder else "")
 
 
 class Folders(Tracking):
@@ -78,24 +77,6 @@ class Folders(Tracking):
         self.folder = Path(trials)
         self.pictures = pictures
 
-    def export_trial(self, folder: Path) -> Export:
-        """Show nothing but the folder."""
-        return Export(str(folder))
-
-    def export_sweep(self, folder: SweepFolder) -> Export:
-        """Show nothing but the folder."""
-        return Export(str(folder.path))
-
 
 class NoTracking(Tracking):
     """Keeps nothing."""
-
-    folder = None
-
-    def export_trial(self, folder: Path) -> Export:
-        """Show nothing."""
-        return Export()
-
-    def export_sweep(self, folder: SweepFolder) -> Export:
-        """Show nothing."""
-        return Export()
