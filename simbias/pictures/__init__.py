@@ -41,26 +41,17 @@ __all__ = [
     "snapshots",
 ]
 
-_ALONE = (
-    "costs",
-    "following",
-    "forecast",
-    "overview",
-    "phases",
-    "rejections",
-    "snapshots",
-)  # in modules so called
-_MODULES = {
+_MODULES = {  # of names that are not those of their modules
     **dict.fromkeys(("Drawing", "NoPictureError", "drawing_of"), "elements.drawing"),
     "save": "elements.style",
     "save_animation": "trial.animation",
     "prediction_errors": "trial.errors",
-    **{name: f"trial.{name}" for name in _ALONE},
 }
 
 
 def __getattr__(name: str) -> Any:
     """Import a name of `__all__` when it is asked for: Matplotlib takes a third of a second."""
-    if name not in _MODULES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+    module = _MODULES.get(name, f"trial.{name}")
+    return getattr(importlib.import_module(f"{__name__}.{module}"), name)
