@@ -22,19 +22,13 @@ def workplace() -> Path:
     The process holds a lock on a file in it: while the lock is held, the process lives. Its number alone
     would not tell, as it may live in a container whose processes we do not see.
     """
-    return Path(_folder().name)
-
-
-@cache
-def _folder() -> TemporaryDirectory:
-    """The folder, which is removed at the process' end; what dead processes left goes first."""
-    tidy()
+    tidy()  # what dead processes left
     folder = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-")
     atexit.register(folder.cleanup)  # else Python warns of what it removes itself
     made = Path(folder.name, f"new {LOCK}")
     _lock(os.open(made, os.O_CREAT | os.O_WRONLY))  # open as long as the process lives
     made.rename(made.with_name(LOCK))  # locked when others see it
-    return folder
+    return Path(folder.name)
 
 
 def temporary_folder() -> TemporaryDirectory:

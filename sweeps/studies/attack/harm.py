@@ -45,7 +45,6 @@ def _silently(command: list[str], before: Callable[[], object] = lambda: None) -
         return child
     with suppress(BaseException):
         workplace.workplace.cache_clear()
-        workplace._folder.cache_clear()
         before()
         with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
             main(command)

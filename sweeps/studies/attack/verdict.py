@@ -142,7 +142,6 @@ def _fork(folder: Path, arguments: Sequence[str], prepare: Callable[[], object],
             os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
             os.execv(sys.executable, [sys.executable, "-m", "simbias", *arguments])
         workplace.workplace.cache_clear()  # which is our parent's
-        workplace._folder.cache_clear()
         status = main(list(arguments))
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else 98
@@ -151,8 +150,8 @@ def _fork(folder: Path, arguments: Sequence[str], prepare: Callable[[], object],
     finally:
         sys.stdout.flush()
         sys.stderr.flush()
-        if workplace._folder.cache_info().currsize:
-            workplace._folder().cleanup()
+        if workplace.workplace.cache_info().currsize:
+            shutil.rmtree(workplace.workplace())
         os._exit(status)
 
 
