@@ -86,7 +86,8 @@ def recovery(request: Request) -> bool:
             )
             if found is None:
                 raise ConfigError("hardware.safety", NO_INPUTS)
-            takes, noise = [Take(found.rollout.states[0], found.rollout.inputs)], _share(found.rollout)
+            states = found.rollout.states
+            takes, noise = [Take(states[0], found.rollout.inputs)], RELATIVE_NOISE * np.ptp(states, axis=0)
         recovered = recover(study, takes, noise, progress=status.update)
     names = ("parameter", "unit", "error", "deviation", "90% interval holds it", "comes back")
     rows = [
@@ -125,11 +126,6 @@ def _noise(study: Study, recordings: Sequence[Rollout]) -> Array:
         return noise_of(recordings)
     bounds = study.conditions.safety.bounds(study.task).states
     return RELATIVE_NOISE * np.where(np.isfinite(bounds), bounds, 1.0)
-
-
-def _share(rollout: Rollout) -> Array:
-    """A share of each state's range (n,)."""
-    return RELATIVE_NOISE * np.ptp(rollout.states, axis=0)
 
 
 def _extremes(study: Study, found: Excitation) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 from simbias.config import Composition, ConfigError
 from simbias.config.build import build, service
@@ -12,7 +13,7 @@ from simbias.engine.contract import Engine
 from simbias.engine.workplace import tidy
 from simbias.sweep.tracking import Export, Tracking
 from simbias.terminal.notices import preparing, slowness_in_one_line
-from simbias.terminal.trial import TrialConsole, asking, changed_since, traceback_file
+from simbias.terminal.trial import TrialConsole, changed_since, traceback_file
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.folder import TrialFolder
 from simbias.trial.observer import Observers
@@ -42,7 +43,8 @@ def _run_study(study: Study, store: Tracking, again: str) -> int:
         print(f"simbias: {changed}", file=sys.stderr)
     try:
         with TrialConsole(study) as console:
-            record = run_trial(asking(study, console), folder, Observers(console, export))
+            asking = replace(study.conditions, ask=console.ask)  # if it asks at all
+            record = run_trial(replace(study, conditions=asking), folder, Observers(console, export))
         if folder is not None and store.pictures:
             from simbias.pictures.trial.gallery import illustrate  # lazily: Matplotlib is not for all
 

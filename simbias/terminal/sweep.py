@@ -45,7 +45,6 @@ class SweepConsole(SweepObserver):
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(highlight=False)
         self._sweep: Sweep
-        self._announced = False
         self._keeps = True
         self._total = 0
         self._ran = 0  # by this process
@@ -59,17 +58,8 @@ class SweepConsole(SweepObserver):
         )
         self._live: Live | None = None
 
-    def announce(self, sweep: Sweep, done: int) -> None:
-        """Tell what will run and how much of it is done; once."""
-        if self._announced:
-            return
-        self._announced = True
-        resumed = f", {done} of them finished already" if done else ""
-        counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {len(sweep.trials)}"
-        say(self._console, f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", markup=True)
-
     def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
-        """Tell what will run, and follow it."""
+        """Tell what will run and how much of it is done, and follow it."""
         self._sweep, self._keeps, self._total = sweep, keeps, len(sweep.trials)
         self._outcomes = list(finished["outcome"])
         names = [axis.name for axis in sweep.axes]
@@ -77,7 +67,9 @@ class SweepConsole(SweepObserver):
             self._experiments[tuple(row[name] for name in names)].append(row["experiments"])
         done = len(finished)
         self._bar = self._progress.add_task("", total=self._total, completed=done, state="")
-        self.announce(sweep, done)
+        resumed = f", {done} of them finished already" if done else ""
+        counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {self._total}"
+        say(self._console, f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", markup=True)
         if not keeps:
             say(self._console, "No trial is kept (tracking=none): once interrupted, it starts again.")
         self._start = time.monotonic()

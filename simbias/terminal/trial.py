@@ -165,11 +165,6 @@ class TrialConsole(Observer):
             say(self._console, f"Look at it:  {where}")
 
 
-def asking(study: Study, console: TrialConsole) -> Study:
-    """The study, whose hardware asks on this console, if it asks."""
-    return replace(study, conditions=replace(study.conditions, ask=console.ask))
-
-
 def changed_since(study: Study, folder: Path) -> str:
     """The user's modules that changed since the trial of a folder began, in a line; "" if none did."""
     if not (folder / TRIAL).exists() or not (
