@@ -28,30 +28,29 @@ def digests(config: Mapping[str, Any]) -> dict[str, str]:
     for target in targets({key: value for key, value in config.items() if isinstance(value, Mapping)}):
         module = str(target).rpartition(".")[0]
         if module.partition(".")[0] != OWN:
-            for name in _with_imported(module):
-                found[name] = _digest(name)
+            for name, file in _with_imported(module):
+                found[name] = short_digest(file.read_bytes())
             version = getattr(sys.modules.get(module.partition(".")[0]), "__version__", None)
             if version is not None:
                 found[f"{module.partition('.')[0]} version"] = str(version)
     return dict(sorted(found.items()))
 
 
-def _with_imported(module: str) -> Iterator[str]:
-    """A module and those of the same home that it imports, directly or over others."""
+def _with_imported(module: str) -> Iterator[tuple[str, Path]]:
+    """A module and those of the same home that it imports, directly or over others, with their files."""
     home, waiting, seen = _home(module), [module], set()
     while waiting:
         name = waiting.pop()
-        if name in seen or _file(name) is None or _home(name) != home or name.partition(".")[0] == OWN:
+        file = _file(name)
+        if name in seen or file is None or _home(name) != home or name.partition(".")[0] == OWN:
             continue
         seen.add(name)
-        yield name
-        waiting += _imports(name)
+        yield name, file
+        waiting += _imports(name, file)
 
 
-def _imports(module: str) -> Iterator[str]:
-    """The modules that a module's text imports, those that are loaded."""
-    file = _file(module)
-    assert file is not None
+def _imports(module: str, file: Path) -> Iterator[str]:
+    """The names of modules, and some of what is in them, that a module's text imports."""
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import):
@@ -77,10 +76,3 @@ def _home(module: str) -> Path | None:
         return None
     folder = file.parent.parent if file.name == "__init__.py" else file.parent
     return file.parent if folder.name in INSTALLED else folder
-
-
-def _digest(module: str) -> str:
-    """A hash of a module's text."""
-    file = _file(module)
-    assert file is not None
-    return short_digest(file.read_bytes())
