@@ -184,8 +184,12 @@ def test_a_process_that_is_forked_does_not_wait_for_places_of_its_parents_thread
 
 
 def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
-    """Their values are the file's; a positive one's prior is log-normal, of zero half a normal one."""
-    model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"pole.mass": 0.3, "hinge.damping": 2.0})
+    """Their values are the file's; a positive one's prior is log-normal, of zero half a normal one.
+
+    Of several patterns that fit a name, the last one counts.
+    """
+    declared = {"p*.mass": 0.1, "pole.mass": 0.3, "hinge.damping": 2.0}
+    model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty=declared)
     mass, damping = model.parameters
     assert mass[:5] == ("pole.mass", "kg", 0.5, 0.3, "log_normal")
     assert damping[:5] == ("hinge.damping", "N m s/rad or N s/m", 0.0, 2.0, "half_normal")

@@ -11,7 +11,7 @@ from numba import get_num_threads
 
 from simbias.core import Kernel, Nominal, Task
 from simbias.core.files import ConfigFile
-from simbias.core.parameters import Parameter
+from simbias.core.parameters import uncertain
 from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
 from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
@@ -65,17 +65,10 @@ class Mujoco(Nominal):
         self._model = EngineModel(self._robot.model)
         self._places = Places(self._model)
         self.kernel = kernel(self._robot, self._model, self._places)
-        self.parameters = tuple(
-            Parameter(
-                name,
-                QUANTITIES[name.rpartition(".")[2]].unit,
-                value,
-                spread,
-                "log_normal" if value else "half_normal",
-            )
-            for pattern, spread in (uncertainty or {}).items()
-            for name, value in values_of(self._robot.model, pattern).items()
-        )
+        spreads = changes(self._robot.model, uncertainty or {}, {})
+        known = values_of(self._robot.model, "*")
+        units = {name: QUANTITIES[name.rpartition(".")[2]].unit for name in known}
+        self.parameters = uncertain(known, units, spreads)
 
     def step(self, x: Array, u: Array) -> Array:
         """x_next (..., n), one frame after x (..., n) under u (..., m); what has blown up stays so."""
