@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any
 
 from simbias import core as interfaces
-from simbias.core.messages import LONGEST_REASON, with_type
+from simbias.core.messages import with_type
 
 CONTRACTS = tuple(
     getattr(interfaces, name)
@@ -37,14 +37,14 @@ def raised_by(error: BaseException) -> str:
     return name
 
 
-def told(error: BaseException, longest: int = LONGEST_REASON) -> str:
+def told(error: BaseException) -> str:
     """The message of an error, with the component in which it arose if that is the user's."""
     source = raised_by(error)
     if not source or isinstance(error, interfaces.HardwareError):
-        return with_type(error, longest)
+        return with_type(error)
     *_, (frame, line) = traceback.walk_tb(error.__traceback__)
     place = f"{Path(frame.f_code.co_filename).name}:{line}"
-    return f"{source}: expected a result, got {with_type(error, longest)} ({place})"
+    return f"{source}: expected a result, got {with_type(error)} ({place})"
 
 
 def has_own_code(error: BaseException) -> bool:

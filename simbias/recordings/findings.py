@@ -9,7 +9,7 @@ import numpy as np
 
 from simbias.core.parameters import Estimate, Parameter
 from simbias.core.records import Array
-from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.identified import QUANTILE, Identified
 
 CORRELATED = 0.9
 DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is told, and below which it is not
@@ -27,7 +27,6 @@ class Finding:
     shrinkage: float  # of the standard deviation, in the prior's coordinate: 0 nothing learned, 1 all
     partners: Mapping[str, float]  # parameters that it is correlated with by more than 0.9
     by_part: tuple[Estimate, ...]  # identified from each part alone
-    by_window: tuple[Estimate, ...]  # with predictions half and twice as long
     doubts: tuple[str, ...]
 
     @property
@@ -38,7 +37,7 @@ class Finding:
     @property
     def prior_interval(self) -> tuple[float, float]:
         """5% and 95% quantiles of the prior."""
-        low, high = self.prior.at(np.array([-1.6449, 1.6449])).tolist()
+        low, high = self.prior.at(np.array([-QUANTILE, QUANTILE])).tolist()
         return low, high
 
     @property
@@ -76,7 +75,6 @@ def findings(
                 shrinkage,
                 partners,
                 tuple(each.estimates[i] for each in by_part),
-                tuple(each.estimates[i] for each in by_window),
                 tuple(doubt for doubt in doubts if doubt),
             )
         )

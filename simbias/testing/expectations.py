@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import Kernel
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.trial.study import Study
 
@@ -118,14 +117,3 @@ def rollout(study: Study, seed: int = 0) -> Rollout:
     """A simulated rollout from a random start."""
     start = study.task.draw_start(np.random.default_rng(seed))
     return study.simulate(near_zero(study), start=start)
-
-
-def expect_kernel_agrees(
-    kernel: Kernel | None, method: Callable[..., Array], name: str, *arrays: Array
-) -> None:
-    """A compiled function, if there is one, gives what the method gives."""
-    if kernel is not None:
-        compiled = [
-            kernel.function(*map(tuple, rows), kernel.parameters) for rows in zip(*arrays, strict=True)
-        ]
-        equal(np.array(compiled), method(*arrays), f"the kernel of {name}", "what the method gives")

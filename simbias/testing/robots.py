@@ -13,7 +13,6 @@ from simbias.testing.expectations import (
     expect,
     expect_any_leading_axes,
     expect_arguments_left,
-    expect_kernel_agrees,
     inputs,
     near_zero,
     policies,
@@ -84,12 +83,7 @@ def _nominal_state(study: Study) -> None:
     for t in range(3):  # the rows, as frames; from zero on
         x_next, after = nominal.advance(np.roll(x, t, axis=0), np.roll(u, t, axis=0), model_state)
         equal(np.shape(x_next), x.shape, "nominal.advance", f"states of shape {x.shape}")
-        equal(
-            np.shape(after),
-            model_state.shape,
-            "nominal.advance",
-            f"a state of shape {model_state.shape}",
-        )
+        equal(np.shape(after), model_state.shape, "nominal.advance", f"a state of shape {model_state.shape}")
         model_state = after
 
     def advance(x: Array, u: Array, before: Array) -> Array:
@@ -110,17 +104,18 @@ def _nominal_state(study: Study) -> None:
 @check("nominal", "compiled functions give the same numbers")
 def _nominal_kernel(study: Study) -> None:
     nominal, x, u = study.nominal, robot_states(study), inputs(study)
-    if not nominal.state_size:
-        expect_kernel_agrees(nominal.kernel, nominal.step, "nominal.step", x, u)
-    elif nominal.kernel is not None:
-        model_state = nominal.model_states(x, u)
-        function, parameters = nominal.kernel
-        compiled = [
-            np.concatenate(function(tuple(a), tuple(b), parameters, tuple(c)))
-            for a, b, c in zip(x, u, model_state, strict=True)
-        ]
-        both = np.concatenate(nominal.advance(x, u, model_state), axis=-1)
-        equal(np.array(compiled), both, "the kernel of nominal.advance", "what the method gives")
+    if nominal.kernel is None:
+        return
+    function, parameters = nominal.kernel
+    if nominal.state_size:
+        memory = nominal.model_states(x, u)
+        each = zip(map(tuple, x), map(tuple, u), map(tuple, memory), strict=True)
+        made = [np.concatenate(function(a, b, parameters, c)) for a, b, c in each]
+        name, expected = "advance", np.concatenate(nominal.advance(x, u, memory), axis=-1)
+    else:
+        made = [function(tuple(a), tuple(b), parameters) for a, b in zip(x, u, strict=True)]
+        name, expected = "step", nominal.step(x, u)
+    equal(np.array(made), expected, f"the kernel of nominal.{name}", "what the method gives")
 
 
 @check("policy", "bounds")
