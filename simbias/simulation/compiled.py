@@ -120,7 +120,14 @@ class CompiledSimulator:
     ) -> RolloutBatch:
         """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
         k, task = len(thetas), self.task
-        batch = RolloutBatch.of(k, cost, task, recorded)
+        rows = k if recorded else 0
+        batch = RolloutBatch(
+            np.empty((rows, task.horizon + 1, len(task.states))),
+            np.empty((rows, task.horizon, len(task.inputs))),
+            np.zeros((k, len(cost.reductions) if cost else 0)),
+            np.full(k, -1),
+            np.full(k, -1),
+        )
         if recorded:
             batch.states[:, 0] = starts
         terms = of_cost(cost, task).kernel if cost else None
@@ -169,15 +176,3 @@ class RolloutBatch:
     totals: Array  # (k, s) of the cost's terms
     frames: Indices  # (k,)
     violated: Indices  # (k,) criterion that ended it, -1 at the horizon
-
-    @staticmethod
-    def of(k: int, cost: Cost | None, task: Task, recorded: bool) -> RolloutBatch:
-        """Arrays for k rollouts."""
-        rows = k if recorded else 0
-        return RolloutBatch(
-            np.empty((rows, task.horizon + 1, len(task.states))),
-            np.empty((rows, task.horizon, len(task.inputs))),
-            np.zeros((k, len(cost.reductions) if cost else 0)),
-            np.full(k, -1),
-            np.full(k, -1),
-        )

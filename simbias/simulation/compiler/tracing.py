@@ -40,11 +40,6 @@ class KernelOrReason(NamedTuple):
     why_not: str = ""
 
 
-TraceInputs = tuple[
-    dict[str, Array], list[int]
-]  # vectors (ROWS, .) that a method takes; sizes of what it gives
-
-
 def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
     """The parts of a closed loop: measures, policy, nominal model, bias."""
     task, points, of_robot = model.task, Points.of(model.task), Points.of(model.task.without_targets)
@@ -75,38 +70,36 @@ def of_cost(cost: Cost, task: Task) -> KernelOrReason:
 
 def of_nominal(nominal: Nominal, points: Points) -> KernelOrReason:
     """A step of the nominal model."""
+    if nominal.kernel is not None:
+        return KernelOrReason(nominal.kernel)
     s = nominal.state_size
+    method = "advance" if s else "step"
 
-    def inputs() -> TraceInputs:
+    def find() -> KernelOrReason:
         vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
-        if not s:
-            return vectors, sizes
-        state = np.random.default_rng(1).standard_normal((ROWS, s))
-        return {**vectors, "model_state": state}, [*sizes, s]
+        if s:
+            vectors["model_state"] = np.random.default_rng(1).standard_normal((ROWS, s))
+            sizes.append(s)
+        return _traced(nominal, method, vectors, sizes)
 
-    return _own_or_traced(nominal.kernel, nominal, "advance" if s else "step", inputs)
+    return _once(nominal, method, find)
 
 
 def of_bias(bias: FittedBias, points: Points) -> KernelOrReason:
     """A bias' correction."""
+    if bias.kernel is not None:
+        return KernelOrReason(bias.kernel)
 
-    def inputs() -> TraceInputs:
-        return {"x": points.x, "u": points.u}, [points.x.shape[1]]
+    def find() -> KernelOrReason:
+        return _traced(bias, "correction", {"x": points.x, "u": points.u}, [points.x.shape[1]])
 
-    return _own_or_traced(bias.kernel, bias, "correction", inputs)
-
-
-def _own_or_traced(
-    kernel: Kernel | None, component: Any, method: str, inputs: Callable[[], TraceInputs]
-) -> KernelOrReason:
-    """The component's own kernel or, traced once, that of a method."""
-    if kernel is not None:
-        return KernelOrReason(kernel)
-    return _once(component, method, lambda: _traced(component, method, *inputs()))
+    return _once(bias, "correction", find)
 
 
 def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Sequence[int]) -> KernelOrReason:
     """The kernel of a method that takes these vectors (k, .) and gives some of these sizes."""
+    arguments = list(vectors)  # of the kernel: its parameters come before a model state
+    arguments.insert(len(vectors) - ("model_state" in vectors), "p")
 
     def trace(subject: Callable) -> Kernel:
         trace = Trace()
@@ -116,15 +109,11 @@ def _traced(component: Any, method: str, vectors: dict[str, Array], sizes: Seque
         ]
         made = subject(*given)
         results = _vectors(made if len(sizes) > 1 else (made,), sizes, trace)
-        names = [name for name in vectors if name != "model_state"]
-        arguments = ", ".join([*names, "p", *(["model_state"] if "model_state" in vectors else [])])
-        function, numbers = written(trace, results, arguments)
-        return Kernel(function, numbers)
+        return Kernel(*written(trace, results, ", ".join(arguments)))
 
     def check(subject: Callable, kernel: Kernel) -> None:
-        before = [each for name, each in vectors.items() if name != "model_state"]
-        after = [each for name, each in vectors.items() if name == "model_state"]
-        made = columns(kernel.function, *before, tuple(kernel.parameters), *after)
+        given = {**vectors, "p": tuple(kernel.parameters)}
+        made = columns(kernel.function, *(given[name] for name in arguments))
         compare(subject, list(vectors.values()), made if len(sizes) > 1 else (made,))
 
     return _part(component, method, trace, check)
