@@ -108,7 +108,4 @@ def correlation_time(e: Array, experiments: Indices) -> float:
 
 def _lagged(errors: Sequence[Array], lag: int) -> float:
     """Sum of products of errors (w, d) of each experiment with those this number of windows later."""
-    total = 0.0
-    for own in errors:
-        total += float(np.sum(own[lag:] * own[: max(len(own) - lag, 0)]))
-    return total
+    return sum(float(np.sum(own[lag:] * own[: max(len(own) - lag, 0)])) for own in errors)

@@ -76,18 +76,14 @@ class DynamicOutputFeedback(Policy):
         self._delay = round(delay_seconds / task.time_step)  # frames
         self._rates = np.array([output.is_rate for output in task.outputs])
         self._integrated = np.array([name in chosen for name in names], dtype=np.float64)
-        lower, upper = [-bound] * (m * q), [bound] * (m * q)
-        for most in (filter_seconds, integral_rate):
-            if most > 0:
-                lower, upper = [*lower, 0.0], [*upper, most]
-        if self._delay:
-            lower, upper = [*lower, *[-delay_rate] * m], [*upper, *[delay_rate] * m]
         self._constant = constant > 0
-        if constant > 0:
-            least, most_input = (constant * each for each in task.input_bounds)
-            lower, upper = [*lower, *least.tolist()], [*upper, *most_input.tolist()]
-        self.bounds = np.array(lower), np.array(upper)
-        self.n_parameters = len(lower)
+        bounds = [(-bound, bound)] * (m * q)
+        bounds += [(0.0, most) for most in (filter_seconds, integral_rate) if most > 0]
+        bounds += [(-delay_rate, delay_rate)] * (m if self._delay else 0)
+        if self._constant:
+            bounds += zip(*(constant * each for each in task.input_bounds), strict=True)
+        lower, upper = np.array(bounds).T
+        self.bounds, self.n_parameters = (lower, upper), len(bounds)
         self.state_size = 2 * q + self._delay * m
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:

@@ -9,15 +9,7 @@ from matplotlib.lines import Line2D
 
 from simbias.core.records import Array
 from simbias.pictures.elements.layout import legend, panels
-from simbias.pictures.elements.style import (
-    HARDWARE,
-    NOMINAL,
-    SIMULATION,
-    SMALL,
-    label,
-    logarithmic,
-    plain,
-)
+from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, SMALL, label, logarithmic, plain
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.findings import Finding
 from simbias.simulation.open_loop import PredictionModel, Windows, predict

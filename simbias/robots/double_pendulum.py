@@ -13,16 +13,7 @@ import numpy as np
 
 from simbias.core import Kernel, Nominal, Task
 from simbias.core.parameters import Parameter, Prior
-from simbias.core.ranges import (
-    Acceleration,
-    Inertia,
-    Length,
-    Mass,
-    NonNegative,
-    Positive,
-    Spread,
-    TimeStep,
-)
+from simbias.core.ranges import Acceleration, Inertia, Length, Mass, NonNegative, Positive, Spread, TimeStep
 from simbias.core.records import Array
 from simbias.simulation.compiler import arctan, elementwise, sincos
 

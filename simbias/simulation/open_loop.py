@@ -43,9 +43,7 @@ class Windows:
     frames: Indices  # (r,) and after that: whole windows
     window: int
     chunk: int
-    noise: Array | float = (
-        0.0  # (n,) standard deviations of the states' measurements, as far as they are known
-    )
+    noise: Array | float = 0.0  # (n,) standard deviations of the states' measurements, as far as known
 
     @staticmethod
     def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:

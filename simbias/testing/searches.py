@@ -10,12 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.testing.expectations import (
-    ConformanceError,
-    check,
-    equal,
-    expect,
-)
+from simbias.testing.expectations import ConformanceError, check, equal, expect
 from simbias.trial.observer import Observer
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study

@@ -141,11 +141,7 @@ class _Fits:
 
     @staticmethod
     def of(
-        derivatives: Array,
-        residuals: Array,
-        errors: ErrorDistribution,
-        fold: Indices,
-        experiments: Indices,
+        derivatives: Array, residuals: Array, errors: ErrorDistribution, fold: Indices, experiments: Indices
     ) -> _Fits:
         """Weight windows by their residuals (w, J, n) without a bias; derivatives (w, J, n, n R)."""
         b = errors.whiten(residuals)

@@ -23,9 +23,7 @@ class Gaps:
     ankle_damping: NonNegative = 0.0  # N m s/rad
     ankle_stiffness: NonNegative = 0.0  # N m/rad, of a spring at rest at theta = 0
     ankle_friction: NonNegative = 0.0  # N m; Coulomb's, which also sticks
-    backlash: Annotated[float, Field(ge=0, le=1)] = (
-        0.0  # rad from end to end, between the motors and the legs
-    )
+    backlash: Annotated[float, Field(ge=0, le=1)] = 0.0  # rad from end to end, between motors and legs
     rotor_inertia: Inertia = 0.01  # kg m^2 of the motors, as the legs feel it; where there is backlash
     rolling_resistance: NonNegative = 0.0  # N m, against the wheel's rotation; it sticks too
     payload_mass: MassOrZero = 0.0  # kg, a point on the pelvis

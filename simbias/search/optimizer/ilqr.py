@@ -32,10 +32,7 @@ SHORTER = 0.5 ** np.arange(12)  # shares of a step that are tried, all at once
 ITERATIONS = 200
 PATIENCE, PROGRESS = 10, 0.01  # it ends where that many iterations save less than this share
 LEAST, MOST = 1e-6, 1e8  # damping: where not even the most lets a step cost less, none does
-FROM_REST, FROM_REST_PATIENCE = (
-    1e6,
-    3,
-)  # damping that begins at rest, far from a goal that moves; patience there
+FROM_REST, FROM_REST_PATIENCE = 1e6, 3  # damping and patience of what begins at rest
 PIECE, AMPLITUDE = 0.3, 0.6  # s, and share of the limits, of the random inputs that it begins with
 SEED = 0  # of these inputs: the same model has the same trajectories
 

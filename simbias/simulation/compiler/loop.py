@@ -29,12 +29,7 @@ from simbias.simulation.compiler.kernels import LANES
 from simbias.simulation.compiler.lanes import as_integers
 from simbias.simulation.compiler.text import assign, tuple_of
 
-INTEGERS = (
-    "running",
-    "number",
-    "frame",
-    "ending",
-)  # of each lane: whether it has a pass, which one, and so on
+INTEGERS = ("running", "number", "frame", "ending")  # of each lane; one without a pass is not running
 
 TEMPLATE = f"""\
 def loop(

@@ -80,9 +80,7 @@ def _by_doubling(x: float) -> float:
     """Hyperbolic tangent of x, without branches: to 1e-15; what is not finite gives nan."""
     y = (min(max(x, -20.0), 20.0) + (x - x)) / 64.0
     z = y * y
-    n = y * (
-        1.0 + z * (17325.0 + z * (378.0 + z)) / 135135.0
-    )  # n / d: a convergent of its continued fraction
+    n = y * (1.0 + z * (17325.0 + z * (378.0 + z)) / 135135.0)  # n / d: a convergent of a continued fraction
     d = 1.0 + z * (62370.0 + z * (3150.0 + 28.0 * z)) / 135135.0
     n, d = 2.0 * n * d, n * n + d * d  # of 2 y, and so on to 64 y
     n, d = 2.0 * n * d, n * n + d * d
