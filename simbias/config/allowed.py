@@ -102,15 +102,16 @@ def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
 
 def targets(config: Any) -> Iterator[Any]:
     """Classes that a config names, anywhere in it."""
-    if isinstance(config, Mapping):
-        for key, value in config.items():
-            if key == TARGET:
-                yield value
-            else:
-                yield from targets(value)
-    elif isinstance(config, list):
-        for value in config:
-            yield from targets(value)
+    return (value for path, value in leaves(config) if path[-1:] == (TARGET,))
+
+
+def leaves(config: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """The values in nested mappings and lists, each after the keys and places that lead to it."""
+    if isinstance(config, Mapping | list):
+        for key, value in config.items() if isinstance(config, Mapping) else enumerate(config):
+            yield from leaves(value, (*path, key))
+    else:
+        yield path, config
 
 
 def _homes(name: str) -> set[Path]:

@@ -11,7 +11,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from simbias.config.allowed import NOTHING, Own, own, prefixes
+from simbias.config.allowed import NOTHING, Own, leaves, own, prefixes
 from simbias.config.hydra_config import composed, in_one_line, parsed, set_value
 from simbias.config.resources import check_no_primary, resource_folder, state
 from simbias.core.errors import ConfigError, reason
@@ -119,7 +119,7 @@ class Variations:
         """
         with self._errors_in_one_line():
             config, choices = self._merged(self._split, settings, grid=True)
-            return self._finished(config, choices, tuple(_from_environment(config)))
+            return self._finished(config, choices, _from_environment(config))
 
     def trial(self, settings: Mapping[str, Any]) -> Composition:
         """The part of this composition that concerns a single trial.
@@ -135,7 +135,7 @@ class Variations:
 
         with self._errors_in_one_line():
             config, choices = self._merged(self._split_of_trials, settings, grid=False)
-            secret = tuple(_from_environment(config))
+            secret = _from_environment(config)
             with flag_override(config, ["struct", "no_deepcopy_set_nodes"], [False, True]):
                 config["sweep"] = self._grid  # what a value refers to by interpolation
             return self._finished(config, choices, secret, OF_SWEEPS)
@@ -243,15 +243,10 @@ def _is_of_the_grid(override: Override) -> bool:
     return key == "sweep" and (bool(within) or not isinstance(override.value(), str))
 
 
-def _from_environment(config: DictConfig) -> Iterator[str]:
+def _from_environment(config: DictConfig) -> tuple[str, ...]:
     """The keys of what is written down whose values come from environment variables."""
     from omegaconf import OmegaConf
 
-    groups: Any = OmegaConf.to_container(config, resolve=False)
-    waiting = [(str(key), value) for key, value in groups.items() if key != "tracking"]
-    for key, value in waiting:
-        if isinstance(value, dict | list):
-            parts = value.items() if isinstance(value, dict) else enumerate(value)
-            waiting += [(f"{key}.{part}", each) for part, each in parts]
-        elif "${oc.env:" in str(value):
-            yield key
+    found = leaves(OmegaConf.to_container(config, resolve=False))
+    paths = (path for path, value in found if path[0] != "tracking" and "${oc.env:" in str(value))
+    return tuple(".".join(map(str, path)) for path in paths)

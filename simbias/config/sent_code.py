@@ -6,11 +6,10 @@ import io
 import os
 import sys
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
-from simbias.config.allowed import OWN
+from simbias.config.allowed import OWN, leaves
 from simbias.config.composition import NOT_HASHED, Composition
 from simbias.core.errors import ConfigError
 
@@ -42,9 +41,10 @@ def packed(compositions: Iterable[Composition]) -> bytes:
 def _needed(composition: Composition) -> Iterator[tuple[Path, str]]:
     """The files that a trial may need, each with its name in the zip file."""
     loaded = {name.partition(".")[0] for name in sys.modules} - {OWN}
+    values = [value for path, value in leaves(composition.config) if not set(NOT_HASHED) & set(path)]
     for folder in map(Path, composition.own.folders):
         home = folder.parent
-        named = {Path(name).parts[0] for name in _texts(composition.config) if _is_in(home, name)}
+        named = {Path(text).parts[0] for text in values if isinstance(text, str) and _is_in(home, text)}
         for each in home.iterdir():
             package = each.is_dir() and each.name in loaded
             if each == folder or each.suffix == ".py" or package or each.name in named:
@@ -58,17 +58,6 @@ def _is_in(home: Path, name: str) -> bool:
         return bool(path.parts) and not {"..", path.anchor} & set(path.parts) and (home / path).exists()
     except (OSError, ValueError):  # of what no file system takes as a name
         return False
-
-
-def _texts(config: Any) -> Iterator[str]:
-    """The texts in a config's components."""
-    if isinstance(config, str):
-        yield config
-    elif isinstance(config, Mapping | list):
-        values = config.items() if isinstance(config, Mapping) else enumerate(config)
-        for key, value in values:
-            if key not in NOT_HASHED:
-                yield from _texts(value)
 
 
 def _files(path: Path) -> Iterator[Path]:
