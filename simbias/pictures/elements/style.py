@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -123,9 +123,12 @@ def superscript(exponent: int) -> str:
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def plain(axes: Axes) -> None:
-    """Remove the frame's upper and right side."""
+def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:
+    """Remove the frame's upper and right side; a grid for the values of an axis is behind what is drawn."""
     axes.spines[["top", "right"]].set_visible(False)
+    if grid is not None:
+        axes.grid(axis=grid, color="0.9")
+        axes.set_axisbelow(True)
 
 
 def save(figure: Figure, path: Path | str) -> None:

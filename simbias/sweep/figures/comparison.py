@@ -207,7 +207,7 @@ def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlim(-0.03, 1.03)
     axes.tick_params(axis="y", length=0, labelleft=False)
-    _finish(axes)
+    plain(axes, "both")
 
 
 def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
@@ -232,12 +232,5 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
     for axes in (left, right):
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_ylim(-0.03, 1.03)
-        _finish(axes)
+        plain(axes, "both")
     figure.legend(handles.values(), handles, loc="outside right center", fontsize=8, frameon=False)
-
-
-def _finish(axes: Axes) -> None:
-    """A grid behind what is drawn."""
-    axes.grid(color="0.9")
-    axes.set_axisbelow(True)
-    plain(axes)

@@ -127,6 +127,4 @@ def _label(axes: Axes, along: Axis) -> None:
     axes.set_xticks(range(len(along.labels)), [literal(label).replace("/", "\n") for label in along.labels])
     keys = [_words(key) for key in along.keys]
     axes.set_xlabel(keys[0] if len(keys) == 1 else "from above: " + ", ".join(keys))
-    axes.grid(axis="y", color="0.9")
-    axes.set_axisbelow(True)
-    plain(axes)
+    plain(axes, "y")

@@ -75,9 +75,7 @@ def _figure(numbers: pd.DataFrame, cells: Sequence[str]) -> Figure:
         for row, cell in enumerate(cells):
             _draw_row(axes, row, numbers[numbers["cell"] == cell], column)
         axes.set_xlabel(WORDS[column])
-        axes.grid(axis="x", color="0.9")
-        axes.set_axisbelow(True)
-        plain(axes)
+        plain(axes, "x")
     left.set_xlim(left=0)
     left.xaxis.set_major_locator(MaxNLocator(4, integer=True))
     right.set_xlim(-0.03, 1.03)
