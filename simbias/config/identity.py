@@ -55,7 +55,7 @@ def identity_fields(
     if HARDWARE in relevant:
         relevant[HARDWARE], _ = split(relevant[HARDWARE])
     found = {
-        key: _component(value, key, allowed) if _is_component(value) else value
+        key: _component(value, key, allowed) if isinstance(value, Mapping) and TARGET in value else value
         for key, value in relevant.items()
     }
     return {**found, "safety": _plain(limits)} if limits.limits else found
@@ -65,11 +65,6 @@ def sha(fields: Mapping[str, Any]) -> str:
     """The first hexadecimal digits of a SHA-256 of these fields and of the scheme."""
     text = json.dumps({"scheme": SCHEME, **fields}, sort_keys=True, default=str)
     return short_digest(text.encode())
-
-
-def _is_component(config: Any) -> bool:
-    """Whether a group's config names a component."""
-    return isinstance(config, Mapping) and TARGET in config
 
 
 def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> dict[str, Any]:

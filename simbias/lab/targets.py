@@ -17,11 +17,8 @@ class WithTargets(Policy):
 
     def __init__(self, policy: Policy, targets: Array) -> None:
         self._policy, self.targets = policy, targets
-        self.n_parameters, self.bounds, self.state_size = (
-            policy.n_parameters,
-            policy.bounds,
-            policy.state_size,
-        )
+        self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
+        self.state_size = policy.state_size
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at the robot's states x (..., n), and the policy state for the next frame."""

@@ -38,7 +38,4 @@ def factor(unit: str, wanted: str) -> float:
 def _plain(unit: str) -> str:
     """A unit as it is listed: Nm and N*m are N m, degrees are deg."""
     text = unit.strip().replace("·", " ").replace("*", " ").replace("degrees", "deg").replace("degree", "deg")
-    for short in ("mNm", "kNm", "Nmm", "Ncm", "Nm"):
-        if text == short:
-            return short[: short.index("N") + 1] + " " + short[short.index("N") + 1 :]
-    return text
+    return next((listed for listed in _TORQUE if listed.replace(" ", "") == text), text)

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -63,7 +63,8 @@ class SweepState:
     def __init__(self, sweep: Sweep, store: Tracking, again: str) -> None:
         self._sweep, self._store = sweep, store
         self.folder = store.sweep_folder(sweep.name, sweep.hash)
-        done = results.of_folders(sweep, store.folder, _warn)
+        warn = partial(logging.getLogger(__name__).warning, DAMAGED)
+        done = results.of_folders(sweep, store.folder, warn)
         self.finished = _whole(done, store)
         self._rows: dict[str, Mapping[Any, Any]] = {row["hash"]: row for row in done.to_dict("records")}
         ran_on = (
@@ -187,11 +188,6 @@ class SweepState:
         self.export.update(final)
         ended = time.monotonic()
         self._due = ended + max(STATE_SECONDS, (ended - began) / STATE_SHARE)
-
-
-def _warn(damaged: ConfigError) -> None:
-    """Say which folder cannot be read."""
-    logging.getLogger(__name__).warning(DAMAGED, damaged)
 
 
 def _description(sweep: Sweep, again: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import itertools
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -162,7 +162,8 @@ class FolderRecord(Record):
         path = self._replayed(ITERATION)
         if path is None:
             summary = {**iteration_summary(self._study, iteration, earlier), "ended": time.time()}
-            self._keep(ITERATION, _dumped(summary))
+            text = json.dumps(summary, indent=1, default=lambda value: value.tolist())  # NumPy's numbers
+            self._keep(ITERATION, text.encode())
         else:
             *kept, seconds = _loaded(path, lambda path: itemgetter(*COMPARED, "seconds")(read_json(path)))
             if kept != [iteration.index, iteration.total_experiments, iteration.succeeded]:
@@ -264,8 +265,3 @@ def _load_search(path: Path) -> Optimum:
     """The optimum that a search found."""
     fields = read_json(path)
     return Optimum(**{**fields, "parameters": np.array(fields["parameters"])})
-
-
-def _dumped(content: Mapping[str, Any]) -> bytes:
-    """A mapping as JSON; NumPy's numbers are numbers."""
-    return json.dumps(content, indent=1, default=lambda value: value.tolist()).encode()

@@ -15,7 +15,7 @@ from simbias.core.digest import short_digest
 from simbias.core.records import Array
 from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
-from simbias.lab.safety import Bounds, SafetyLimitedPolicy
+from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy
 from simbias.simulation.compiler import Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
@@ -48,8 +48,7 @@ class ExperimentRequest:
         """The limits at which the experiment is to be aborted."""
         if isinstance(self.policy, SafetyLimitedPolicy):
             return self.policy.safety_bounds
-        n, m = len(self.task.states), len(self.task.inputs)
-        return Bounds(self.task.input_bounds, np.full(m, np.inf), np.full(n, np.inf), False)
+        return NO_LIMITS.bounds(self.task)
 
     @property
     def start_tolerance(self) -> Array:
