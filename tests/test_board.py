@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 import yaml
 from conftest import ROOT
+from texts import write
 
 import simbias
 from simbias.core.errors import ConfigError
@@ -204,9 +205,7 @@ def test_a_search_for_the_time_up_begins_after_resets(
     file = tmp_path / "policy.json"
     file.write_text(json.dumps({"parameters": grown.tolist()}))
     content = uptime.preset("acrobot", uptime.law_of(study, theta), file)
-    (tmp_path / "preset").mkdir()
-    text = f"# @package _global_\n{yaml.safe_dump(content, sort_keys=False)}"
-    (tmp_path / "preset" / "up.yaml").write_text(text)
+    write(tmp_path, {"preset/up.yaml": f"# @package _global_\n{yaml.safe_dump(content, sort_keys=False)}"})
     begun = simbias.load(["preset=up", "policy.units=5", "tracking=none"], tmp_path)
     begun.method.check(begun)
     starts = np.array(content["task"]["starts"])

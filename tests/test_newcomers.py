@@ -13,6 +13,7 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS
 from interpreted import interpreted
 from rich.console import Console
+from texts import write
 
 import simbias
 from simbias.__main__ import main
@@ -124,12 +125,10 @@ def test_the_traceback_of_an_own_component_is_in_a_file(
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    (tmp_path / "conf" / "nominal").mkdir(parents=True)
-    (tmp_path / "conf" / "nominal" / "mine.yaml").write_text("_target_: mine_that_raises.Mine\n")
-    (tmp_path / "mine_that_raises.py").write_text(
-        "from simbias.core import Nominal\nclass Mine(Nominal):\n"
-        "    def __init__(self, task): self._x = task.mas\n    def step(self, x, u): return x\n"
-    )
+    code = "from simbias.core import Nominal\nclass Mine(Nominal):\n"
+    code += "    def __init__(self, task): self._x = task.mas\n    def step(self, x, u): return x\n"
+    config = "_target_: mine_that_raises.Mine\n"
+    write(tmp_path, {"conf/nominal/mine.yaml": config, "mine_that_raises.py": code})
     command = ["--config-dir", str(tmp_path / "conf"), "nominal=mine", "tracking=none"]
     assert main(command) == BAD_INPUT
     line = capsys.readouterr().err
@@ -228,8 +227,7 @@ def test_config_yaml_in_an_own_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_help_lists_what_is_in_an_own_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (tmp_path / "sweeps").mkdir()
-    (tmp_path / "sweeps" / "mine.yaml").touch()
+    write(tmp_path, {"sweeps/mine.yaml": ""})
     for arguments in (["--help", "--config-dir", str(OWN_CONF)], ["--help", f"--config-dir={tmp_path}"]):
         with pytest.raises(SystemExit):
             main(arguments)

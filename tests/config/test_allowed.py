@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from texts import write
 
 import simbias
 from simbias.__main__ import main
@@ -47,10 +48,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         "conf/bias/inside.yaml": "_target_: inside.Mine",
         "conf/bias/installed.yaml": "_target_: installed.Mine",
     }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    yield tmp_path
+    yield write(tmp_path, files)
     for name in ("beside", "package", "package.part", "inside", "installed"):
         sys.modules.pop(name, None)
 
@@ -71,10 +69,8 @@ def test_what_lies_beside_or_in_a_named_folder_or_is_in_its_list(project: Path) 
 
 
 def test_what_is_not_allowed_is_not_imported(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (project / "conf" / "sweeps").mkdir()
-    (project / "conf" / "sweeps" / "mine.yaml").write_text(
-        "sweep: {trials: 1, axes: {}, figures: {one: {_target_: installed.Mine}}}"
-    )
+    sweep = "sweep: {trials: 1, axes: {}, figures: {one: {_target_: installed.Mine}}}"
+    write(project, {"conf/sweeps/mine.yaml": sweep})
     for overrides, module in (
         (["bias=installed"], "installed"),
         (["bias=none", "bias._target_=os.system"], "os"),

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import hydra
 import pytest
+from errors import one_line
 from omegaconf import OmegaConf
+from texts import write
 
 import simbias
 from simbias.config import ConfigError, compose, option_files, sweeps
@@ -38,10 +40,9 @@ def conf(tmp_path: Path) -> Path:
     """A folder of configs, among them a good one in each group."""
     good = {"bias": "_target_: simbias.learning.bias.none.NoBias", "sweeps": "sweep: {trials: 1, axes: {}}"}
     for group, text in good.items():
-        (tmp_path / group).mkdir()
+        write(tmp_path, {f"{group}/good.yaml": text})
         for name, make in BROKEN.items():
             make(tmp_path / group / f"{name}.yaml")
-        (tmp_path / group / "good.yaml").write_text(text)
     return tmp_path
 
 
@@ -54,10 +55,9 @@ def test_nobody_asks_for_them(conf: Path) -> None:
 def test_somebody_asks_for_one(conf: Path) -> None:
     for use, group in ((simbias.load, "bias"), (expand, "+sweep")):
         for name in BROKEN:
-            with pytest.raises(ConfigError) as error:
+            with one_line() as error:
                 use([f"{group}={name}", "tracking=none"], conf)  # type: ignore[operator]
             text = str(error.value)
-            assert "\n" not in text
             assert len(text) < LONGEST_LINE
             assert name in text or text.startswith("bias: must be a mapping")
 
@@ -69,9 +69,8 @@ def test_what_is_no_name_or_a_long_one_is_a_short_line() -> None:
             simbias.load([form.format(5000 * "x"), "tracking=none"])
         assert len(str(error.value)) < LONGEST_LINE
     for override in ("bias=[1]", "bias=[null]", "bias=3", "+sweep=[inf]", "bias={a: 1}"):
-        with pytest.raises(ConfigError) as error:
+        with one_line():
             simbias.load([override, "tracking=none"])
-        assert "\n" not in str(error.value)
     with pytest.raises(ConfigError, match=r"^seed=9+ \.\.\. 9+: Exceeds the limit \(4300 digits\)"):
         overridden([f"seed={'9' * 5000}"])
 
@@ -79,8 +78,7 @@ def test_what_is_no_name_or_a_long_one_is_a_short_line() -> None:
 @pytest.mark.slow
 def test_a_folder_may_have_any_name(tmp_path: Path) -> None:
     for name in ("a,b", "a=b", "a b", "a'b", "a\\b", "a[b}", "ü"):
-        (tmp_path / name / "bias").mkdir(parents=True)
-        (tmp_path / name / "bias" / "mine.yaml").write_text("_target_: simbias.learning.bias.none.NoBias")
+        write(tmp_path, {f"{name}/bias/mine.yaml": "_target_: simbias.learning.bias.none.NoBias"})
         assert compose(["bias=mine"], tmp_path / name).hash == compose(["bias=none"]).hash
 
 
@@ -88,17 +86,15 @@ def test_a_file_that_changes_is_read_again(tmp_path: Path) -> None:
     """Compositions are kept; what they were read from may be edited meanwhile, as beside a notebook."""
     texts = {"bias": "_target_: simbias.learning.bias.gp.GaussianProcess\nd: {}", "sweeps": "a: {}"}
     for group, text in texts.items():
-        (tmp_path / group).mkdir()
         for value in (1, 22):
-            (tmp_path / group / "mine.yaml").write_text(text.format(value))
+            write(tmp_path, {f"{group}/mine.yaml": text.format(value)})
             config = compose(["bias=mine"] if group == "bias" else ["+sweep=mine"], tmp_path).config
             assert (config["bias"]["d"] if group == "bias" else config["a"]) == value
 
 
 def test_a_file_whose_aliases_never_end_is_named(tmp_path: Path) -> None:
     for group, use in (("bias", "bias=mine"), ("sweeps", "+sweep=mine")):
-        (tmp_path / group).mkdir()
-        (tmp_path / group / "mine.yaml").write_text(f"b0: &b0 [1]\n{ALIASES}")
+        write(tmp_path, {f"{group}/mine.yaml": f"b0: &b0 [1]\n{ALIASES}"})
         with pytest.raises(ConfigError, match=rf"{group}/mine\.yaml: its aliases stand for 8e\+10 values"):
             compose([use], tmp_path)
         (tmp_path / group / "mine.yaml").write_text("b0: &b0 [1]\nb1: [*b0, *b0]")

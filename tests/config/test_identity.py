@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from texts import write
 
 from simbias.config import ConfigError, Variations, compose
 from simbias.config.build import build
@@ -25,9 +26,8 @@ class Mine(NoBias):
 def own(folder: Path, arguments: str = "", version: str = "", more: str = "") -> str:
     """The identity of a trial with a bias of one's own."""
     text = textwrap.dedent(OWN_BIAS.format(arguments=arguments, version=version))
-    (folder / "own_bias.py").write_text(text)
-    (folder / "conf" / "bias").mkdir(parents=True, exist_ok=True)
-    (folder / "conf" / "bias" / "mine.yaml").write_text(f"_target_: own_bias.Mine\nstrength: 1.0\n{more}")
+    config = f"_target_: own_bias.Mine\nstrength: 1.0\n{more}"
+    write(folder, {"own_bias.py": text, "conf/bias/mine.yaml": config})
     sys.modules.pop("own_bias", None)
     composition = compose(["bias=mine"], folder / "conf")
     build(composition)

@@ -15,8 +15,6 @@ import simbias
 from simbias.config import ConfigError, options, sweeps
 from simbias.config.components import component_class, constructor_parameters
 from simbias.config.resources import resource_folder
-from simbias.core.errors import LONGEST_KEY
-from simbias.core.messages import LONGEST
 from simbias.sweep.grid import expand
 from simbias.testing.rehearsal import rehearse
 
@@ -65,29 +63,13 @@ def test_every_number_is_bounded_on_both_sides() -> None:
     assert found > 100
 
 
-def test_a_number_out_of_its_range_is_one_short_line() -> None:
-    for override in (
-        "hardware.inertia_error=1e308",
-        "task.time_step=1e-9",
-        f"task.horizon={10**30}",
-        "task.start.mean=[1e300,0,0,0,0,0]",
-        "task.robot.leg_mass=1e300",
-        f"seed={2**64}",
-        f"bias.d={'9' * 5000}",
-        "optimizer.initial_deviation=5e-324",  # with which CMA-ES could not begin
-    ):
-        with pytest.raises(ConfigError) as error:
-            simbias.load([override, "optimizer=cma", "tracking=none"])
-        assert override.partition("=")[0] in str(error.value)
-        assert "\n" not in str(error.value)
-        assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
-
-
 def test_an_experiment_in_which_nothing_can_fail_is_refused() -> None:
-    """Every policy would succeed; so it would in a simulated rollout."""
+    """Every policy would succeed; so it would in a simulated rollout. Nor may a search stand still."""
     for override in ("task.time_step=1e-6", "task.horizon=9"):
         with pytest.raises(ConfigError, match=r"^task.*, in which nothing can fail; at least 0\.01 s"):
             rehearse(simbias.load([override, "tracking=none"]))
+    with pytest.raises(ConfigError, match=r"^optimizer\.initial_deviation: "):  # CMA-ES could not begin
+        simbias.load(["optimizer=cma", "optimizer.initial_deviation=5e-324", "tracking=none"])
     with pytest.raises(ConfigError, match=r"^evaluation\.seconds: must be greater than or equal to 0\.01"):
         simbias.load(["evaluation=domain_randomization_30s", "evaluation.seconds=1e-10", "tracking=none"])
 

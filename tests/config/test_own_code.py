@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 from sweeping import FOLDERS, write_sweep
+from texts import write
 
 import simbias
 from simbias.__main__ import main
@@ -21,24 +22,23 @@ from simbias.config.sent_code import packed
 from simbias.trial.folder import TrialFolder
 
 SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20", *FOLDERS]
+HARDWARE = """
+import numpy
+from my_gains import GAIN
+from simbias.robots.bongoboard.pymunk import PymunkBongoboard
+own = {"__module__": __name__, "__init__": PymunkBongoboard.__init__}
+Mine = type("Mine", (PymunkBongoboard,), own)
+"""
 SWEEP = "sweep: {trials: 1, figures: {}, axes: {hardware.inertia_error: [0.0, 0.1]}}"
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A working folder with a hardware of one's own, in a module that imports another."""
-    (tmp_path / "conf" / "hardware").mkdir(parents=True)
     shipped = (ROOT / "conf" / "hardware" / "pymunk.yaml").read_text()
     own = shipped.replace("simbias.robots.bongoboard.pymunk.PymunkBongoboard", "my_hardware.Mine")
-    (tmp_path / "conf" / "hardware" / "mine.yaml").write_text(own)
-    (tmp_path / "my_gains.py").write_text("GAIN = 1.0\n")
-    (tmp_path / "unrelated.py").write_text("")
-    (tmp_path / "my_hardware.py").write_text(
-        "import numpy\nfrom my_gains import GAIN\n"
-        "from simbias.robots.bongoboard.pymunk import PymunkBongoboard\n"
-        "Mine = type('Mine', (PymunkBongoboard,), {'__module__': __name__, "
-        "'__init__': PymunkBongoboard.__init__})\n"
-    )
+    files = {"conf/hardware/mine.yaml": own, "my_gains.py": "GAIN = 1.0\n", "unrelated.py": ""}
+    write(tmp_path, files | {"my_hardware.py": HARDWARE})
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     yield tmp_path
@@ -59,10 +59,9 @@ def test_digests_are_of_own_modules_and_what_they_import_beside(folder: Path) ->
 
 
 def test_a_package_of_ones_own_counts_its_version(folder: Path) -> None:
-    (folder / "my_package").mkdir()
-    (folder / "my_package" / "__init__.py").write_text("__version__ = '1.2'\n")
-    (folder / "my_package" / "robot.py").write_text("from . import part\nfrom my_hardware import Mine\n")
-    (folder / "my_package" / "part.py").write_text("")
+    package = {"__init__": "__version__ = '1.2'\n", "part": ""}
+    package |= {"robot": "from . import part\nfrom my_hardware import Mine\n"}
+    write(folder / "my_package", {f"{name}.py": text for name, text in package.items()})
     file = folder / "conf" / "hardware" / "mine.yaml"
     file.write_text(file.read_text().replace("my_hardware.Mine", "my_package.robot.Mine"))
     found = digests(simbias.load(SMALL, folder / "conf").config)

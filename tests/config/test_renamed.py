@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from errors import one_line
 from shipped import shipped
+from texts import write
 
 import simbias
-from simbias.config import ConfigError, compose, options
+from simbias.config import compose, options
 from simbias.config.renamed import RENAMED, new_name
 from simbias.sweep.grid import expand
 
@@ -60,9 +63,8 @@ def test_on_the_command_line(folder: Path) -> None:
         "bias=gaussian": "bias=gaussian: is now bias=gp",
         "old_group.seed=3": "old_group.seed: is now optimizer.seed",
     }.items():
-        with pytest.raises(ConfigError) as error:
+        with one_line(f"^{line}$"):
             simbias.load([override, "tracking=none"])
-        assert str(error.value) == line
 
 
 def test_in_a_file(folder: Path) -> None:
@@ -75,10 +77,7 @@ def test_in_a_file(folder: Path) -> None:
         ("sweeps", "sweep: {trials: 1, axes: {bias.reach: [1, 2]}}", "is now bias.d"),
         ("sweeps", "sweep: {trials: 1, axes: {bias: [gaussian]}}", "is now bias=gp"),
     ):
-        (folder / group).mkdir(exist_ok=True)
-        (folder / group / "mine.yaml").write_text(text)
+        write(folder, {f"{group}/mine.yaml": text})
         use, chosen = (simbias.load, "preset=mine") if group == "preset" else (expand, "+sweep=mine")
-        with pytest.raises(ConfigError) as error:
+        with one_line(re.escape(line)):
             use([chosen, "tracking=none"], folder)  # type: ignore[operator]
-        assert line in str(error.value)
-        assert "\n" not in str(error.value)

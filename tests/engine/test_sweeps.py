@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from sweeping import FOLDERS, QUICK, trial_by_trial, write_sweep
+from texts import write
 
 import simbias
 from simbias.config import ConfigError
@@ -82,11 +83,8 @@ def test_own_components_and_their_files_reach_workers_elsewhere(
     """
     here, there = tmp_path / "here", tmp_path / "there"
     conf = write_sweep(here, "mine", "sweep: {trials: 2, axes: {}, figures: {}}")
-    (conf / "hardware").mkdir()
-    (conf / "hardware" / "heavier.yaml").write_text("_target_: heavier.Heavier\nfile: gap.txt\n")
-    (conf / "gap.txt").write_text("0.1")
-    (here / "heavier.py").write_text(HEAVIER)
-    (here / "my_gaps.py").write_text("FACTOR = 2")
+    write(conf, {"hardware/heavier.yaml": "_target_: heavier.Heavier\nfile: gap.txt\n", "gap.txt": "0.1"})
+    write(here, {"heavier.py": HEAVIER, "my_gaps.py": "FACTOR = 2"})
     monkeypatch.syspath_prepend(here)
     monkeypatch.chdir(here)
     sweep = ["+sweep=mine", "hardware=heavier", *QUICK, *FOLDERS, "cost.max_cost=1e-3"]

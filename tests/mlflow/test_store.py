@@ -15,6 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
+from errors import one_line
 from mlflow import MlflowClient
 from processes import wait_for
 
@@ -104,12 +105,11 @@ def unusable(folder: Path, new_store: Path) -> Iterator[tuple[str, str]]:
 def test_a_store_that_cannot_be_used_is_one_quick_line_that_names_it(tmp_path: Path, new_store: Path) -> None:
     for address, message in unusable(tmp_path, new_store):
         start = time.perf_counter()
-        with pytest.raises(ConfigError) as caught:
+        with one_line() as caught:
             store.connect(address, "mine")
         assert time.perf_counter() - start < 10
         assert caught.value.key == "tracking.uri"
         assert message in caught.value.problem
-        assert "\n" not in str(caught.value)
         assert "secret" not in str(caught.value)
     assert (tmp_path / "text").read_text() == "no database " * 100
     with closing(sqlite3.connect(tmp_path / "other")) as database:

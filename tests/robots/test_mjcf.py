@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from errors import one_line
 from interpreted import interpreted
 from mechanisms import QUADROTOR, cart_pole, mjcf, quadrotor
 
@@ -123,9 +124,8 @@ def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path) -> None:
         ),
     ):
         (tmp_path / "endless.xml").write_text(cart.replace("</mujoco>", f"{text}</mujoco>"))
-        with pytest.raises(ValueError, match=message) as error:
+        with one_line(message, ValueError):
             Mechanism(cart_pole(), str(tmp_path / "endless.xml"))
-        assert "\n" not in str(error.value)
     assert time.monotonic() - begin < 10.0
 
 

@@ -23,6 +23,10 @@ from simbias.core import Hardware, HardwareError, Policy, Task
 from simbias.core.records import Array, Rollout
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
 
+CONF = {  # files of a folder of configs
+    "hardware/faulty.yaml": "_target_: faulty_hardware.Faulty\nfault: none\n",
+    "components.yaml": "allow: [faulty_hardware]\n",
+}
 MENDED = "mended"  # a file of the working folder: the hardware works
 
 

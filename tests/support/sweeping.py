@@ -18,6 +18,7 @@ import numpy as np
 import psutil
 from conftest import PYTHONPATH
 from forked import Forked
+from texts import write
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -42,9 +43,7 @@ sweep:
 
 def write_sweep(folder: Path, name: str, text: str) -> Path:
     """A config dir with a sweep."""
-    (folder / "conf" / "sweeps").mkdir(parents=True, exist_ok=True)
-    (folder / "conf" / "sweeps" / f"{name}.yaml").write_text(text)
-    return folder / "conf"
+    return write(folder / "conf", {f"sweeps/{name}.yaml": text})
 
 
 SIMBIAS = ("-m", "simbias")

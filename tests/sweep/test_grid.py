@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import random
+import re
 from pathlib import Path
 
 import pytest
 from conftest import ROOT
+from errors import one_line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweeping import write_sweep
@@ -110,10 +112,8 @@ def test_bad_sweep() -> None:
             "+sweep=smoke", "+sweep.axes.mean={keys: bias.d, values: [1]}"
         ],
     }.items():  # fmt: skip
-        with pytest.raises(ConfigError) as error:
+        with one_line(re.escape(message)):
             expand(overrides)
-        assert message in str(error.value)
-        assert "\n" not in str(error.value)
     assert set(COLUMNS) | set(MEASURES) == RESERVED
 
 
@@ -127,9 +127,8 @@ def test_bad_axis() -> None:
         "has the same value or label twice: gp, gp": ["gp", "gp"],
         "each of its values must list 2, one for each key, got 0.1": {"keys": ["seed", "x"], "values": [0.1]},
     }.items():  # fmt: skip
-        with pytest.raises(ConfigError) as error:
+        with one_line(rf"^sweep\.axes\.bias: {re.escape(message)}$"):
             read_axis("bias", spec)
-        assert str(error.value) == f"sweep.axes.bias: {message}"
 
 
 def test_points_need_not_set_the_same_keys() -> None:

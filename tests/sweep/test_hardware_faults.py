@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from faulty_hardware import LEFT, MENDED
+from faulty_hardware import CONF, LEFT, MENDED
 from sweeping import FOLDERS, run, state, sweep_folder, write_sweep
+from texts import write
 
 from simbias.trial.folder import TrialFolder
 
@@ -35,10 +36,7 @@ def test_a_sweep_continues_whatever_its_hardware_does(tmp_path: Path) -> None:
 
     Nobody waits for what they leave behind.
     """
-    conf = write_sweep(tmp_path, "mine", SWEEP)
-    (conf / "hardware").mkdir()
-    (conf / "hardware" / "faulty.yaml").write_text("_target_: faulty_hardware.Faulty\nfault: none\n")
-    (conf / "components.yaml").write_text("allow: [faulty_hardware]\n")
+    write(write_sweep(tmp_path, "mine", SWEEP), CONF)
     command = ["--config-dir", "conf", "+sweep=mine", "hardware=faulty", *FOLDERS]
     status, out, err = run(*command, folder=tmp_path)
     assert status == 1, out + err

@@ -26,6 +26,7 @@ from sweeping import (
     trial_by_trial,
     write_sweep,
 )
+from texts import write
 
 import simbias
 from simbias.__main__ import main
@@ -166,9 +167,10 @@ class Walled(WithoutWind):
 def test_own_components_are_swept(folder: Path) -> None:
     conf = folder / "conf"
     shutil.copytree(OWN_CONF, conf)
-    (conf / "components.yaml").write_text("allow: [point_mass]\n")
-    (conf / "nominal" / "walled.yaml").write_text("_target_: walled.Walled\n")
-    (folder / "walled.py").write_text(IN_NUMPY)
+    write(
+        conf, {"components.yaml": "allow: [point_mass]\n", "nominal/walled.yaml": "_target_: walled.Walled\n"}
+    )
+    write(folder, {"walled.py": IN_NUMPY})
     write_sweep(folder, "wind", "sweep: {trials: 2, figures: {}, axes: {hardware.wind: [1.0, 2.0]}}")
     own = [*(option for option in POINT_MASS if not option.startswith("nominal=")), "nominal=walled"]
     quick = ["bias=none", "optimizer.max_evaluations=10", "method.max_iterations=1", *FOLDERS]

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty_hardware import DEADLY, MENDED, RAISED, RETURNED, Faulty
+from faulty_hardware import CONF, DEADLY, MENDED, RAISED, RETURNED, Faulty
 from records import assert_equal, step_names, timeless
+from texts import write
 from trial_process import start
 
 import simbias
@@ -154,10 +155,7 @@ def test_a_trial_whose_process_ends_resumes(
     study: Study, uninterrupted: TrialRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    conf = tmp_path / "conf"
-    (conf / "hardware").mkdir(parents=True)
-    (conf / "hardware" / "faulty.yaml").write_text("_target_: faulty_hardware.Faulty\nfault: none\n")
-    (conf / "components.yaml").write_text("allow: [faulty_hardware]\n")
+    conf = write(tmp_path / "conf", CONF)
     for number, (fault, status) in enumerate({"_exit": 7, "SIGSEGV": -11, "SIGKILL": -9}.items()):
         assert fault in DEADLY
         folder = tmp_path / str(number)

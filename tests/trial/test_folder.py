@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from errors import one_line
 from hardware import counted
 from records import assert_equal, step_names, timeless
 from scripted import Guessing
@@ -179,9 +180,8 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
         right = (folder / name).read_bytes()
         for content in (b"", b"{}", b"PK"):
             (folder / name).write_bytes(content)
-            with pytest.raises(ConfigError, match=f"{name}: cannot be read") as caught:
+            with one_line(f"{name}: cannot be read"):
                 read_folder(folder)
-            assert "\n" not in str(caught.value)
         (folder / name).write_bytes(right)
     with pytest.raises(ConfigError, match=r"trial\.json: cannot be read"):
         read_folder(tmp_path)
@@ -211,9 +211,8 @@ def test_an_experiment_that_no_hardware_can_have_made_is_named(
         right = np.atleast_1d(arrays.get(name, arrays["states"])).astype(float)
         for wrong in (right[:-1], np.full_like(right, np.nan), right.astype(str)):
             np.savez(file, **{**arrays, name: wrong})
-            with pytest.raises(ConfigError, match=r"0001_experiment\.npz: cannot be read") as caught:
+            with one_line(r"0001_experiment\.npz: cannot be read"):
                 read_trial(short, file.parent)
-            assert "\n" not in str(caught.value)
 
 
 def test_an_experiment_that_holds_objects_runs_nothing(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from logged_hardware import LOG
 from records import assert_equal, step_names, timeless
+from texts import write
 from trial_process import start
 
 import simbias
@@ -31,11 +32,8 @@ SHORT = [
 
 @pytest.fixture(scope="module")
 def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("conf")
-    (folder / "hardware").mkdir()
-    (folder / "hardware" / "logged.yaml").write_text("_target_: logged_hardware.Logged\nseconds: 0.05\n")
-    (folder / "components.yaml").write_text("allow: [logged_hardware]\n")
-    return folder
+    logged = {"hardware/logged.yaml": "_target_: logged_hardware.Logged\nseconds: 0.05\n"}
+    return write(tmp_path_factory.mktemp("conf"), logged | {"components.yaml": "allow: [logged_hardware]\n"})
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from texts import write
 
 import simbias
 from simbias.terminal.trial import changed_since
@@ -87,9 +88,7 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, 
         "conf/nominal/mine.yaml": "_target_: simbias.robots.mujoco.model.Mujoco\nfile: robot.xml\n",
         "notes.txt": "nobody reads this",
     }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
+    write(tmp_path, files)
     overrides = ["task=mine", "nominal=mine", "hardware=recorded", "cost=acrobot", "samples=thresholds"]
     overrides += ["method=model_based", f"method.first_policy={tmp_path / 'policy.json'}"]
     study = simbias.load([*overrides, "bias=none", "tracking=none", "optimizer.max_evaluations=5"], conf)
