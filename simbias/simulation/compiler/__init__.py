@@ -14,6 +14,8 @@ Everything that others use of it is imported from here.
 | the loops that run them | `closed_loop`, `open_loop`, `loop`, `threads` |
 """
 
+# ruff: noqa: F401  (what others import)
+
 from simbias.simulation.compiler.choices import at_least, at_most
 from simbias.simulation.compiler.closed_loop import Composition, compile_closed_loop
 from simbias.simulation.compiler.compilation import compiled_as, function_of
@@ -36,41 +38,3 @@ from simbias.simulation.compiler.tracing import (
 )
 from simbias.simulation.compiler.trigonometry import arctan, sincos
 from simbias.simulation.compiler.written import NUMPY, C, Formulas
-
-__all__ = [
-    "LANES",
-    "NUMPY",
-    "C",
-    "Composition",
-    "Expression",
-    "Expressions",
-    "Formulas",
-    "Function",
-    "Points",
-    "PolicyKernel",
-    "arctan",
-    "at_least",
-    "at_most",
-    "broadcast",
-    "compile_closed_loop",
-    "compile_open_loop",
-    "compiled_as",
-    "constant",
-    "cosine_of_turns",
-    "elementwise",
-    "everywhere",
-    "exp",
-    "fma",
-    "formulas_of",
-    "function_of",
-    "in_threads",
-    "load",
-    "of_bias",
-    "of_cost",
-    "of_nominal",
-    "parts_of",
-    "scheduled",
-    "sincos",
-    "store",
-    "sum_of",
-]
