@@ -59,12 +59,8 @@ class Evaluations:
 
     Parameters
     ----------
-    objective
-        Cost of a point (p,).
     lower, upper
         The box, (p,) each.
-    budget
-        When the search ends.
     target_cost
         Cost that the best one has to be below before small improvements end the search.
     ends_at_target

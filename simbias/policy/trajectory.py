@@ -31,8 +31,6 @@ class Trajectory(Policy):
 
     Parameters
     ----------
-    knots
-        Two at least.
     bound
         Of the gains, in the inputs' limits by unit of a state.
     observer, noise

@@ -85,8 +85,6 @@ class DoublePendulum(Nominal):
     ----------
     driven
         The joints that the task's inputs are torques on: both, or one alone.
-    zero
-        Where the first angle is 0.
 
     Raises
     ------

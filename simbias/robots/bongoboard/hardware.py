@@ -43,8 +43,6 @@ class EngineBongoboard(Hardware):
 
     Parameters
     ----------
-    task
-        Geometry, masses, time step and failure.
     inertia_error
         Every mass and moment of inertia is multiplied by 1 + inertia_error.
     overlap, feet, gaps

@@ -30,8 +30,6 @@ class Mechanism:
 
     Parameters
     ----------
-    task
-        Its states, inputs and time step.
     file
         MJCF or URDF (`simbias.robots.mujoco.files.read_model`).
     joints, actuators

@@ -30,15 +30,7 @@ class NoRendererError(RuntimeError):
 
 
 class Rendering:
-    """Images of a robot, to scale; planes are left out.
-
-    Parameters
-    ----------
-    robot
-        The model.
-    view
-        The plane that is seen.
-    """
+    """Images of a robot, to scale; planes are left out."""
 
     def __init__(self, robot: Mechanism, view: View) -> None:
         self._robot = robot.with_values({})  # a copy, as its way to be seen is changed

@@ -29,13 +29,6 @@ class SensorFile:
 class Sensors:
     """Values of sensors and positions of sites at states.
 
-    Parameters
-    ----------
-    task
-        Whose states are those of the model.
-    source
-        The file.
-
     Raises
     ------
     ValueError
