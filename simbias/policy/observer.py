@@ -25,12 +25,13 @@ class Observer(ABC):
     """An estimate of the state, frame by frame; in the first frame, it is what is measured."""
 
     bounds: tuple[Array, Array] = (np.empty(0), np.empty(0))  # of its parameters: lower (o,), upper (o,)
-    size: int = 0  # of its state
+    copies: int = 0  # of states, that its own state holds
     frames_ahead: int = 0  # after which the next input acts, as far as it knows
 
     def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
         self._task, self._nominal, self._noise = task, nominal, noise
         self._is_rate = np.array([state.is_rate for state in task.states])
+        self.size = self.copies * len(task.states)  # of its own state
 
     @abstractmethod
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
@@ -69,10 +70,7 @@ class RateFilter(Observer):
     """r <- r + alpha (v - r): a low-pass filter of the measured rates v."""
 
     bounds = (np.array([LEAST]), np.array([1.0]))
-
-    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
-        super().__init__(task, nominal, noise)
-        self.size = len(task.states)
+    copies = 1
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
         """The state with filtered rates."""
@@ -93,6 +91,7 @@ class RatesOfPositions(Observer):
     """
 
     bounds = (np.array([LEAST]), np.array([1.0]))
+    copies = 2
 
     def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
         super().__init__(task, nominal, noise)
@@ -100,7 +99,6 @@ class RatesOfPositions(Observer):
         self._source = np.arange(len(task.states))
         self._source[rates] = positions  # of each state, the one whose difference counts
         self._quantities = [task.states[index] for index in self._source]
-        self.size = 2 * len(task.states)
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
         """The state with rates of its positions."""
@@ -121,10 +119,7 @@ class ModelObserver(Observer):
     """
 
     bounds = (np.array([LEAST, LEAST]), np.array([1.0, 1.0]))
-
-    def __init__(self, task: Task, nominal: Nominal, noise: Variances = QUIET) -> None:
-        super().__init__(task, nominal, noise)
-        self.size = len(task.states)
+    copies = 1
 
     def estimate(self, gains: Array, x: Array, t: Any, kept: Array) -> Array:
         """The prediction, corrected by what is measured."""
