@@ -48,12 +48,9 @@ def _task_axes(study: Study) -> None:
 @check("task", "the mean start is no failure, and what is not a number is one")
 def _task_failure(study: Study) -> None:
     start = study.task.start_mean
-    expect(
-        study.task.failure(start) is None, "task.failure", "none at the mean start", study.task.failure(start)
-    )
-    expect(
-        study.task.failure(np.full_like(start, np.nan)), "task.failure", "one of states that are nan", None
-    )
+    at_start, no_number = (study.task.failure(x) for x in (start, np.full_like(start, np.nan)))
+    expect(at_start is None, "task.failure", "none at the mean start", at_start)
+    expect(no_number, "task.failure", "one of states that are nan", None)
 
 
 @check("nominal", "any leading axes")
@@ -92,12 +89,7 @@ def _nominal_state(study: Study) -> None:
     expect_any_leading_axes(advance, "nominal.advance", x, u, model_state)
     expect_arguments_left(advance, "nominal.advance", x, u, model_state)
     one_by_one = Nominal.model_states(nominal, x, u)
-    equal(
-        nominal.model_states(x, u),
-        one_by_one,
-        "nominal.model_states",
-        "the model state of one frame after the other",
-    )
+    equal(nominal.model_states(x, u), one_by_one, "nominal.model_states", "that of one frame after the other")
     equal(nominal.along(x, u), nominal.advance(x, u, one_by_one)[0], "nominal.along", "what advance gives")
 
 
@@ -162,12 +154,8 @@ def _hardware_runs(study: Study) -> None:
     start = study.task.start_mean
     made = study.experiment(near_zero(study), np.random.default_rng(6), start)
     moved = np.abs(made.states[0] - start).max()
-    expect(
-        moved == 0.0 or made.sensed or not study.hardware.sets_start,
-        "hardware.run",
-        "a first state that is the start, or sets_start = False",
-        made.states[0],
-    )
+    there = moved == 0.0 or made.sensed or not study.hardware.sets_start
+    expect(there, "hardware.run", "a first state that is the start, or sets_start = False", made.states[0])
     lower, upper = study.task.input_bounds
     within = (lower <= made.inputs) & (made.inputs <= upper)
     expect(within.all(), "hardware.run", "inputs in limits", "others")
