@@ -9,15 +9,12 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from simbias import core as interfaces
+from simbias import core
 from simbias.core.messages import with_type
 
-CONTRACTS = tuple(
-    getattr(interfaces, name)
-    for name in (
-        *("Task", "Nominal", "Hardware", "Policy", "Samples", "Cost"),
-        *("Identification", "Bias", "FittedBias", "Evaluation", "Optimizer"),
-    )
+CONTRACTS = (
+    *(core.Task, core.Nominal, core.Hardware, core.Policy, core.Samples, core.Cost),
+    *(core.Identification, core.Bias, core.FittedBias, core.Evaluation, core.Optimizer),
 )
 PACKAGE = __name__.partition(".")[0]
 
@@ -40,7 +37,7 @@ def raised_by(error: BaseException) -> str:
 def told(error: BaseException) -> str:
     """The message of an error, with the component in which it arose if that is the user's."""
     source = raised_by(error)
-    if not source or isinstance(error, interfaces.HardwareError):
+    if not source or isinstance(error, core.HardwareError):
         return with_type(error)
     *_, (frame, line) = traceback.walk_tb(error.__traceback__)
     place = f"{Path(frame.f_code.co_filename).name}:{line}"

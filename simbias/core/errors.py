@@ -23,8 +23,6 @@ def reason(error: Exception) -> str:
     """The fault of a file or a value, in words."""
     if isinstance(error, RecursionError):
         return "a defaults list that leads back to itself, or values nested too deeply"
-    return (
-        f"{error.strerror}: {error.filename}"
-        if isinstance(error, OSError) and error.strerror
-        else words(error)
-    )
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: {error.filename}"
+    return words(error)

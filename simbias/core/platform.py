@@ -29,13 +29,9 @@ def kind() -> str:
     name, features = _target()
     with_features = [each for each in FEATURES if f"+{each}" in features]
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
-    libraries = sorted(
-        {
-            " ".join(str(info.get(key) or "") for key in ("internal_api", "version", "architecture")).strip()
-            for info in threadpool_info()
-            if info["user_api"] == "blas"
-        }
-    )
+    keys = ("internal_api", "version", "architecture")
+    blas = [info for info in threadpool_info() if info["user_api"] == "blas"]
+    libraries = sorted({" ".join(str(info.get(key) or "") for key in keys).strip() for info in blas})
     parts = [" ".join([name, *with_features]), " ".join(["NumPy", *found]), *libraries]
     return f"{platform.machine()}: {', '.join(parts)}"
 

@@ -27,11 +27,8 @@ class Linearisation:
 
     def parameter_covariance(self, weights: Array) -> Array:
         """Covariance (d, d) of the errors that fitting the parameters removed; weights (w,) of windows."""
-        flat = (
-            (np.sqrt(weights)[:, None, None] * self.by_parameters)
-            .transpose(1, 0, 2)
-            .reshape(self.by_parameters.shape[1], -1)
-        )
+        weighted = np.sqrt(weights)[:, None, None] * self.by_parameters
+        flat = weighted.transpose(1, 0, 2).reshape(weighted.shape[1], -1)
         return flat @ flat.T / len(weights)
 
 
@@ -44,10 +41,8 @@ def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation
     """
     F = linearisation.by_start
     w, d, n = F.shape
-    observed = (
-        np.concatenate([errors[:, :, None], linearisation.by_parameters], axis=2)
-        * np.sqrt(weights)[:, None, None]
-    )
+    observed = np.concatenate([errors[:, :, None], linearisation.by_parameters], axis=2)
+    observed *= np.sqrt(weights)[:, None, None]
     variance_floor = floor.reshape(-1, n)[0] ** 2
     R = np.mean(np.sum(observed**2, axis=2), axis=0).reshape(-1, n).mean(axis=0) / 2 + variance_floor
     P = R.copy()

@@ -33,10 +33,8 @@ class OutputFeedback(Policy):
 
     def law(self, theta: Array) -> Law:
         """Eq. 9, its gains in the task's units: a row for each input, a column for each output."""
-        return Law(
-            "u = H z, cut off at the inputs' limits; rows of H: inputs, columns: outputs",
-            {"H": self.gains(theta)},
-        )
+        words = "u = H z, cut off at the inputs' limits; rows of H: inputs, columns: outputs"
+        return Law(words, {"H": self.gains(theta)})
 
     def imitating(self, states: Array, inputs: Array) -> Array:
         """The parameters (p,) that come nearest to these inputs (k, T, m) at these states (k, T, n)."""

@@ -93,10 +93,8 @@ class Switched(Policy):
 
 def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array]:
     """K (m, n) of u = -K e, and S (n, n), scaled to 1 on the largest ellipsoid where no input is cut off."""
-    x, limit = (
-        np.broadcast_to(task.reference(task.horizon * task.time_step), (len(task.states),)),
-        task.input_limit,
-    )
+    end, limit = task.horizon * task.time_step, task.input_limit
+    x = np.broadcast_to(task.reference(end), (len(task.states),))
     A, B = linearization(nominal, x, np.zeros(len(limit)), limit)
     R = input_weight * np.diag(limit**-2.0)
     try:

@@ -68,16 +68,8 @@ def findings(
             "recordings disagree" if disagree else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
         ]
-        found.append(
-            Finding(
-                parameter,
-                estimate,
-                shrinkage,
-                partners,
-                tuple(each.estimates[i] for each in by_part),
-                tuple(doubt for doubt in doubts if doubt),
-            )
-        )
+        alone = tuple(each.estimates[i] for each in by_part)
+        found.append(Finding(parameter, estimate, shrinkage, partners, alone, tuple(filter(None, doubts))))
     return found
 
 
@@ -111,10 +103,8 @@ def _distance(fits: Sequence[Identified], i: int) -> float:
 
 def _moved(fitted: Identified, fits: Sequence[Identified], i: int) -> float:
     """How far a coordinate moves with the window, in its standard deviations of either fit, the larger."""
-    return max(
-        (
-            abs(fit.mode[i] - fitted.mode[i]) / np.sqrt(max(fit.covariance[i, i], fitted.covariance[i, i]))
-            for fit in fits
-        ),
-        default=0.0,
+    moved = (
+        abs(fit.mode[i] - fitted.mode[i]) / np.sqrt(max(fit.covariance[i, i], fitted.covariance[i, i]))
+        for fit in fits
     )
+    return max(moved, default=0.0)

@@ -82,11 +82,9 @@ def columns(text: str) -> dict[str, str]:
 def _files(place: Path) -> list[Path]:
     """A file, a ROS 2 bag, or the files of a folder."""
     bag = (place / "metadata.yaml").is_file()
-    found = (
-        sorted(each for end in ENDS for each in place.glob(f"*{end}"))
-        if place.is_dir() and not bag
-        else [place]
-    )
+    found = [place]
+    if place.is_dir() and not bag:
+        found = sorted(each for end in ENDS for each in place.glob(f"*{end}"))
     if not found or not all(bag or file.is_file() for file in found):
         raise ConfigError(str(place), f"no such recording ({', '.join(ENDS)}, or a ROS 2 bag)")
     return found

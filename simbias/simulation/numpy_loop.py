@@ -120,8 +120,6 @@ def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:
     """The record of a rollout that criterion `violated` ended after `frames` frames; by the horizon if -1."""
     states, inputs = states[: frames + 1], inputs[:frames]
-    return (
-        Rollout(states, inputs)
-        if violated < 0
-        else Rollout(states, inputs, frames, failure_name(criteria, violated))
-    )
+    if violated < 0:
+        return Rollout(states, inputs)
+    return Rollout(states, inputs, frames, failure_name(criteria, violated))

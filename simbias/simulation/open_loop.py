@@ -76,10 +76,8 @@ class Windows:
     @property
     def starts(self) -> Indices:
         """The row (w,) in which each window begins."""
-        each = [
-            first + np.arange(0, k, self.window) for first, k in zip(self.firsts, self.frames, strict=True)
-        ]
-        return np.concatenate(each)
+        each = zip(self.firsts, self.frames, strict=True)
+        return np.concatenate([first + np.arange(0, k, self.window) for first, k in each])
 
     @property
     def means(self) -> Array:
@@ -113,15 +111,10 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
         return plain(models, windows, bias)
     if _remembers_states(models[0].nominal, windows):
         return plain(models, windows, bias)
-    offsets = [np.zeros(n) if model.offset is None else model.offset for model in models]
-    return _compiled(
-        windows,
-        Kernel(kernels[0].function, np.array([kernel.parameters for kernel in kernels])),
-        correct,
-        np.array([model.weight for model in models]),
-        np.array(offsets),
-        models[0].nominal.state_size,
-    )
+    steps = Kernel(kernels[0].function, np.array([kernel.parameters for kernel in kernels]))
+    weights = np.array([model.weight for model in models])
+    offsets = np.array([np.zeros(n) if model.offset is None else model.offset for model in models])
+    return _compiled(windows, steps, correct, weights, offsets, models[0].nominal.state_size)
 
 
 def _remembers_states(nominal: Nominal, windows: Windows) -> bool:

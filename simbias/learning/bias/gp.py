@@ -23,8 +23,6 @@ class GaussianProcess(Bias):
 
     Parameters
     ----------
-    task
-        Names and limits of the inputs.
     length_scale
         Of the scaled inputs; one number, or one for each state and input.
     signal_variance, noise_variance
@@ -68,15 +66,12 @@ class GaussianProcess(Bias):
 
     def fit(self, transitions: Transitions) -> FittedBias:
         """Condition on the data; without data the mean is zero everywhere."""
-        if not self._inducing:
-            self._warn_of_a_slow_search(len(transitions))
         hyper = learn(self._hyper, transitions, self._learning) if self._learning else self._hyper
-        features = self._fourier_features
-        posterior = (
-            sparse(hyper, transitions, self._inducing, features)
-            if self._inducing
-            else exact(hyper, transitions, features)
-        )
+        if self._inducing:
+            posterior = sparse(hyper, transitions, self._inducing, self._fourier_features)
+        else:
+            self._warn_of_a_slow_search(len(transitions))
+            posterior = exact(hyper, transitions, self._fourier_features)
         if self._learning:
             posterior.diagnostics = {**posterior.diagnostics, **self._values(hyper)}
         return posterior

@@ -86,9 +86,8 @@ def _moments(x: Array, y: Array, u: Array, v: Array, width: float) -> tuple[Arra
     near = correlation(x / width, u / width)
     overlap = np.sqrt(np.pi) * width * np.exp(-((v[:, None] - v) ** 2) / (4 * width**2))  # (b, b, n)
     bumps = np.exp(-((y[:, None] - v) ** 2) / (2 * width**2))  # (N, b, n)
-    return np.moveaxis(overlap, -1, 0) * (near.T @ near) / len(x), np.einsum("kl,kli->il", near, bumps) / len(
-        x
-    )
+    H = np.moveaxis(overlap, -1, 0) * (near.T @ near) / len(x)
+    return H, np.einsum("kl,kli->il", near, bumps) / len(x)
 
 
 def _weights(H: Array, h: Array, regularisation: float) -> Array:

@@ -60,9 +60,8 @@ class Posterior(FittedBias):
     def relative(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n), and variance (k,) over each output's mean square."""
         k_star = self._hyper.covariance(self._hyper.scale(inputs), self._points)
-        return k_star @ self._W, self._hyper.prior_variance - np.sum(
-            (k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1
-        )
+        known = np.sum((k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1)
+        return k_star @ self._W, self._hyper.prior_variance - known
 
     def weight(self, variance: Array) -> Array:
         """The weight of the mean in Eq. 7; |sigma_t|^2 sums the relative variances of the n outputs."""
@@ -223,17 +222,8 @@ def sparse(
     coarsely = view(hyper, points, chosen[:for_variance])
     U = _lower_root(coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R)
     scale = output_scale(transitions.residuals)
-    posterior = Posterior(
-        hyper,
-        scale,
-        seen.Z,
-        U,
-        W,
-        seen.R,
-        {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance},
-        seen.L_inverse,
-        features,
-    )
+    counts = {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance}
+    posterior = Posterior(hyper, scale, seen.Z, U, W, seen.R, counts, seen.L_inverse, features)
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)
         posterior.diagnostics = {**posterior.diagnostics, **errors}

@@ -168,9 +168,8 @@ class _Fits:
         for f in range(len(self.products)):
             own = self.fold == f
             mean, _ = self.posterior(signal, f)
-            gains[own] = np.sum(self.b[own] ** 2, axis=1) - np.sum(
-                (self.b[own] - self.A[own] @ mean) ** 2, axis=1
-            )
+            left = self.b[own] - self.A[own] @ mean
+            gains[own] = np.sum(self.b[own] ** 2, axis=1) - np.sum(left**2, axis=1)
         alike = correlation_time((gains - gains.mean())[:, None], self.experiments)
         return float(gains.mean() - gains.std() * np.sqrt(alike / len(gains)))
 

@@ -153,14 +153,8 @@ class Problem:
 
     def mode(self, z: Array, evaluations: int) -> Array:
         """The most probable coordinates, searched from z."""
-        return least_squares(
-            lambda at: self._at(at)[0],
-            z,
-            lambda at: self._at(at)[1],
-            ftol=1e-5,
-            xtol=1e-4,
-            max_nfev=evaluations,
-        ).x
+        residuals, derivatives = (lambda at: self._at(at)[0]), (lambda at: self._at(at)[1])
+        return least_squares(residuals, z, derivatives, ftol=1e-5, xtol=1e-4, max_nfev=evaluations).x
 
     def precision(self, z: Array) -> Array:
         """Curvature (p, p) of the negative logarithm of the density at z."""

@@ -60,8 +60,6 @@ class Declared(Task):
         States, of which an episode starts at one, in place of the states' means.
     pushes
         By the inputs' names.
-    constants
-        Numbers by name.
     where
         Expressions by name; each may use those before it.
     drawing
@@ -105,11 +103,9 @@ class Declared(Task):
         self._set_states(dict(states), dict(targets or {}), starts)
         self._set_inputs(dict(inputs))
         self._sensors = None if sensors is None else Sensors(self.without_targets, sensors)
+        sensed = self._sensors.names if self._sensors else ()
         self._known: dict[str, Any] = {
-            "variables": (
-                *(each.name for each in self.states),
-                *(self._sensors.names if self._sensors else ()),
-            ),
+            "variables": (*(each.name for each in self.states), *sensed),
             "constants": dict(constants or {}),
             "where": dict(where or {}),
         }

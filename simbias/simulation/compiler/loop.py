@@ -131,15 +131,8 @@ class Loop:
             )
             for name, each in self.functions.items()
         }
-        module: Any = compilation.module(
-            self.source,
-            **names,
-            zeros=np.zeros,
-            int64=np.int64,
-            as_integers=as_integers,
-            nan=np.nan,
-            inf=np.inf,
-        )
+        names |= {name: getattr(np, name) for name in ("zeros", "int64", "nan", "inf")}
+        module: Any = compilation.module(self.source, **names, as_integers=as_integers)
         if not hasattr(module, "compiled"):
             module.compiled = njit(**OPTIONS, cache=True)(module.loop)
         return module.compiled
