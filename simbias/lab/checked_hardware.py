@@ -179,8 +179,10 @@ class CheckedHardware(Hardware):
                     os._exit(1)
 
         try:
-            return self._here(experiment) if self._timeout is None else self._in_time(experiment)
+            return experiment() if self._timeout is None else self._in_time(experiment)
         except KeyboardInterrupt:
+            if self._timeout is None:  # else it has been stopped
+                _Call(self._hardware.stop).ended(INTERRUPT_SECONDS)
             raise
         except BaseException as error:  # also SystemExit, and what other libraries cancel tasks by
             if limited and (aborted := limited.aborted):
@@ -190,14 +192,6 @@ class CheckedHardware(Hardware):
                 raise
             got = with_type(error, MESSAGE_LENGTH)
             raise HardwareError(f"{self._name}: expected a Rollout, got {got}") from error
-
-    def _here(self, experiment: Callable[[], Any]) -> Any:
-        """The result of an experiment that runs in this thread."""
-        try:
-            return experiment()
-        except KeyboardInterrupt:
-            _Call(self._hardware.stop).ended(INTERRUPT_SECONDS)
-            raise
 
     def _in_time(self, experiment: Callable[[], Any]) -> Any:
         """The result of an experiment within its timeout, in a thread of its own."""

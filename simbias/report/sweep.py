@@ -32,8 +32,8 @@ def sweep_page(folder: SweepFolder) -> str:
 
 def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     """From how far it is to the config."""
-    summaries = list(_summaries(folder, description))
-    ended = [summary for summary in summaries if summary.outcome.final]
+    summaries = (TrialFolder(folder.trials / name).summary() for name in description["trials"])
+    ended = [summary for summary in summaries if summary is not None and summary.outcome.final]
     planned = len(description["trials"])
     succeeded = sum(str(summary.outcome) == "succeeded" for summary in ended)
     yield paragraph(
@@ -54,14 +54,6 @@ def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
         yield paragraph(str(folder.state().get("legend", "")))
         yield from _table(folder.path / TABLE)
     yield from made_with(description)
-
-
-def _summaries(folder: SweepFolder, description: dict) -> Iterator[TrialSummary]:
-    """Summaries of the sweep's trials that ended or stopped."""
-    for name in description["trials"]:
-        summary = TrialFolder(folder.trials / name).summary()
-        if summary is not None:
-            yield summary
 
 
 def _claims(ended: list[TrialSummary]) -> Iterator[str]:

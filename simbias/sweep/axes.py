@@ -10,7 +10,7 @@ from typing import Any, NotRequired, Required
 from simbias.config import ConfigError
 from simbias.config.components import validate
 
-RESERVED = frozenset(  # columns of tracking.results and sweep.tables, beside those of the axes
+RESERVED = frozenset(  # columns of sweep.results and sweep.tables, beside those of the axes
     [
         *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
         *("hardware_seconds", "test_episodes", "lasting_episodes", "long_success_rate", "long_seconds"),

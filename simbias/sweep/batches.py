@@ -6,14 +6,13 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from simbias.config import Composition
 from simbias.config.build import build
 from simbias.core import HardwareError, Waiting
 from simbias.core.digest import short_digest
 from simbias.core.records import Array
-
-COLUMNS = ("costs", "frames", "failures", "successes")  # of the outcomes that are kept
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Outcomes:
 
     def as_json(self) -> str:
         """Text for `from_json`."""
-        return json.dumps({name: getattr(self, name) for name in COLUMNS})
+        return json.dumps({name: each for name, each in vars(self).items() if name != "error"})
 
     @staticmethod
     def from_json(text: str) -> Outcomes:
@@ -60,11 +59,7 @@ class Outcomes:
         ValueError
             If the text is cut off, or not of this version.
         """
-        values = json.loads(text)
-        if not isinstance(values, dict) or values.keys() != set(COLUMNS):
-            raise ValueError(f"not the outcomes of a batch: {text[:50]}")
-        costs, frames, failures, successes = (tuple(values[name]) for name in COLUMNS)
-        return Outcomes(costs, frames, failures, successes)
+        return TypeAdapter(Outcomes).validate_json(text)
 
 
 def run_batch(batch: Batch) -> Outcomes:

@@ -120,7 +120,8 @@ def run_policy_test(
     if not test.episodes:
         return None
     task = study.task
-    horizons = _horizons(task, test)
+    long = max(task.frames(test.long_seconds), task.horizon)
+    horizons = [long if number < test.long_episodes else task.horizon for number in range(test.episodes)]
     studies = {
         horizon: study if horizon == task.horizon else study.with_horizon(horizon)
         for horizon in set(horizons)
@@ -137,12 +138,6 @@ def run_policy_test(
         errors = np.sqrt(np.mean(np.square(own.task.error(rollout.states, times)), axis=0))
         episodes.append(Episode(start, asked, lasted, rollout.failure, succeeds, errors.tolist()))
     return PolicyTestResult(task.horizon * task.time_step, tuple(episodes))
-
-
-def _horizons(task: Task, test: PolicyTest) -> Sequence[int]:
-    """Frames of each episode."""
-    long = max(task.frames(test.long_seconds), task.horizon)
-    return [long if number < test.long_episodes else task.horizon for number in range(test.episodes)]
 
 
 def episodes_csv(result: PolicyTestResult, task: Task) -> str:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from simbias.core.records import Iteration, Rollout
+from simbias.core.records import Iteration
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import (
@@ -56,10 +56,8 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     (by_iteration, pairs), limit = grid[0], study.cost.max_cost
     values = [limit]
     for iteration in iterations:
-        measured, models = (
-            _costs(iteration.experiments),
-            _costs(simulated(study, iteration, iteration.experiments)),
-        )
+        measured = [rollout.cost for rollout in iteration.experiments]
+        models = [rollout.cost for rollout in simulated(study, iteration, iteration.experiments)]
         at = iteration.index + ASIDE * (np.arange(len(measured)) - (len(measured) - 1) / 2)
         by_iteration.plot(at, measured, "o", color=HARDWARE, zorder=3)
         if iteration.search is not None:
@@ -84,11 +82,6 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         plain(axes)
     legend(figure, LEGEND)
     return figure
-
-
-def _costs(rollouts: Sequence[Rollout]) -> list[float]:
-    """The cost of each rollout."""
-    return [rollout.cost for rollout in rollouts]
 
 
 def _number(axes: Axes, index: int, models: Sequence[float], measured: Sequence[float]) -> None:
