@@ -104,6 +104,13 @@ def study() -> Study:
 
 
 @pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate in NumPy: to compile a robot's loop, or a bias, takes longer than a few short rollouts."""
     simulate_in_numpy(monkeypatch)

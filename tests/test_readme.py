@@ -183,13 +183,12 @@ def test_commands_run(installed: dict[str, str], new_store: Path, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_the_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_python_runs(folder: Path) -> None:
     (block, *_) = re.findall(r"^```python\n(import simbias.*?)^```", README, re.MULTILINE | re.DOTALL)
-    monkeypatch.chdir(tmp_path)
     quick = block.replace('"seed=3"', ", ".join(f'"{word}"' for word in ("seed=3", *SHORT[:3])))
     assert quick != block
     exec(compile(quick, "README.md", "exec"), {})
-    assert not list(tmp_path.iterdir())
+    assert not list(folder.iterdir())
 
 
 def test_links_lead_somewhere() -> None:

@@ -24,9 +24,8 @@ Study = Callable[..., str]
 
 
 @pytest.fixture
-def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Study:
+def study(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Study:
     """Runs a study in this process, without workers of its own, and returns what it prints."""
-    monkeypatch.chdir(tmp_path)
 
     def run_study(name: str, *arguments: str) -> str:
         program = str(ROOT / "sweeps" / "studies" / f"{name}.py")

@@ -44,26 +44,23 @@ def answer(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_trial_waits_for_a_person_and_resumes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Request by request, with a wrong file between; it ends as the trial on the simulated hardware."""
-    monkeypatch.chdir(tmp_path)
-    store = ["tracking=folders", "tracking.pictures=false", f"tracking.trials={tmp_path / 'trials'}"]
+    store = ["tracking=folders", "tracking.pictures=false", f"tracking.trials={folder / 'trials'}"]
     command = ["--config-dir", str(OWN_CONF), "--allow", "point_mass", *OWN, "hardware=manual", *store]
     status, answered = main(command), 0
     while status == WAITING:
         error = capsys.readouterr().err
-        (folder,) = (each for each in Path("requests").iterdir() if not (each / "trajectory.csv").exists())
-        assert f"make the experiment of {folder}/README.txt, and put its trajectory.csv there" in error
+        (asked,) = (each for each in Path("requests").iterdir() if not (each / "trajectory.csv").exists())
+        assert f"make the experiment of {asked}/README.txt, and put its trajectory.csv there" in error
         assert f"({answered} hardware experiment{'s' * (answered != 1)} kept; " in error
         if answered == 1:
-            (folder / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
+            (asked / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
             assert main(command) == FAILED
             line = capsys.readouterr().err
-            assert f"{folder}/trajectory.csv: row 1: expected a column velocity (m/s), got none" in line
+            assert f"{asked}/trajectory.csv: row 1: expected a column velocity (m/s), got none" in line
             assert "(1 hardware experiment kept; " in line
-        answer(folder)
+        answer(asked)
         answered += 1
         status = main(command)
     assert status == SUCCEEDED

@@ -186,9 +186,8 @@ def command(*overrides: str) -> list[str]:
 
 @pytest.mark.slow
 def test_preview_shows_and_draws_the_first_experiment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(InTheWind, "run", None)  # none is made
     assert main(["preview", *command("hardware.safety.states={velocity: 0.3}")]) == SUCCEEDED
     out = capsys.readouterr().out
@@ -196,7 +195,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     assert " 0.3  m/s" in out
     assert "Predicted: 2.00 s, cost " in out
     assert f"Of {DRAWS} draws of start and model, {DRAWS} succeed, 0 fail." in out
-    assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
+    assert [path.name for path in folder.iterdir()] == ["preview.png"]
 
 
 @pytest.mark.slow

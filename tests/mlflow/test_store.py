@@ -56,16 +56,15 @@ def test_processes_make_a_new_store_at_once_and_share_it(tmp_path: Path) -> None
 
 
 def test_its_files_lie_beside_it(
-    new_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    new_store: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Quietly, and nothing of the user's MLflow is touched."""
     monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(new_store, tmp_path)
+    shutil.copy(new_store, folder)
     level = logging.getLogger("mlflow").level
     client, experiment_id = store.connect("sqlite:///mlflow.db", "mine")
-    assert client.get_experiment(experiment_id).artifact_location == (tmp_path / "mlartifacts").as_uri()
-    assert Mlflow().folder == tmp_path / "trials"
+    assert client.get_experiment(experiment_id).artifact_location == (folder / "mlartifacts").as_uri()
+    assert Mlflow().folder == folder / "trials"
     assert Mlflow(trials="elsewhere").folder == Path("elsewhere")
     assert (logging.getLogger("mlflow").level, capfd.readouterr()) == (level, ("", ""))
     assert "MLFLOW_HTTP_REQUEST_MAX_RETRIES" not in os.environ

@@ -64,12 +64,11 @@ def test_command_line_draws_a_stored_trial(tmp_path: Path, capsys: pytest.Captur
     assert err.count("\n") == 1
 
 
-def test_a_sweeps_trials_keep_few_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweeps_trials_keep_few_pictures(folder: Path) -> None:
     """An overview of the first of each cell; to draw one takes longer than to keep a trial."""
-    monkeypatch.chdir(tmp_path)
     few = ["tracking=folders", "sweep.trials=2", "engine=sequential"]
     assert simbias(["+sweep=smoke", NO_FIGURES, *QUICK, *few]) == 0
-    drawn = [pictures_of(outcome.parent) for outcome in tmp_path.glob("trials/*/outcome.json")]
+    drawn = [pictures_of(outcome.parent) for outcome in folder.glob("trials/*/outcome.json")]
     assert drawn.count({"overview.png"}) == drawn.count(set()) == len(drawn) / 2
 
 

@@ -174,15 +174,14 @@ def test_no_inputs_last_for_ever(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.slow
 def test_the_commands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("simbias.terminal.excite.TRAJECTORIES", 40)
     arguments = ["preset=double_pendulum", *QUICK[1:], "hardware.safety.states={vel1: 12, vel2: 15}"]
     assert main(["excite", *arguments, "--seconds", "1", "--into", "torques.csv"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"^friction_2 +N m +1\.00  0\.\d\d$", out, re.MULTILINE)
-    written = pd.read_csv(tmp_path / "torques.csv")
+    written = pd.read_csv(folder / "torques.csv")
     assert list(written) == ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
     assert len(written) == 500
     assert main(["identify", "--recover", "torques.csv", *arguments]) == 0

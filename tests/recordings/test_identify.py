@@ -277,31 +277,30 @@ def write_csv(rollout: Rollout, file: Path) -> None:
 def test_the_command_tells_and_writes(
     study: Study,
     robot: tuple[dict[str, float], dict[str, Rollout]],
-    tmp_path: Path,
+    folder: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """And a trial is started from recordings: its first search is made on the identified model."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("simbias.terminal.identify.TRAJECTORIES", 4)
     monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn above
-    write_csv(robot[1]["one"], tmp_path / "one.csv")
+    write_csv(robot[1]["one"], folder / "one.csv")
     short = ["task.horizon=60", "optimizer.max_evaluations=5", "method.max_iterations=1", "bias=none"]
-    recorded = [f"hardware.folder={tmp_path}", "tracking=folders", "tracking.pictures=false"]
+    recorded = [f"hardware.folder={folder}", "tracking=folders", "tracking.pictures=false"]
     arguments = ["identify", "one.csv", "preset=double_pendulum", *QUICKER, *short, *recorded]
     assert main([*arguments, "--attach"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"^friction_1 +N m .* yes$", out, re.MULTILINE)
     assert "Not determined: " in out
     assert "On parts that it was not fitted to, the identified model errs 0." in out
-    written = {path.name for path in (tmp_path / "identified").rglob("*") if path.is_file()}
+    written = {path.name for path in (folder / "identified").rglob("*") if path.is_file()}
     assert written == {
         *("report.html", "parameters.csv", "errors.csv", "draws.csv", "excitation.csv", "identified.yaml")
     }
-    (folder,) = (tmp_path / "trials").iterdir()
-    trial = simbias.load_trial(folder, config_dir=tmp_path / "identified" / "conf")
+    (of_trial,) = (folder / "trials").iterdir()
+    trial = simbias.load_trial(of_trial, config_dir=folder / "identified" / "conf")
     assert trial.iterations[0].model.nominal.estimates
-    write_csv(experiment(study.nominal, np.random.default_rng(0)), tmp_path / "two.csv")
+    write_csv(experiment(study.nominal, np.random.default_rng(0)), folder / "two.csv")
     files, overrides = arguments[:2], arguments[2:]
     assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
     assert "Do not use it." in capsys.readouterr().out

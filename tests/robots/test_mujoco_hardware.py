@@ -37,14 +37,11 @@ def test_it_is_the_nominal_model_but_for_its_gap(tmp_path: Path) -> None:
         np.testing.assert_allclose(made.states[1:], predicted, rtol=1e-12, atol=1e-12)
 
 
-def test_an_unstable_simulation_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    robot = Mujoco(cart_pole(), mjcf(tmp_path))
+def test_an_unstable_simulation_leaves_no_file(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    robot = Mujoco(cart_pole(), mjcf(folder))
     with caplog.at_level(logging.INFO):
         robot.run(
             OutputFeedback(cart_pole()), THETA, np.array([0.0, 0.1, 1e12, 0.0]), np.random.default_rng(0)
         )
     assert "The simulation is unstable" in caplog.text
-    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+    assert not (folder / "MUJOCO_LOG.TXT").exists()

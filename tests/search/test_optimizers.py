@@ -231,19 +231,17 @@ def test_relative_tolerance_stops(name: str) -> None:
 
 
 def test_cma_is_silent_and_writes_nothing(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    folder: Path,
     capfd: pytest.CaptureFixture[str],
     recwarn: pytest.WarningsRecorder,
 ) -> None:
     """And reads no file of signals from the folder where it runs."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "cma_signals.in").write_text("{'maxiter': 1}")
+    (folder / "cma_signals.in").write_text("{'maxiter': 1}")
     cma = make("cma", initial_deviation=0.25, max_evaluations=1000)
     cliff = lambda x: float(1e6 * (x[0] > 0) + np.sum(x**2))  # noqa: E731
     assert minimize(cma, cliff, -np.ones(5), np.ones(5)).evaluations > 100
     assert (capfd.readouterr(), list(recwarn)) == (("", ""), [])
-    assert [path.name for path in tmp_path.iterdir()] == ["cma_signals.in"]
+    assert [path.name for path in folder.iterdir()] == ["cma_signals.in"]
 
 
 def narrow(x: Array) -> float:

@@ -163,11 +163,10 @@ def test_killed_among_a_figures_experiments(made: Callable[[str], Path], tmp_pat
     assert made_files(tmp_path) == figures
 
 
-def test_figure_without_a_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figure_without_a_store(folder: Path) -> None:
     """One that needs no trial in full is drawn from the table."""
-    monkeypatch.chdir(tmp_path)
     quick = ["task.horizon=200", "optimizer.max_evaluations=20", "engine=sequential", "sweep.trials=1"]
     assert main(["+sweep=smoke", *quick, "tracking=none", "+sweep.figures_to=here"]) == 0
-    assert {file.name for file in (tmp_path / "here").iterdir()} == {
+    assert {file.name for file in (folder / "here").iterdir()} == {
         f"experiments.{suffix}" for suffix in ("png", "svg", "csv", "md")
     }

@@ -49,9 +49,8 @@ def used() -> float:
 
 
 @pytest.fixture
-def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+def line(folder: Path, capsys: pytest.CaptureFixture[str]) -> Any:
     """The command line in this process, in an empty folder: arguments -> (status, stdout, stderr)."""
-    monkeypatch.chdir(tmp_path)
     return lambda *arguments: (main(arguments), *capsys.readouterr())
 
 

@@ -40,11 +40,8 @@ def test_a_new_robot_keeps_its_contracts_and_learns(
         sys.modules.pop("arm", None)
 
 
-def test_a_name_that_does_not_do_is_bad_input(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "taken").touch()
+def test_a_name_that_does_not_do_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "taken").touch()
     for name, message in (
         ("my robot", "new: expected the name of a Python module"),
         ("class", "new: expected the name of a Python module"),
@@ -56,4 +53,4 @@ def test_a_name_that_does_not_do_is_bad_input(
     for names in ([], ["a", "b"]):
         with pytest.raises(SystemExit, match=str(BAD_INPUT)):
             main(["new", *names])
-    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+    assert [path.name for path in folder.iterdir()] == ["taken"]

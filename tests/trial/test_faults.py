@@ -58,26 +58,25 @@ class Instead(Hardware):
 
 
 def test_whatever_a_hardware_does_the_trial_ends_in_one_line(
-    study: Study, uninterrupted: TrialRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    study: Study, uninterrupted: TrialRecord, folder: Path
 ) -> None:
     """What it returned is kept; mended, the trial resumes as uninterrupted, and has no error any more."""
-    monkeypatch.chdir(tmp_path)
     faults = (*list(RAISED)[::2], "own words", *list(RETURNED)[::4])  # test_checked_hardware.py has them all
     for number, fault in enumerate(faults):
-        folder = tmp_path / str(number)
-        record = run_trial(faulty(study, fault), folder)
+        trial = folder / str(number)
+        record = run_trial(faulty(study, fault), trial)
         assert (record.outcome, record.summary.experiments) == (Outcome.ERROR, 1), fault
         assert record.summary.reason.startswith("HardwareError: ")
         assert "\n" not in record.summary.reason
         assert "expected" in record.summary.reason or fault == "own words"
         assert Path(record.summary.traceback_file).read_text() == record.traceback
-        kept = {path.name for path in folder.glob("refused_*")}
+        kept = {path.name for path in trial.glob("refused_*")}
         assert kept == ({"refused_0000.json"} if fault in RETURNED else set())
-        assert step_names(folder) == ["search", "experiment"]  # else it would be replayed for ever
-        (tmp_path / MENDED).touch()
-        assert_equal(timeless(run_trial(faulty(study, fault), folder)), uninterrupted)
-        (tmp_path / MENDED).unlink()
-        stopped, ended = TrialFolder(folder).attempts()[1]["stopped"], TrialFolder(folder).summary()
+        assert step_names(trial) == ["search", "experiment"]  # else it would be replayed for ever
+        (folder / MENDED).touch()
+        assert_equal(timeless(run_trial(faulty(study, fault), trial)), uninterrupted)
+        (folder / MENDED).unlink()
+        stopped, ended = TrialFolder(trial).attempts()[1]["stopped"], TrialFolder(trial).summary()
         assert ended is not None
         assert (stopped["outcome"], ended.outcome, ended.reason) == ("error", Outcome.NOT_SUCCEEDED, "")
 
@@ -134,35 +133,31 @@ def test_what_cannot_be_kept_hides_no_reason(
 
 
 def test_a_hardware_that_hangs_is_stopped(
-    tmp_path: Path, uninterrupted: TrialRecord, monkeypatch: pytest.MonkeyPatch
+    folder: Path, uninterrupted: TrialRecord, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit on an experiment's time is no part of the trial's identity."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("simbias.lab.checked_hardware.STOP_SECONDS", 0.2)
     begun, limited = time.monotonic(), simbias.load([*SHORT, "experiment_timeout=0.5"])
-    record = run_trial(faulty(limited, "hangs"), tmp_path / "trial")
+    record = run_trial(faulty(limited, "hangs"), folder / "trial")
     assert time.monotonic() - begun < 20
     reason = "Faulty.run: expected an end within 0.5 s (experiment_timeout), got none"
     assert reason in record.summary.reason
-    assert (tmp_path / "stopped").exists()
-    (tmp_path / MENDED).touch()
+    assert (folder / "stopped").exists()
+    (folder / MENDED).touch()
     patient = simbias.load([*SHORT, "experiment_timeout=60"])
     assert patient.hash == limited.hash
-    assert_equal(timeless(run_trial(faulty(patient, "hangs"), tmp_path / "trial")), uninterrupted)
+    assert_equal(timeless(run_trial(faulty(patient, "hangs"), folder / "trial")), uninterrupted)
 
 
-def test_a_trial_whose_process_ends_resumes(
-    study: Study, uninterrupted: TrialRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    conf = write(tmp_path / "conf", CONF)
+def test_a_trial_whose_process_ends_resumes(study: Study, uninterrupted: TrialRecord, folder: Path) -> None:
+    conf = write(folder / "conf", CONF)
     for number, (fault, status) in enumerate({"_exit": 7, "SIGSEGV": -11, "SIGKILL": -9}.items()):
         assert fault in DEADLY
-        folder = tmp_path / str(number)
-        process = start(folder, [*SHORT, "hardware=faulty", f"hardware.fault={fault}"], conf)
+        trial = folder / str(number)
+        process = start(trial, [*SHORT, "hardware=faulty", f"hardware.fault={fault}"], conf)
         process.join(60)
         assert process.exitcode == status
-        assert step_names(folder) == ["search", "experiment"]
-        (tmp_path / MENDED).touch()
-        assert_equal(timeless(run_trial(faulty(study, fault), folder)), uninterrupted)
-        (tmp_path / MENDED).unlink()
+        assert step_names(trial) == ["search", "experiment"]
+        (folder / MENDED).touch()
+        assert_equal(timeless(run_trial(faulty(study, fault), trial)), uninterrupted)
+        (folder / MENDED).unlink()

@@ -87,21 +87,20 @@ def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
 def test_two_processes_do_not_make_the_same_trial(
     conf: Path,
     uninterrupted: tuple[TrialRecord, list[list[float]]],
-    tmp_path: Path,
+    folder: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The second one gives up, or waits until the first has ended, and then finds what that made."""
-    monkeypatch.chdir(tmp_path)
-    study, folder = simbias.load(SHORT, conf), tmp_path / "trial"
-    process = start(folder, SHORT, conf)
-    until_begun(process, tmp_path, 1)
+    study, trial = simbias.load(SHORT, conf), folder / "trial"
+    process = start(trial, SHORT, conf)
+    until_begun(process, folder, 1)
     monkeypatch.setattr("simbias.trial.record.LOCK_SECONDS", 0.1)
     with pytest.raises(ConfigError, match="another process is running this trial"):
-        run_trial(study, folder)
+        run_trial(study, trial)
     monkeypatch.setattr("simbias.trial.record.LOCK_SECONDS", 60.0)
-    record = run_trial(study, folder)
+    record = run_trial(study, trial)
     process.join(120)
     assert process.exitcode == 0
     assert_equal(timeless(record), uninterrupted[0])
-    assert begun(tmp_path) == uninterrupted[1]
-    assert len(TrialFolder(folder).attempts()) == 1
+    assert begun(folder) == uninterrupted[1]
+    assert len(TrialFolder(trial).attempts()) == 1
