@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from simbias.core.records import Rollout
@@ -22,7 +23,8 @@ def parts(recordings: Mapping[str, Rollout]) -> list[Part]:
     """Each recording, or the thirds of a single one; more than five are dealt into five parts."""
     if len(recordings) == 1:
         ((name, whole),) = recordings.items()
-        return [Part(f"{name}, part {i + 1}", (_piece(whole, i),)) for i in range(PIECES)]
+        cuts = [whole.frames * i // PIECES for i in range(PIECES + 1)]
+        return [Part(f"{name}, part {i + 1}", (whole.part(*cut),)) for i, cut in enumerate(pairwise(cuts))]
     names = list(recordings)
     dealt = [names[i::MOST_PARTS] for i in range(min(MOST_PARTS, len(names)))]
     return [Part(" + ".join(each), tuple(recordings[name] for name in each)) for each in dealt]
@@ -31,9 +33,3 @@ def parts(recordings: Mapping[str, Rollout]) -> list[Part]:
 def others(all_parts: Sequence[Part], index: int) -> list[Rollout]:
     """The rollouts of all parts but one."""
     return [rollout for i, part in enumerate(all_parts) if i != index for rollout in part.rollouts]
-
-
-def _piece(rollout: Rollout, index: int) -> Rollout:
-    """A third of a recording."""
-    begin, end = (rollout.frames * i // PIECES for i in (index, index + 1))
-    return rollout.part(begin, end)

@@ -87,7 +87,8 @@ class WindowGP(Bias):
         residuals = windows.means - predict([PredictionModel(nominal)], windows)[0]
         errors = ErrorDistribution.of(residuals, windows)
         last = residuals[:, -1]
-        unit = np.sqrt(np.mean(np.clip(last, *_outlier_limits(last)) ** 2, axis=0)) / self._window
+        most = 4.0 * np.median(np.abs(last), axis=0) / 0.6745  # four robust standard deviations
+        unit = np.sqrt(np.mean(np.clip(last, -most, most) ** 2, axis=0)) / self._window
         unit = np.maximum(unit, LEAST_SIGNAL)
         for length in self._length_scales:
             hyper, Z = self._inducing(windows, length)
@@ -119,12 +120,6 @@ class WindowGP(Bias):
         scaled = hyper.scale(inputs)
         chosen, _ = choose(hyper, scaled, Inducing(self._points, 1e-3, 1e-3))
         return hyper, scaled[chosen]
-
-
-def _outlier_limits(values: Array) -> tuple[Array, Array]:
-    """Lower and upper limits (n,), at four robust standard deviations of values (k, n)."""
-    most = 4.0 * np.median(np.abs(values), axis=0) / 0.6745
-    return -most, most
 
 
 @dataclass(frozen=True, eq=False)

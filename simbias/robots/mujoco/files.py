@@ -136,8 +136,7 @@ def _check_size(path: Path, copies: int = 1, within: tuple[Path, ...] = ()) -> N
     """
     if path in within:
         raise ValueError(f"{path.name} includes itself")
-    if (root := _root(path)) is not None:
-        _check_element(root, (*within, path), copies)
+    _check_element(_root(path), (*within, path), copies)
 
 
 def _check_element(element: Any, within: tuple[Path, ...], copies: int) -> None:
@@ -159,27 +158,16 @@ def _check_element(element: Any, within: tuple[Path, ...], copies: int) -> None:
 def _attached(name: str | None, within: tuple[Path, ...]) -> set[Path]:
     """The files of models of a name, as files say that include each other."""
     homes = {*within, *source_files(str(within[-1]))}
-    models = [(home.parent / each.get("file", ""), each) for home in homes for each in _models(home)]
-    return {path for path, each in models if name in (each.get("name"), _title(path))}
-
-
-def _models(path: Path) -> list[Any]:
-    """Elements of a file that name other models."""
-    root = _root(path)
-    return [] if root is None else [each for each in root.iter("model") if "file" in each.attrib]
-
-
-def _title(path: Path) -> str | None:
-    """A model's own name, as its file says."""
-    root = _root(path)
-    return None if root is None else root.get("model")
+    named = [(home, each) for home in homes for each in _root(home).iter("model") if "file" in each.attrib]
+    models = [(home.parent / each.attrib["file"], each) for home, each in named]
+    return {path for path, each in models if name in (each.get("name"), _root(path).get("model"))}
 
 
 def _root(path: Path) -> Any:
-    """The root of an XML file; None if it is none, as MuJoCo says better."""
+    """The root of an XML file; an empty element if it is none, as MuJoCo says better."""
     with suppress(ElementTree.ParseError, OSError):
         return ElementTree.parse(path).getroot()
-    return None
+    return ElementTree.Element("")
 
 
 def _product(element: Any, *attributes: str) -> int:

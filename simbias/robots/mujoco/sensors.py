@@ -43,7 +43,8 @@ class Sensors:
         model = self._robot.model
         self._data: Any = engine.MjData(model)
         known = {model.sensor(i).name: model.sensor(i) for i in range(model.nsensor)}
-        told = [name for name, sensor in known.items() if name and _is_told(sensor)]
+        stage = int(engine.mjtStage.mjSTAGE_VEL)  # up to which positions and velocities tell a sensor's value
+        told = [name for name, sensor in known.items() if name and int(sensor.needstage[0]) <= stage]
         sizes: dict[str, int] = {}
         self._places: list[int] = []
         for name in told if source.sensors is None else source.sensors:
@@ -87,8 +88,3 @@ class Sensors:
         engine.mj_fwdVelocity(model, data)
         engine.mj_sensorVel(model, data)
         return np.concatenate([data.sensordata[self._places], data.site_xpos[self._sites].ravel()])
-
-
-def _is_told(sensor: Any) -> bool:
-    """Whether a sensor depends on positions and velocities alone."""
-    return int(sensor.needstage[0]) <= int(mujoco().mjtStage.mjSTAGE_VEL)
