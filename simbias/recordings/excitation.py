@@ -140,6 +140,5 @@ class Designer:
         rng = np.random.default_rng(SEED)
         noisy = rollout.states + self._noise * rng.standard_normal(rollout.states.shape)
         windows = self._posterior.windows([Rollout(noisy, rollout.inputs)])
-        return ErrorDistribution.of(
-            predict([PredictionModel(self._models[0])], windows)[0] - windows.means, windows
-        )
+        errors = predict([PredictionModel(self._models[0])], windows)[0] - windows.means
+        return ErrorDistribution.of(errors, windows)

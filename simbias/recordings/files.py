@@ -52,9 +52,8 @@ def write(
     option.parent.mkdir(parents=True, exist_ok=True)
     option.write_text("\n".join(option_lines(assessment.identified.elsewhere(), identification)) + "\n")
     if excitation is not None:
-        trajectory(assessment.task, excitation.rollout).to_csv(
-            folder / "excitation.csv", index=False, float_format="%.6g"
-        )
+        told = trajectory(assessment.task, excitation.rollout)
+        told.to_csv(folder / "excitation.csv", index=False, float_format="%.6g")
     for name, text in models(assessment.identified):
         (folder / f"{name}.xml").write_text(text)
 

@@ -49,9 +49,8 @@ def read(study: Study, places: Sequence[Path | str], columns: Mapping[str, str] 
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
         name = _name(file, files)
-        numbers = (
-            [""] if len(recording.pieces) == 1 else [f" ({i + 1})" for i in range(len(recording.pieces))]
-        )
+        count = len(recording.pieces)
+        numbers = [""] if count == 1 else [f" ({i + 1})" for i in range(count)]
         for number, piece, times in zip(numbers, recording.pieces, recording.times, strict=True):
             found.rollouts[name + number], found.times[name + number] = piece, times
         found = found._replace(notes=(*found.notes, *(f"{name}: {note}" for note in recording.notes)))

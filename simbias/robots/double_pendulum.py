@@ -132,9 +132,8 @@ class DoublePendulum(Nominal):
     def _compiled(self) -> Kernel:
         """The step with the values that the model has."""
         h = self._time_step / self._sub_steps
-        return Kernel(
-            _steps(self._sub_steps, self._driven), np.array([h, *_lumped(self._values, self._gravity)])
-        )
+        numbers = np.array([h, *_lumped(self._values, self._gravity)])
+        return Kernel(_steps(self._sub_steps, self._driven), numbers)
 
     def with_parameters(self, values: Array) -> DoublePendulum:
         """The model with other values (k,) of its parameters."""

@@ -136,9 +136,8 @@ class _Action:
 
     def __init__(self, space: Any, task: Task, action: list[str] | None, environment: str) -> None:
         names = [each.name for each in task.inputs]
-        self._expressions = Expressions(
-            {f"action[{i}]": text for i, text in enumerate(action or names)}, names
-        )
+        texts = {f"action[{i}]": text for i, text in enumerate(action or names)}
+        self._expressions = Expressions(texts, names)
         self._discrete = hasattr(space, "n")
         if self._discrete:
             low, high, size = float(space.start), float(space.start + space.n - 1), 1
@@ -150,10 +149,8 @@ class _Action:
                 )
             size = space.shape[0]
             self._low, self._high = (np.asarray(b, dtype=np.float64) for b in (space.low, space.high))
-        if len(action or names) != size:
-            raise ValueError(
-                f"an action of {environment} has {size} numbers; {len(action or names)} are given"
-            )
+        if len(texts) != size:
+            raise ValueError(f"an action of {environment} has {size} numbers; {len(texts)} are given")
         for u in task.input_bounds:
             asked = self._expressions(u)
             if (asked < self._low - 1e-6).any() or (asked > self._high + 1e-6).any():

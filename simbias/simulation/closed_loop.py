@@ -21,9 +21,8 @@ def simulator(model: Model, disturbance: Disturbance | None = None, cost: Cost |
 
     With the cost of a search, what it compiles is what the search runs.
     """
-    return CompiledSimulator.of(model, disturbance, cost) or PlainSimulator(
-        [model], [disturbance], corrections
-    )
+    compiled = CompiledSimulator.of(model, disturbance, cost)
+    return compiled or PlainSimulator([model], [disturbance], corrections)
 
 
 def join(simulators: Sequence[Simulator]) -> Scenarios:

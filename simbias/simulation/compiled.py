@@ -95,9 +95,8 @@ class CompiledSimulator:
             some = slice(first, first + RECORDED)
             own = None if scenarios is None else scenarios[some]
             batch = self._run(self.cost, True, thetas[some], starts[some], own)
-            each = zip(
-                batch.states, batch.inputs, batch.frames.tolist(), batch.violated.tolist(), strict=True
-            )
+            ends = batch.frames.tolist(), batch.violated.tolist()
+            each = zip(batch.states, batch.inputs, *ends, strict=True)
             rollouts += [record(task.criteria, *one) for one in each]
         return rollouts
 

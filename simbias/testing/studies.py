@@ -26,9 +26,8 @@ def _fits_motion_and_rest(study: Study) -> None:
     rest = Rollout(np.tile(whole.states[0], (frames + 1, 1)), np.zeros_like(moving.inputs))
     for recorded in (moving, rest):
         fitted = study.identification.fit(study.nominal, [recorded])
-        expect(
-            np.isfinite(fitted.step(x, u)).all(), "fit", "a model of finite predictions", fitted.step(x, u)
-        )
+        x_next = fitted.step(x, u)
+        expect(np.isfinite(x_next).all(), "fit", "a model of finite predictions", x_next)
         one, same = (fitted.draw(np.random.default_rng(3)).step(x, u) for _ in range(2))
         equal(one, same, "draw", "the same model from the same generator", 0.0)
 

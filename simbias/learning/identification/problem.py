@@ -98,9 +98,8 @@ class Comparison:
 
         def across(spread: Array) -> Array:
             linearisation = Linearisation.of(by_start, by_parameters @ spread)
-            ratio = np.linalg.solve(
-                self.errors.factor, ErrorDistribution.of(errors, windows, FREEDOM, linearisation).factor
-            )
+            estimate = ErrorDistribution.of(errors, windows, FREEDOM, linearisation)
+            ratio = np.linalg.solve(self.errors.factor, estimate.factor)
             return (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
 
         return across

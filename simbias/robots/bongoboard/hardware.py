@@ -83,9 +83,8 @@ class EngineBongoboard(Hardware):
         """One experiment with theta (p,) from start (6,); its cost is not set."""
         if not np.isfinite(start).all():
             raise HardwareError(f"the robot cannot start at {start}")
-        return experiment(
-            self.task, _Running(self, start), policy, theta, self._noise.draw(rng), self._record
-        )
+        robot, noise = _Running(self, start), self._noise.draw(rng)
+        return experiment(self.task, robot, policy, theta, noise, self._record)
 
 
 class _Running(Robot):

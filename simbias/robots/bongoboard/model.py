@@ -88,9 +88,8 @@ class LagrangianBongoboard(Nominal):
         self._actuators: Actuators | None = None
         self.state_size = 0
         if not MOTOR.keys().isdisjoint(present):
-            self._actuators = Actuators(
-                [Actuator(*(known[name] for name in MOTOR))], self._time_step, self._taps
-            )
+            motor = Actuator(*(known[name] for name in MOTOR))
+            self._actuators = Actuators([motor], self._time_step, self._taps)
             self.kernel = self._actuators.before(mechanics)
             self.state_size = self._actuators.state_size
 
@@ -124,9 +123,8 @@ class LagrangianBongoboard(Nominal):
         ]
         values = values_at(others, rng.standard_normal(len(others))).tolist()
         drawn |= {parameter.name: value for parameter, value in zip(others, values, strict=True)}
-        return self._with(
-            drawn, [each.name for each in self.parameters if getattr(uncertainty, each.name, 0)]
-        )
+        present = [each.name for each in self.parameters if getattr(uncertainty, each.name, 0)]
+        return self._with(drawn, present)
 
     def step(self, x: Array, u: Array) -> Array:
         """Semi-implicit Euler: x_next (..., 6), one time step after x (..., 6) under u (..., 1) in N m."""

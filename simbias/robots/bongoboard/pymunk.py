@@ -137,9 +137,8 @@ class World:
 
     def state(self) -> list[float]:
         """State (6,) of the task, of the bodies' angles and rates."""
-        return state_of(
-            *((body.angle, body.angular_velocity) for body in (self._wheel, self._board, *self._legs))
-        )
+        bodies = (self._wheel, self._board, *self._legs)
+        return state_of(*((body.angle, body.angular_velocity) for body in bodies))
 
     def wheel_and_board(self) -> tuple[Place, Place]:
         """Centre x, y (m) and global angle of wheel and board."""

@@ -143,16 +143,15 @@ class _Parser:
                     raise _NotAllowedError(f"nothing is called {name}; there is {', '.join(self._names)}")
                 return self._names[name]
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-                return _applied(
-                    operator.neg if isinstance(sign, ast.USub) else operator.pos, self._node(operand)
-                )
+                function = operator.neg if isinstance(sign, ast.USub) else operator.pos
+                return _applied(function, self._node(operand))
             case ast.BinOp(left=base, op=ast.Pow(), right=ast.Constant(value=int() as exponent)):
                 if exponent in EXPONENTS:
                     return _applied(operator.pow, self._node(base), _number(exponent))
             case ast.BinOp(left=left, op=operation, right=right) if type(operation) in OPERATORS:
                 return _applied(OPERATORS[type(operation)], self._node(left), self._node(right))
-            case ast.Call(func=ast.Name(id=function), args=arguments, keywords=[]):
-                return self._call(function, [self._node(argument) for argument in arguments])
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self._call(name, [self._node(argument) for argument in arguments])
         raise _NotAllowedError(f"{ast.unparse(node)} is not allowed; an expression may use {ALLOWED}")
 
     def _call(self, name: str, arguments: list[Value]) -> Value:

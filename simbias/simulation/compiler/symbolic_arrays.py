@@ -121,11 +121,9 @@ def _trace_of(values: Any) -> Trace | None:
         if isinstance(value, np.ndarray) and value.dtype != object:
             continue
         if isinstance(value, np.ndarray | list | tuple):
-            found = next(
-                (each.trace for each in np.asarray(value, object).flat if isinstance(each, Symbol)), None
-            )
-            if found:
-                return found
+            symbols = (each for each in np.asarray(value, object).flat if isinstance(each, Symbol))
+            if (found := next(symbols, None)) is not None:
+                return found.trace
     return None
 
 

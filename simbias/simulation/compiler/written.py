@@ -221,9 +221,8 @@ def written(
     vectors = ["(" + "".join(f"{names[symbol.index]}, " for symbol in vector) + ")" for vector in results]
     lines.append(f"return {', '.join(vectors)}")
     text = f"def traced({arguments}):\n    " + "\n    ".join(lines) + "\n"
-    return Written(
-        function_of(text, "traced", **NAMES), np.array([each.value for each in numbers], np.float64)
-    )
+    values = np.array([each.value for each in numbers], np.float64)
+    return Written(function_of(text, "traced", **NAMES), values)
 
 
 def needed(trace: Trace, results: Sequence[Sequence[Symbol]], known: Collection[int] = ()) -> list[Symbol]:
