@@ -27,12 +27,12 @@ NO_LIMITS = Budget()
 class Spending:
     """Experiments that a trial has made of its budget, and their seconds on hardware."""
 
-    budget: Budget
+    budget: Budget = NO_LIMITS
     experiments: int = 0
     seconds: float = 0.0
 
     def check(self) -> None:
-        """Refuse another experiment if the budget is spent.
+        """Refuse what leads to another experiment if the budget is spent.
 
         Raises
         ------

@@ -48,7 +48,7 @@ def search(
     BudgetSpent
         If its policy could not be tried.
     """
-    study.check_budget()
+    study.spending.check()
     target = study.cost.max_cost if target_cost is None else target_cost
     searches: list[tuple[Optimum, float]] = []
     drawn = model

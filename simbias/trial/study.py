@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -82,7 +82,7 @@ class Study:
     conditions: ExperimentConditions = DEFAULT_CONDITIONS  # of hardware experiments
     policy_test: PolicyTest = NO_TEST
     budget: Budget = NO_LIMITS
-    spending: Spending | None = None  # of the budget, while a trial runs
+    spending: Spending = field(default_factory=Spending)  # of the budget, while a trial runs
 
     @property
     def config(self) -> Mapping[str, Any]:
@@ -162,24 +162,12 @@ class Study:
         theta = np.asarray(theta, dtype=np.float64)
         begin = self.task.draw_start(rng) if start is None else start
         watching = observer or Observer()
-        self.check_budget()
+        self.spending.check()
         watching.experimenting(theta, begin)
         rollout = self._judged(self.checked_hardware.run(self.policy, theta, begin, rng), theta)
-        if self.spending is not None:
-            self.spending.add(rollout.frames * self.task.time_step)
+        self.spending.add(rollout.frames * self.task.time_step)
         watching.experimented(rollout)
         return rollout
-
-    def check_budget(self) -> None:
-        """Refuse what leads to another experiment if a trial's budget is spent.
-
-        Raises
-        ------
-        BudgetSpent
-            Then.
-        """
-        if self.spending is not None:
-            self.spending.check()
 
     def passes(self, rollout: Rollout) -> bool:
         """Whether a rollout, its cost set, is a success: as the task says or, where it does not, the cost."""
