@@ -1,7 +1,5 @@
 """The study of published runs: weights, controllers, the loop and its scores, on files made here."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Robots that follow a reference: planned on the model, and seen beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from figures import lines

@@ -1,7 +1,5 @@
 """The package as text: its storeys, the libraries that it uses, what it may run, and its docstrings."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """What newcomers with a robot of their own fell over: each is said at once, in a line."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from io import StringIO

@@ -1,7 +1,5 @@
 """The paper's premise: a policy of the nominal model alone fails on hardware; Algorithm 1's does not."""
 
-from __future__ import annotations
-
 import pytest
 from premise import balanced_starts
 

@@ -1,7 +1,5 @@
 """Every promise of tests/README.md names a test that is there; the map from the paper to the code is true."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from functools import reduce

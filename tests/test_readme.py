@@ -1,7 +1,5 @@
 """What README shows works, from the wheel in an empty folder; what it links to is there."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The study of public rigs, as a command, on a simulated pendulum in their place; and its baselines."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from collections.abc import Callable, Iterator, Sequence

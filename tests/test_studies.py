@@ -1,7 +1,5 @@
 """The studies that try policies, run as commands, shortened."""
 
-from __future__ import annotations
-
 import runpy
 import sys
 from collections.abc import Callable

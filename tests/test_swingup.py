@@ -1,7 +1,5 @@
 """Swing-ups that no linear policy can do: found on the model, and judged by the task."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

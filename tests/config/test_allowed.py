@@ -1,7 +1,5 @@
 """A config names only classes of simbias, of modules beside its folder, and of those that the user allows."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace

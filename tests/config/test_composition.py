@@ -1,7 +1,5 @@
 """Bad input ends in one line that names the key, before anything runs."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

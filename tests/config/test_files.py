@@ -1,7 +1,5 @@
 """Files that cannot be read break nothing that does not ask for them, and are one line where it does."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

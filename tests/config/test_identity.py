@@ -1,7 +1,5 @@
 """A trial's identity is what deviates from the constructors' defaults and affects its result."""
 
-from __future__ import annotations
-
 import sys
 import textwrap
 from pathlib import Path

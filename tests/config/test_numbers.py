@@ -1,7 +1,5 @@
 """Every number has a range, and what nobody can mean is refused before anything is done."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A trial's run knows the user's own code that it ran, and says when it has changed."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

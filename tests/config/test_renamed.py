@@ -1,7 +1,5 @@
 """What had another name before is one line that tells the new one, wherever it is given."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

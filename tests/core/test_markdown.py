@@ -1,7 +1,5 @@
 """What others wrote is shown in MLflow as they wrote it."""
 
-from __future__ import annotations
-
 import html
 import io
 import re

@@ -1,7 +1,5 @@
 """Priors of physical parameters as functions of standard normal coordinates."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import stats
 

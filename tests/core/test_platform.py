@@ -1,7 +1,5 @@
 """What ran where: kept with each trial, and told where trials mix kinds of machines."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

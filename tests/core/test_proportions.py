@@ -1,7 +1,5 @@
 """Intervals of shares, against SciPy's and published ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom, binomtest

@@ -1,7 +1,5 @@
 """Costs of a goal that moves: their formulas, and compiled sums that are those of the records."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from interpreted import interpreted

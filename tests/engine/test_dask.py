@@ -1,7 +1,5 @@
 """A cluster: its address, its certificates, and who is kept out."""
 
-from __future__ import annotations
-
 import asyncio
 import importlib
 import os

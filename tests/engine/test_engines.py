@@ -1,7 +1,5 @@
 """Every engine gives every result once, whatever becomes of its workers."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import signal

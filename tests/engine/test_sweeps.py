@@ -1,7 +1,5 @@
 """A whole sweep on a cluster whose workers share neither disk nor modules."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

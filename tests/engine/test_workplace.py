@@ -1,7 +1,5 @@
 """What dead processes left is removed, what others hold is not."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import subprocess

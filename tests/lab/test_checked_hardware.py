@@ -1,7 +1,5 @@
 """Whatever a hardware does, an experiment ends in a rollout or in one line."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

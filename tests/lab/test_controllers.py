@@ -1,7 +1,5 @@
 """The controller of a request is the policy, in C and in Python."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A person as the hardware: requests go out in folders, trajectories come back."""
 
-from __future__ import annotations
-
 import json
 from copy import copy
 from dataclasses import replace

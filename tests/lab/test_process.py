@@ -1,7 +1,5 @@
 """A program as the hardware: it answers, or is one line; it never runs on alone, and never beside another."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shlex

@@ -1,7 +1,5 @@
 """Recordings of a real robot in place of one."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

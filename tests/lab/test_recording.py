@@ -1,7 +1,5 @@
 """Recordings as labs have them: units, rates, gaps, what lacks; ROS bags and MCAP."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Safety at the boundary: limits abort an experiment, what is predicted is shown, and a person is asked."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import product

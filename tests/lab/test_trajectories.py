@@ -1,7 +1,5 @@
 """What a lab sends: brought to the task's frames, or refused in one line with file, row and column."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Functions that are drawn from the posterior have its mean and covariance, and run on its kernel."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

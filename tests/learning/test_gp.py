@@ -1,7 +1,5 @@
 """Section IV-B to IV-D against scikit-learn and limits that theory gives."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Identified parameters against the truth that experiments were simulated with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import copy
 

@@ -1,7 +1,5 @@
 """Motors and sensors whose parameters are known, identified with a robot's own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What others learn in place of the paper's bias, each on a case where it must work; and the controls."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from in_lanes import corrections

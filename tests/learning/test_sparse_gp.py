@@ -1,7 +1,5 @@
 """The posterior through inducing points against the exact one, and its own limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Section IV-C: what is learned from, and why the rest is not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

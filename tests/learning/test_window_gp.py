@@ -1,7 +1,5 @@
 """A residual that is learned from windows: found where there is one, none where there is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pendulum import NOISE, experiment, pendulum

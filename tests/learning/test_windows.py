@@ -1,7 +1,5 @@
 """What learning from windows is made of, against differences, plain sums and limits that theory gives."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders of trials in MLflow: live, later or again, always the same pages."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import shutil

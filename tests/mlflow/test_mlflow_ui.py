@@ -3,8 +3,6 @@
 With SCREENSHOTS=folder in the environment a longer sweep runs, and README's pictures are made there.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

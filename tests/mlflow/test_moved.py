@@ -1,7 +1,5 @@
 """Folders and stores that somebody moves: what is written stays in one place, or nothing is."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

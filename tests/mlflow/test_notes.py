@@ -1,7 +1,5 @@
 """What a run's note says."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from simbias.mlflow import notes

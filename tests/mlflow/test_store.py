@@ -1,7 +1,5 @@
 """Stores that are made, shared, or cannot be used: one quick line that names the store."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

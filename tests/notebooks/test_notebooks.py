@@ -1,7 +1,5 @@
 """The notebooks run from top to bottom, in a folder of their own, and are kept without outputs."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import Iterator

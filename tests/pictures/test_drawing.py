@@ -1,7 +1,5 @@
 """The drawing of a task against its geometry, in snapshots too."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 

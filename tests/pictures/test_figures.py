@@ -1,7 +1,5 @@
 """Every figure of a trial: its marks are the records' numbers, and its theory holds."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

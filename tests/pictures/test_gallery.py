@@ -1,7 +1,5 @@
 """All pictures of a trial as files; what it cannot have is left out, and no picture is worth a trial."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """The overview: what it says and shows of a trial, and what it does without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The pictures of stored trials: at a trial's end, in a sweep, and from its folder."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import chdir
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Feedback with memory against what theory says of each of its parts, and compiled against plain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from interpreted import assert_alike, interpreted

@@ -1,7 +1,5 @@
 """Policies that act on the state that their input will meet."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

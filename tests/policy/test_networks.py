@@ -1,7 +1,5 @@
 """Policies that are not linear: their formulas, limits and observers, compiled as they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A policy that follows a trajectory: its formula, and its table wherever it is looked up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from interpreted import interpreted

@@ -1,7 +1,5 @@
 """What is said before anything is recorded: excitation, and whether parameters come back."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

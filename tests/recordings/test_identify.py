@@ -1,7 +1,5 @@
 """What `identify` says of robots whose parameters are known, and what it leaves behind."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recordings that reach beyond what a model was learned from are told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a trial and of a sweep: one file, of what the folders hold, and nothing in it runs."""
 
-from __future__ import annotations
-
 import json
 import re
 from contextlib import chdir

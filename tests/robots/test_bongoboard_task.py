@@ -1,7 +1,5 @@
 """The bongoboard's geometry: measures and outputs against the pose, which is drawn from the definitions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

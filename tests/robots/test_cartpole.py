@@ -1,7 +1,5 @@
 """A pole on a cart, against mechanics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mechanisms import cart_pole

@@ -1,7 +1,5 @@
 """A ball in a cup and a hopper: conservation laws, and their equations beside MuJoCo's."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

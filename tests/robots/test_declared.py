@@ -1,7 +1,5 @@
 """A declared task against a class that says the same, and what a declaration may not say."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

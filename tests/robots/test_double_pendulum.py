@@ -1,7 +1,5 @@
 """The double pendulum: conservation, an independent integration of the published equations, kernels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

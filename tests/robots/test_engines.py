@@ -1,7 +1,5 @@
 """The bongoboard in other engines: against the Lagrangian model, and against each other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

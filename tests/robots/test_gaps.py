@@ -1,7 +1,5 @@
 """Each gap of the hardware against theory, and against the nominal model with the same parameter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bongoboard_twin import MOVING, START, Constant, build_task, build_twin, energy, experiment, runge_kutta

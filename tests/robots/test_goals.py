@@ -1,7 +1,5 @@
 """What a declared task may say of goals, success, starts and pushes, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Gymnasium's environments as hardware: against MuJoCo itself, from starts that they can be set to."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of others: joints of all kinds, inputs with limits on either side, missing names, no end."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

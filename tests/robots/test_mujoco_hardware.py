@@ -1,7 +1,5 @@
 """MuJoCo as hardware: without a gap it is the nominal model, and each gap does what it says."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """MuJoCo as a model: against equations of motion, against itself, and what a file cannot be."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

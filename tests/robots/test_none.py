@@ -1,7 +1,5 @@
 """No model: f' = 0 (Eq. 2), or positions that move by their rates and nothing else."""
 
-from __future__ import annotations
-
 from copy import copy
 
 import numpy as np

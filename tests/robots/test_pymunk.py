@@ -1,7 +1,5 @@
 """The engine against the laws that it should obey, and experiments against their contract."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What MuJoCo renders is what the stick figure shows; where it cannot render, that is drawn."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Robots that ship: each preset's trial, and the pictures of a task that is declared in YAML."""
 
-from __future__ import annotations
-
 from functools import cache
 from io import BytesIO
 

@@ -1,7 +1,5 @@
 """Targets: drawn with each start, known to policy and cost; not a robot's, not learned, not noisy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What all optimizers share: a box, finite costs, candidates, and when a search ends."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

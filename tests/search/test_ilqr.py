@@ -1,7 +1,5 @@
 """Trajectories by iterative LQR, and the policies that follow them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

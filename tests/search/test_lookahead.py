@@ -1,7 +1,5 @@
 """Looking ahead changes how points are evaluated, never which ones are found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Regulators with an integral."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

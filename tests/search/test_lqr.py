@@ -1,7 +1,5 @@
 """Policies that imitate LQR, against what theory says of rests, of gains, and of closed loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from models import with_values

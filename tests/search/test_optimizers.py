@@ -1,7 +1,5 @@
 """Every optimizer of conf/optimizer, and every algorithm of NLopt's that may be named there."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from collections.abc import Callable, Sequence

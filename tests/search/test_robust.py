@@ -1,7 +1,5 @@
 """The predicted cost under noise, from several starts, on sampled models."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What lies between a command and what acts, against the theory of lags and delays; and in closed loops."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The compiled closed loop against the plain one, and the rules that both keep."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """What is compiled is kept, and is never what it was before a change."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Noise is declared by names, has the variances of Table II, and its draws do not depend on them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Predictions of recorded experiments: compiled against plain, and what they are made of."""
 
-from __future__ import annotations
-
 import numpy as np
 from interpreted import interpreted, predicted_as_plain
 

@@ -1,7 +1,5 @@
 """Kernels that are traced from NumPy: the same numbers, or the plain loop and a line that says why."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

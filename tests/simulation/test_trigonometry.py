@@ -1,7 +1,5 @@
 """Sine, cosine, arctangent and hyperbolic tangent of compiled code against the mathematics library."""
 
-from __future__ import annotations
-
 import numpy as np
 from in_lanes import from_python
 from numba import njit

@@ -1,7 +1,5 @@
 """A bongoboard whose hardware should move as its model, and constant torques to hold them to it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

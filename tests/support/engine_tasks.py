@@ -1,7 +1,5 @@
 """What engines' workers do in tests, in a module that they import at once."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

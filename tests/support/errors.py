@@ -1,7 +1,5 @@
 """Errors that a person reads."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """A hardware that does what no hardware should, until it is mended."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import multiprocessing

@@ -1,7 +1,5 @@
 """Reading figures: their words, and the data of their lines."""
 
-from __future__ import annotations
-
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure

@@ -5,8 +5,6 @@ folder, environment, arguments and exit status. README's commands, notebooks and
 nothing.
 """
 
-from __future__ import annotations
-
 import ast
 import atexit
 import gc

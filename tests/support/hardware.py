@@ -1,7 +1,5 @@
 """Hardware of a study wrapped, for tests of trials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

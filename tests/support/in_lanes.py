@@ -1,7 +1,5 @@
 """Compiled functions, called on their own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from inspect import signature

@@ -1,7 +1,5 @@
 """Loops as they are written for Numba, run by Python: to compile one takes longer than a few rollouts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache

@@ -1,7 +1,5 @@
 """Requests of a small robot, and the files that a lab sends back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

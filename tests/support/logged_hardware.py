@@ -1,7 +1,5 @@
 """A hardware that notes in a file of the working folder every experiment that is really begun."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

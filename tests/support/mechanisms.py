@@ -1,7 +1,5 @@
 """Files of a pole on a cart, and tasks for them."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """MLflow's own server and a real browser: what tests and benchmarks of its pages have in common."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import urllib.request

@@ -1,7 +1,5 @@
 """Models with other values of their parameters."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

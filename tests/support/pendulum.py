@@ -1,7 +1,5 @@
 """The double pendulum, and experiments that are simulated on a model of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Comparing records and folders of trials."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Searches and experiments on hardware that have the costs that a test says; a method by chance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

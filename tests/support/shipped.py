@@ -1,7 +1,5 @@
 """Shipped options and sweeps: which belong to which robot, and how they are run in little time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

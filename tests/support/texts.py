@@ -1,7 +1,5 @@
 """Files as a person writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A trial in a process of its own, to be killed; its working folder is that of the trial's."""
 
-from __future__ import annotations
-
 import faulthandler
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Fig. 5: what is learned, against experiments that it was not learned from."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Figures of trials that are made up: their numbers, each series told from all others, nothing cut off."""
 
-from __future__ import annotations
-
 import itertools
 from types import SimpleNamespace
 from typing import Any

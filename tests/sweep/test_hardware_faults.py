@@ -1,7 +1,5 @@
 """A sweep whose hardware misbehaves in every way, then is mended."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Making figures: errors say of which, and what is kept of their experiments is text."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace

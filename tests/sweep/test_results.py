@@ -1,7 +1,5 @@
 """Every shipped sweep runs, and what is published is that of the sweep."""
 
-from __future__ import annotations
-
 import itertools
 import runpy
 import sys

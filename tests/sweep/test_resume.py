@@ -1,7 +1,5 @@
 """A sweep that is killed and started again gives what an uninterrupted one gives, trial by trial."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 from pathlib import Path

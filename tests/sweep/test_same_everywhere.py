@@ -1,7 +1,5 @@
 """A trial has the same bits wherever it runs on one kind of machine; on another kind, it says so."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Statistics of sweeps, against published examples, other libraries and simulation."""
 
-from __future__ import annotations
-
 import runpy
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a sweep runs, keeps and tells."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

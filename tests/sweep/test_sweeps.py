@@ -1,7 +1,5 @@
 """Figures of sweeps as a person makes them: one command each, resumable."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Tables of sweeps, from trials that are made up."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

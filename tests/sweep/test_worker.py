@@ -1,7 +1,5 @@
 """What runs in a sweep's workers, and how a trial's folder travels where they share no disk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`python -m simbias new`: the folder runs as it is, and goes through the conformance suite."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

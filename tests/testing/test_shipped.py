@@ -1,7 +1,5 @@
 """Every shipped option and preset builds, and every component goes through the conformance suite."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import zip_longest

@@ -1,7 +1,5 @@
 """What is found before a trial begins: robots at rest, boxes without zero, costs of one horizon only."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Algorithm 1, line by line, on a robot whose components count and can be told what to do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """study.ask() and study.tell(): a notebook is the hardware."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One budget of experiments and seconds on hardware that every method obeys."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What trials claim of their policies, and that such claims hold as often as they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A policy that stands on what the data do not determine of its identified model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

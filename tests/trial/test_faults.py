@@ -1,7 +1,5 @@
 """Hardware that misbehaves: the trial ends in one line, nothing is lost, and mended it resumes."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A trial's folder: on disk before it is used, resumed from any point, read back as far as it goes."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

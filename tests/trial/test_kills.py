@@ -1,7 +1,5 @@
 """Processes that are killed, and two at once: no experiment is lost or made twice."""
 
-from __future__ import annotations
-
 import json
 import random
 import signal

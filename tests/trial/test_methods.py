@@ -1,7 +1,5 @@
 """What `python -m simbias check` finds wrong with a method, and what holds for all that ship."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

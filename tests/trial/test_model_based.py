@@ -1,7 +1,5 @@
 """What the model-based method adds to Algorithm 1, one option at a time."""
 
-from __future__ import annotations
-
 import json
 from copy import copy
 from dataclasses import replace

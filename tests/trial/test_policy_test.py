@@ -1,7 +1,5 @@
 """The test of the last policy: apart from the trial, from the same starts for all seeds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every rival on a case where it must work: the point mass in a wind, or a cost that is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

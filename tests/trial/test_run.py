@@ -1,7 +1,5 @@
 """The one way to run a trial: what its observers hear, in which order, and what its record says."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Iterator

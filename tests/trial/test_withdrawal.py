@@ -1,7 +1,5 @@
 """An experiment that a person withdraws: kept, marked, and as if it had not been."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import shutil
