@@ -166,8 +166,7 @@ class KalmanFilter(Observer):
             raise ValueError(
                 f"observer: the nominal model has no Kalman filter at the goal: {error}"
             ) from error
-        gain: Array = np.linalg.solve(P + V, P).T
-        return gain
+        return np.linalg.solve(P + V, P).T
 
     def _delay(self) -> int:
         """Frames until more than half of an input acts."""

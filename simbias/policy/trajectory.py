@@ -98,8 +98,7 @@ class Trajectory(Policy):
     @property
     def times(self) -> Array:
         """Times (K,) of the knots in s."""
-        times: Array = self._spacing * np.arange(self._knots, dtype=np.float64)
-        return times
+        return self._spacing * np.arange(self._knots, dtype=np.float64)
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at states x (..., n), and the observer's state."""

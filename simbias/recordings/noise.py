@@ -19,8 +19,7 @@ def noise_of(rollouts: Sequence[Rollout]) -> Array:
         np.concatenate([np.diff(_samples(values), 3) for values in states])
         for states in zip(*(rollout.states.T for rollout in rollouts), strict=True)
     ]
-    deviations: Array = np.array([np.median(np.abs(each)) for each in thirds]) / 0.6745 / np.sqrt(20.0)
-    return deviations
+    return np.array([np.median(np.abs(each)) for each in thirds]) / 0.6745 / np.sqrt(20.0)
 
 
 def _samples(values: Array) -> Array:

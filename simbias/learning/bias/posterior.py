@@ -206,9 +206,7 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
     return Posterior(hyper, scale, points, L_inverse, W, R, {}, of_chosen, features)
 
 
-def sparse(
-    hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int = 0
-) -> Posterior:
+def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int) -> Posterior:
     """The posterior of Titsias (AISTATS 2009, Eq. 6): all data, seen through the inducing points Z.
 
     With S = (K_ZZ + K_ZX K_XZ / sigma^2)^-1, W = S K_ZX y / sigma^2 and U^T U = K_ZZ^-1 - S, for which Z is

@@ -36,13 +36,13 @@ class Reference:
         file: str | None,
         constants: Mapping[str, float],
         seconds: float,
-        targets: Mapping[str, float] | None = None,
+        targets: Mapping[str, float],
     ) -> None:
-        self._means = np.array(list((targets or {}).values()))  # (k,)
+        self._means = np.array(list(targets.values()))  # (k,)
         if file is None:
             self.names = tuple(expressions)
             named = {f"goal.{name}": text for name, text in expressions.items()}
-            self._expressions: Expressions | None = Expressions(named, (TIME, *(targets or {})), constants)
+            self._expressions: Expressions | None = Expressions(named, (TIME, *targets), constants)
         else:
             self._expressions = None
             self.names, self._times, values = _rows(file, seconds)
