@@ -33,13 +33,17 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
 
 
 @pytest.mark.usefixtures("uncompiled")
-def test_a_policy_that_does_not_swing_up_is_told_why() -> None:
+def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyPatch) -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
     assert "off by position 0 m, angle 3.14 rad, its inputs at their limits in 0% of" in remark.words
     assert "does not reach the goal in 5 s" in remark.words
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model(), balancing.cost))
+    unlimited = property(lambda task: (-task.input_limit, np.full(1, np.inf)))
+    monkeypatch.setattr(type(study.task), "input_bounds", unlimited)
+    (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
+    assert "its inputs at their limits in 0% of" in remark.words
 
 
 def test_late_motors_are_met_before_any_experiment() -> None:

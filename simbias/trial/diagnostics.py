@@ -64,8 +64,8 @@ def of_goal(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
     aims = [(task.goals[i].name, errors[nearest, i].round(3), task.goals[i].unit) for i in places]
     off = ", ".join(f"{name} {error:.3g} {unit}" for name, error, unit in aims)
     lower, upper = task.input_bounds
-    slack = 0.01 * (upper - lower)
-    full = np.mean(((rollout.inputs < lower + slack) | (rollout.inputs > upper - slack)).any(axis=1))
+    slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
+    full = np.mean(((rollout.inputs <= lower + slack) | (rollout.inputs >= upper - slack)).any(axis=1))
     late = "; it was still coming nearer, so the horizon may be short" if nearest == rollout.frames else ""
     yield Remark(
         "a policy does not reach the goal in simulation",
