@@ -14,6 +14,7 @@ from simbias.mlflow.pages import NOTE
 from simbias.mlflow.runs import RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
 from simbias.sweep.folder import FIGURES, SweepFolder
+from simbias.sweep.state import DONE, INTERRUPTED, RUNNING
 from simbias.trial.disk import LOCK, is_locked, require_file
 from simbias.trial.folder import TrialFolder
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 TABLE = "table.json"  # among the artifacts
-STATUS = {"**Running**": "RUNNING", "**Done**": "FINISHED", "**Interrupted**": "KILLED"}
+STATUS = {RUNNING: "RUNNING", DONE: "FINISHED", INTERRUPTED: "KILLED"}
 
 
 class SweepRun(RunExport):
@@ -73,7 +74,7 @@ class SweepRun(RunExport):
         self.bring(run, files, {NOTE: self._note(state)}, {}, [points], again)
         if tables:
             self._write_table()
-        status = STATUS.get(state.get("verdict", "**Running**"), "FAILED")
+        status = STATUS.get(state.get("verdict", RUNNING), "FAILED")
         self.runs.end(run, status if status != "RUNNING" or is_locked(self.path / LOCK) else "KILLED")
 
     def _run(self) -> Run:

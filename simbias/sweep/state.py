@@ -30,7 +30,7 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 DAMAGED = "simbias: %s; the trial is run again"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
-RUNNING, DONE = "**Running**", "**Done**"  # first words on a sweep
+RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"  # first words on a sweep
 MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
 STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
 STATE_SHARE = 0.02  # unless it would take more than this of the time
@@ -216,4 +216,4 @@ def _verdict(error: BaseException | None, raised: bool) -> str:
     if error is None:
         return "**Ended**, some trials with an error" if raised else DONE
     interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
-    return "**Interrupted**" if interrupted else "**Ended early** by an error"
+    return INTERRUPTED if interrupted else "**Ended early** by an error"

@@ -82,9 +82,9 @@ class Comparison(SweepFigure):
         others = [name for name in labels if name != self._axis]
         own = {str(name): _Method(each, others) for name, each in table.groupby(self._axis, sort=False)}
         numbers = pd.DataFrame([method.row(name) for name, method in own.items()])
-        for reference in (own[name] for name in self._references if name in own):
-            name = next(name for name, method in own.items() if method is reference)
-            numbers = numbers.join(_against(own, reference).add_suffix(f" {name}"), on="method")
+        for name in self._references:
+            if name in own:
+                numbers = numbers.join(_against(own, own[name]).add_suffix(f" {name}"), on="method")
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves)
         return Picture(figure, numbers, _caption(numbers, trials.sweep.report.bar))
