@@ -163,11 +163,13 @@ def learn(
 ) -> Learned:
     """Identify parameters from all experiments, and learn a bias from those of some iterations."""
     nominal = study.identified(experiments) if variant.identifies else study.nominal
-    data = study.data_from(learned_from, nominal)
+    data = study.no_data
+    for rollouts in learned_from:  # D is the union of all D_i (line 13)
+        data |= study.select(rollouts, nominal).transitions
     if not variant.corrects:
         return Learned(study.model(None, nominal), data)
-    rollouts = study.of_robot(rollout for iteration in learned_from for rollout in iteration)
-    return Learned(study.model(study.bias.learn(data, rollouts, nominal), nominal), data)
+    of_robot = study.of_robot(rollout for rollouts in learned_from for rollout in rollouts)
+    return Learned(study.model(study.bias.learn(data, of_robot, nominal), nominal), data)
 
 
 def iteration_record(

@@ -267,13 +267,6 @@ class Study:
         n = len(self.task.without_targets.states)
         return [rollout.of_states(n) for rollout in rollouts]
 
-    def data_from(self, iterations: Iterable[Sequence[Rollout]], nominal: Nominal) -> Transitions:
-        """D, the union of all D_i (line 13): residuals against an (identified) nominal model."""
-        data = self.no_data
-        for rollouts in iterations:
-            data |= self.select(rollouts, nominal).transitions
-        return data
-
     @property
     def no_data(self) -> Transitions:
         """D = {}."""
