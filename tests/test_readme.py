@@ -79,19 +79,19 @@ def shortened(command: str) -> list[str]:
 
 def shortest(arguments: list[str]) -> list[str]:
     """Overrides by which a preset is run in NumPy, as sweeps are in `tests/sweep/test_results.py`."""
-    modelled = compose(arguments).choices["nominal"] != "none"  # else a bias is all that there is
-    least = ["identification=none", "bias=none"] if modelled else []
-    whole = compose([*arguments, *least])
+    whole = compose(arguments)
+    modelled = whole.choices["nominal"] != "none"  # else a bias is all that there is
     changed = shipped.shortened(whole).config
     return [
-        *least,
+        *(["identification=none", "bias=none"] if modelled else []),
         *(
             f"{group}.{key}={changed[group][key]}"
             for group, most in shipped.SHORT.items()
+            if group != "identification" or not modelled
             for key in most.keys() & changed[group].keys()
             if changed[group][key] != whole.config[group][key]
         ),
-        "tracking.pictures=false",
+        *("tracking=folders", "tracking.pictures=false"),  # others have MLflow's store
     ]
 
 

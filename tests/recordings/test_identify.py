@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from in_numpy import predict_in_numpy
 from mechanisms import cart_pole, mjcf
 from pendulum import QUICK, experiment, pendulum, truth
 from scipy.stats import multivariate_normal
@@ -145,8 +146,11 @@ def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("time_step", "seconds"), [(0.04, [0.04, 0.08, 0.2, 0.48, 1.0]), (0.25, [0.25, 0.5, 1.0])]
 )
-def test_horizons_are_what_is_predicted(time_step: float, seconds: list[float]) -> None:
+def test_horizons_are_what_is_predicted(
+    time_step: float, seconds: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """States grow by 1/s, so that a model in which they stand errs by the horizon."""
+    predict_in_numpy(monkeypatch)
     task, t = cart_pole(time_step=time_step), time_step * np.arange(150)
     rollout = Rollout(np.tile(t[:, None], 4), np.zeros((149, 1)))
     made = predictions(task, NoNominal(task), [NoNominal(task)], [[rollout]])

@@ -5,7 +5,6 @@ import logging
 import os
 import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -285,22 +284,20 @@ def test_another_platform_is_said_and_kept(
 def test_a_full_disk_loses_nothing(
     short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Full at any step, the trial stops with an error, and resumes as uninterrupted."""
-    for room in range(len(step_names(whole[0]))):
-        steps = iter(range(100))
+    """Full at any step, the trial stops with an error, and resumes, time and again, as uninterrupted."""
 
-        def until_full(path: Path, content: bytes, steps: Iterator[int] = steps, room: int = room) -> None:
-            if path.name[0].isdigit() and next(steps) >= room:
-                raise OSError(28, "No space left on device")
-            write_whole(path, content)
+    def until_full(path: Path, content: bytes) -> None:
+        if path.name[0].isdigit() and len(step_names(tmp_path)) >= room:
+            raise OSError(28, "No space left on device")
+        write_whole(path, content)
 
-        folder = tmp_path / str(room)
-        with monkeypatch.context() as patch:
-            patch.setattr(records, "write_whole", until_full)
-            record = run_trial(short, folder)
-        assert (record.outcome, len(step_names(folder))) == (Outcome.ERROR, room)
-        assert "No space left on device" in record.summary.reason
-    assert_equal(timeless(run_trial(short, folder)), timeless(whole[1]))
+    with monkeypatch.context() as patch:
+        patch.setattr(records, "write_whole", until_full)
+        for room in range(len(step_names(whole[0]))):
+            record = run_trial(short, tmp_path)
+            assert (record.outcome, len(step_names(tmp_path))) == (Outcome.ERROR, room)
+            assert "No space left on device" in record.summary.reason
+    assert_equal(timeless(run_trial(short, tmp_path)), timeless(whole[1]))
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(
