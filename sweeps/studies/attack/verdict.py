@@ -151,7 +151,7 @@ def _fork(folder: Path, arguments: Sequence[str], prepare: Callable[[], object],
         sys.stdout.flush()
         sys.stderr.flush()
         if workplace.workplace.cache_info().currsize:
-            shutil.rmtree(workplace.workplace())
+            shutil.rmtree(workplace.workplace(), ignore_errors=True)
         os._exit(status)
 
 
