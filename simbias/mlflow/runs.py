@@ -29,13 +29,6 @@ NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 class Runs:
     """An experiment of an MLflow store, and the runs in it.
 
-    Parameters
-    ----------
-    uri, experiment
-        The store, and its experiment.
-    trials
-        Folder of the trials.
-
     Raises
     ------
     ConfigError
@@ -162,15 +155,7 @@ def readable(write: Callable[[], None]) -> bool:
 
 
 class RunExport(Export):
-    """Brings a run up to date with a folder.
-
-    Parameters
-    ----------
-    runs
-        Where it is, or will be.
-    path
-        The folder.
-    """
+    """Brings a run, which is made if need be, up to date with a folder."""
 
     def __init__(self, runs: Runs, path: Path) -> None:
         super().__init__()

@@ -26,15 +26,7 @@ STATUS = {RUNNING: "RUNNING", DONE: "FINISHED", INTERRUPTED: "KILLED"}
 
 
 class SweepRun(RunExport):
-    """A sweep's run, and a nested run for each of its trials.
-
-    Parameters
-    ----------
-    runs
-        Where they are, or will be.
-    folder
-        The sweep's.
-    """
+    """A sweep's run, and a nested run for each of its trials."""
 
     def __init__(self, runs: Runs, folder: SweepFolder) -> None:
         super().__init__(runs, folder.path)

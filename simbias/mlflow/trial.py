@@ -40,17 +40,7 @@ class Nested(NamedTuple):
 
 
 class TrialExport(RunExport):
-    """A trial's run; it is made once the trial's folder has something to show.
-
-    Parameters
-    ----------
-    runs
-        Where it is, or will be.
-    path
-        The trial's folder.
-    nested
-        Its place in a sweep.
-    """
+    """A trial's run; it is made once the trial's folder has something to show."""
 
     def __init__(self, runs: Runs, path: Path, nested: Nested | None = None) -> None:
         super().__init__(runs, path)

@@ -10,13 +10,7 @@ from simbias.trial.observer import Observer
 
 
 class Export(Observer):
-    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing.
-
-    Parameters
-    ----------
-    where
-        One line that tells a person how to look at it.
-    """
+    """Shows a trial or a sweep elsewhere, made from its folder; this one shows nothing."""
 
     def __init__(self, where: str = "") -> None:
         self._where = where

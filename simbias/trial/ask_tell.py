@@ -20,14 +20,7 @@ class AskTell:
     """A trial whose experiments are made by who asks.
 
     Each question runs the trial again and replays its steps, so the answer is the same as if the hardware had
-    been there.
-
-    Parameters
-    ----------
-    task
-        The trial's robot's.
-    run
-        The trial, over the steps of a record and with another hardware.
+    been there. `run` is the trial, over the steps of a record and with another hardware.
     """
 
     def __init__(self, task: Task, run: Callable[[Record, Hardware], Iterator[Iteration]]) -> None:

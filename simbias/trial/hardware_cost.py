@@ -14,18 +14,9 @@ SCREENING = 2  # rollouts after which a policy that failed in all of them is not
 
 
 class CostOnHardware:
-    """The mean cost Z (Eq. 8) of a policy over some starts and noise, the same for every policy.
+    """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
 
-    Parameters
-    ----------
-    study
-        Its task, policy and cost.
-    hardware
-        A simulator: it is run as often as a search asks.
-    rng
-        Draws the starts and the noise, once.
-    rollouts
-        Number of the starts.
+    The hardware is a simulator: it is run as often as a search asks.
 
     Raises
     ------
