@@ -112,24 +112,16 @@ class Variations:
     def composition(self, settings: Mapping[str, Any]) -> Composition:
         """The composition with options (`bias`), values (`bias.d`) and new values (`+hardware.noise.x`) set.
 
-        Raises
-        ------
-        ConfigError
-            As `compose` does.
+        Errors as of `compose`.
         """
         with self._errors_in_one_line():
             config, choices = self._merged(self._split, settings, grid=True)
             return self._finished(config, choices, _from_environment(config))
 
     def trial(self, settings: Mapping[str, Any]) -> Composition:
-        """The part of this composition that concerns a single trial.
+        """The part of this composition that concerns a single trial; errors as of `compose`.
 
         The grid may be larger than all else, so it is neither composed nor copied again.
-
-        Raises
-        ------
-        ConfigError
-            As `compose` does.
         """
         from omegaconf import flag_override
 

@@ -25,13 +25,7 @@ def split(config: Any) -> tuple[Any, dict[str, Any]]:
 
 
 def safety(config: Any) -> Safety:
-    """The limits of a hardware's config.
-
-    Raises
-    ------
-    ConfigError
-        If a value has the wrong type or range.
-    """
+    """The limits of a hardware's config; a ConfigError if a value has the wrong type or range."""
     _, own = split(config)
     found: Safety = validate(own, FIELDS, HARDWARE).get("safety", NO_LIMITS) if own else NO_LIMITS
     return found

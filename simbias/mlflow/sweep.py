@@ -41,13 +41,7 @@ class SweepRun(RunExport):
             self.runs.reach(lambda: self._write_trial(TrialFolder(folder)))
 
     def write(self, final: bool = False) -> None:
-        """Write what the run lacks, and at the end all trials that the store lacks.
-
-        Raises
-        ------
-        ConfigError
-            If a file cannot be read.
-        """
+        """Write what the run lacks, and at the end all trials that the store lacks."""
         state, run = self._folder.state(), self._run()
         for identity in self._description["trials"] if final else ():
             folder = TrialFolder(self._folder.trials / identity)

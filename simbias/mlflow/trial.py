@@ -51,13 +51,7 @@ class TrialExport(RunExport):
         self.update()
 
     def write(self, final: bool = False) -> None:
-        """Write what the run lacks: files first, so that who finds numbers finds all.
-
-        Raises
-        ------
-        ConfigError
-            If a file of the folder cannot be read.
-        """
+        """Write what the run lacks: files first, so that who finds numbers finds all."""
         folder = self._folder
         if not (courses := began_at(folder)):
             return

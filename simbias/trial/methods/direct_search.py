@@ -65,13 +65,7 @@ class DirectSearch(Method):
         return policies[0]
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield a record of every policy that is tried.
-
-        Raises
-        ------
-        ConfigError
-            If it is to begin with LQR, and the model has none or the policy cannot imitate it.
-        """
+        """Yield a record of every policy that is tried; errors as of `check`."""
         proposal_rng, hardware_rng = rng.spawn(2)
         model = None if self.begin == "cold" else study.first_model()
         start = self._start(study, model)

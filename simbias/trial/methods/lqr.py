@@ -76,13 +76,7 @@ class Lqr(Method):
         return theta
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield a record of every iteration.
-
-        Raises
-        ------
-        ConfigError
-            If the model has no LQR, or the policy cannot imitate it.
-        """
+        """Yield a record of every iteration; errors as of `check`."""
         model, experiments = study.first_model(), list[Rollout]()
         for index in range(self.max_iterations):
             clock = Stopwatch()
