@@ -10,15 +10,6 @@ from typing import Any, NotRequired, Required
 from simbias.config import ConfigError
 from simbias.config.components import validate
 
-RESERVED = frozenset(  # columns of sweep.results and sweep.tables, beside those of the axes
-    [
-        *("hash", "repetition", "seed", "outcome", "experiments", "iterations", "seconds", "raised"),
-        *("hardware_seconds", "test_episodes", "lasting_episodes", "long_success_rate", "long_seconds"),
-        *("trials", "succeeded", "mean", "low", "high", "success_rate", "reliable", "tested"),
-        *("holding", "paper"),
-    ]
-)
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -48,8 +39,11 @@ def read_axis(name: str, spec: Any) -> Axis:
 
     The points are values by key, by label; not all need to set the same keys.
     """
+    from simbias.sweep.results import COLUMNS  # lazily: both know the grid
+    from simbias.sweep.tables import MEASURES
+
     where = f"sweep.axes.{name}"
-    if name in RESERVED - {"seed"}:
+    if name != "seed" and name in (*COLUMNS, *MEASURES):
         raise ConfigError(where, "an axis may not have this name: tables have a column of this name")
     if not isinstance(spec, Mapping):
         spec = {"keys": name, "values": spec}
