@@ -202,7 +202,7 @@ def test_preview_shows_and_draws_the_first_experiment(
 def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -> None:
     """A network's, or one that plays random inputs before there is one; with targets that a start has."""
     quick = ["evaluation.rollouts=1", "optimizer.explorations=4", "optimizer.max_evaluations=8"]
-    study = simbias.load([f"preset={preset}", "tracking=none", "task.horizon=50", *quick])
+    study = simbias.load([f"preset={preset}", "tracking=none", "task.horizon=20", "task.hold=0.1", *quick])
     prediction, made, observer = first_prediction(study), list[Rollout](), Observer()
     observer.experimented = made.append  # type: ignore[method-assign]
     next(study.run(observer))

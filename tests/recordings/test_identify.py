@@ -178,9 +178,10 @@ def test_too_short_recordings_are_one_line(study: Study) -> None:
 
 @pytest.mark.slow
 def test_a_trial_begins_with_what_was_identified(
-    assessment: Assessment, study: Study, tmp_path: Path
+    assessment: Assessment, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The written option: the same posterior, to which experiments add."""
+    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn below
     write(assessment, None, study.config["identification"], tmp_path, tmp_path / "conf")
     options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
     attached = simbias.load(options, tmp_path / "conf")
@@ -285,7 +286,7 @@ def test_the_command_tells_and_writes(
 ) -> None:
     """And a trial is started from recordings: its first search is made on the identified model."""
     monkeypatch.setattr("simbias.terminal.identify.TRAJECTORIES", 4)
-    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn above
+    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # likewise
     write_csv(robot[1]["one"], folder / "one.csv")
     short = ["task.horizon=60", "optimizer.max_evaluations=5", "method.max_iterations=1", "bias=none"]
     recorded = [f"hardware.folder={folder}", "tracking=folders", "tracking.pictures=false"]

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 FAILING = ["task.horizon=1000", "optimizer.max_evaluations=10", "method.max_iterations=2"]
 FAILING += ["cost.max_cost=1e-3"]  # never reached
-MIXED = ["task.horizon=1500", "optimizer.max_evaluations=50", "method.max_iterations=2", "bias=gp"]
+MIXED = ["task.horizon=1000", "optimizer.max_evaluations=50", "method.max_iterations=2", "bias=gp"]
 SMALL = {
     "fig4": [*FAILING, "sweep.figures.fig4.columns=3"],
     "fig5": [*FAILING, "sweep.figures.fig5.experiments=1"],
