@@ -1,9 +1,11 @@
-"""Intervals of shares, against SciPy's and published ones."""
+"""Intervals of shares, against SciPy's and published ones; priors as functions of normal coordinates."""
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.stats import binom, binomtest
 
+from simbias.core.parameters import Parameter, values_at
 from simbias.core.proportions import clopper_pearson, counted_share, wilson
 
 
@@ -30,3 +32,25 @@ def test_exact_intervals_cover_whatever_the_share() -> None:
     for share in np.linspace(0.01, 0.99, 50):
         inside = [low <= share <= high for low, high in bounds]
         assert binom.pmf(np.arange(n + 1), n, share)[inside].sum() >= 0.95
+
+
+PRIORS = {
+    "normal": (Parameter("slope", "rad", 0.1, 0.05), stats.norm(0.1, 0.05)),
+    "log_normal": (Parameter("mass", "kg", 2.0, 0.3, "log_normal"), stats.lognorm(0.3, scale=2.0)),
+    "half_normal": (Parameter("damping", "N m s", 0.0, 0.4, "half_normal"), stats.halfnorm(0.0, 0.4)),
+    "uniform": (Parameter("foot mass", "kg", 0.5, 2.0, "uniform"), stats.uniform(0.5, 2.0)),
+}
+
+
+def test_coordinates_are_quantiles_of_the_prior() -> None:
+    """Far from it nothing overflows; values keep leading axes."""
+    z = np.linspace(-6.0, 6.0, 49)
+    for parameter, prior in PRIORS.values():
+        np.testing.assert_allclose(parameter.at(z), prior.ppf(stats.norm.cdf(z)), rtol=1e-6, atol=1e-9)
+        with np.errstate(all="raise", under="ignore"):
+            assert np.isfinite(parameter.at(np.array([-1e6, -50.0, 50.0, 1e6]))).all()
+    parameters = [parameter for parameter, _ in PRIORS.values()]
+    z = np.random.default_rng(0).normal(size=(3, 5, 4))
+    values = values_at(parameters, z)
+    assert values.shape == z.shape
+    np.testing.assert_array_equal(values[1, 2], values_at(parameters, z[1, 2]))

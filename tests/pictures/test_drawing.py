@@ -2,6 +2,8 @@
 
 import importlib
 import sys
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from matplotlib.patches import Circle, Patch
 import simbias
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures import drawing_of, snapshots
+from simbias.pictures.elements import style
 from simbias.pictures.elements.drawing import NoPictureError, share_view
 from simbias.pictures.elements.style import png
 from simbias.robots.bongoboard.task_drawing import draw, move
@@ -133,3 +136,18 @@ def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> 
     with pytest.raises(NoPictureError, match="nothing draws PointMass"):
         snapshots(study.task, rollouts, [0.0])
     assert len(snapshots(study.task, rollouts, [0.0, 1.0], draw_mass).axes) == 2
+
+
+@pytest.mark.slow
+def test_labels_of_others_are_drawn_in_silence(tmp_path: Path) -> None:
+    """Letters that no font has, and names for which there is no room."""
+    figure = Figure(figsize=(4.0, 8.0), layout="constrained")
+    labels = ["\U0001f916", 100 * "x", "<b>&amp;", "one $"]
+    for axes, label in zip(figure.subplots(len(labels)), labels, strict=True):
+        axes.set(xlabel=label, title=label)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("a.png", "a.svg", "again.svg"):
+            style.save(figure, tmp_path / name)
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "again.svg").read_bytes()
+    assert "<b>" not in (tmp_path / "a.svg").read_text()

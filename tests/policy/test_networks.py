@@ -81,7 +81,7 @@ def written(cartpole: Study, turning: Task, observer: ObserverKind) -> tuple[lis
 def test_written_they_are_what_they_are_in_numpy(cartpole: Study, turning: Task) -> None:
     """With noise, and around a turn; every other observer is a switched policy's. Kalman's looks ahead.
 
-    `test_swingup.py` has a switched policy compiled.
+    `test_moving.py` has a switched policy compiled.
     """
     with interpreted():
         made = [written(cartpole, turning, observer) for observer in OBSERVERS]

@@ -25,6 +25,7 @@ from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import draws, models, option_lines, write
 from simbias.recordings.horizons import Prediction, inside, predictions, regions, surprises
 from simbias.recordings.parts import parts
+from simbias.recordings.reach import beyond
 from simbias.recordings.report import report
 from simbias.recordings.words import advice, verdict
 from simbias.robots.mujoco.model import Mujoco
@@ -314,3 +315,30 @@ def test_the_command_tells_and_writes(
     ):
         assert main(wrong) == 2
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
+
+
+@pytest.fixture(scope="module")
+def rollouts() -> list[Rollout]:
+    study = pendulum()
+    model, _ = truth(study.nominal, np.random.default_rng(4))
+    return [experiment(model, np.random.default_rng(seed)) for seed in (1, 2)]
+
+
+def test_other_positions_do_and_motion_of_a_kind_does_not(rollouts: list[Rollout]) -> None:
+    task, turned = pendulum().task, rollouts[0].states + np.array([20.0, 0.0, 0.0, 0.0])
+    assert beyond(task, rollouts[:1], rollouts[1:]) == beyond(task, rollouts, rollouts) == []
+    (found,) = beyond(task, [replace(rollouts[0], states=turned)], rollouts)
+    assert (found.name, found.share) == (task.states[0].name, 1.0)
+
+
+def test_stronger_inputs_do(rollouts: list[Rollout]) -> None:
+    """Inputs three times as large, in half of the frames or in a few."""
+    task, first = pendulum().task, rollouts[0]
+    stronger = np.where(np.arange(first.frames)[:, None] % 2 == 0, 3.0, 1.0) * first.inputs
+    found = beyond(task, [replace(first, inputs=stronger)], [first])
+    assert {each.name for each in found} == {each.name for each in task.inputs}
+    for each in found:
+        assert each.range == pytest.approx(np.multiply(3.0, each.learned), rel=0.1)
+        assert 0.15 < each.share < 0.5
+    few = np.where(np.arange(first.frames)[:, None] < 0.1 * first.frames, 3.0, 1.0) * first.inputs
+    assert beyond(task, [replace(first, inputs=few)], [first]) == []

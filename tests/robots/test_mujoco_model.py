@@ -1,7 +1,8 @@
-"""MuJoCo as a model: against equations of motion, against itself, and what a file cannot be."""
+"""MuJoCo as a model: against equations of motion, itself, and what a file cannot be; and as hardware."""
 
 import ctypes
 import gc
+import logging
 import os
 import sys
 from contextlib import nullcontext
@@ -21,9 +22,11 @@ from numba import get_num_threads, set_num_threads
 
 import simbias
 from simbias.core import FittedBias, Model
-from simbias.core.records import Array, Indices
+from simbias.core.records import Array, Indices, Rollout
+from simbias.policy.output_feedback import OutputFeedback
 from simbias.robots.cartpole import CartPole
 from simbias.robots.mujoco import parameters as files
+from simbias.robots.mujoco.hardware import Mujoco as Hardware
 from simbias.robots.mujoco.kernel import FREE, TAKEN
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.closed_loop import join, simulator
@@ -302,3 +305,35 @@ def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyP
     with pytest.raises(ValueError, match=r"MuJoCo is not installed .*: pip install 'simbias\[mujoco\]'"):
         Mujoco(cart_pole(), "any.xml")
     files.mujoco.cache_clear()
+
+
+START = np.array([0.0, 0.1, 0.0, 0.0])
+THETA = np.array([-0.5, -3.0, -1.0, -1.5])
+
+
+def run(folder: Path, theta: np.ndarray = THETA, seed: int = 0, **gap: Any) -> Rollout:
+    task = cart_pole()
+    hardware = Hardware(task, mjcf(folder), **gap)
+    return hardware.run(OutputFeedback(task), theta, START, np.random.default_rng(seed))
+
+
+def test_it_is_the_nominal_model_but_for_its_gap(tmp_path: Path) -> None:
+    """Other parameters are those of a model with them; a delayed input acts so many frames later."""
+    other: dict[str, Any] = {"values": {"hinge.damping": 0.4}, "factors": {"*.mass": 1.3, "push.gain": 0.4}}
+    for delay, gap in ((0, {}), (3, {}), (0, other)):
+        made = run(tmp_path, delay=delay, **gap)
+        model = Mujoco(cart_pole(), mjcf(tmp_path), **gap)
+        assert made.frames > 5
+        acted = np.concatenate([np.zeros((delay, 1)), made.inputs])[: made.frames]
+        predicted = model.step(made.states[:-1], acted)
+        np.testing.assert_allclose(made.states[1:], predicted, rtol=1e-12, atol=1e-12)
+
+
+def test_an_unstable_simulation_leaves_no_file(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    robot = Hardware(cart_pole(), mjcf(folder))
+    with caplog.at_level(logging.INFO):
+        robot.run(
+            OutputFeedback(cart_pole()), THETA, np.array([0.0, 0.1, 1e12, 0.0]), np.random.default_rng(0)
+        )
+    assert "The simulation is unstable" in caplog.text
+    assert not (folder / "MUJOCO_LOG.TXT").exists()

@@ -1,0 +1,111 @@
+"""Robots that move: they follow what is planned on the model, or swing up, as no linear policy can."""
+
+import numpy as np
+import pytest
+from figures import lines
+
+import simbias
+from simbias.core.records import Array, Disturbance
+from simbias.pictures import NoPictureError, following
+from simbias.pictures.elements.style import HARDWARE
+from simbias.policy.trajectory import Trajectory
+from simbias.search.optimizer.following import Following
+from simbias.search.optimizer.ilqr import Shooting
+from simbias.simulation.closed_loop import simulator
+from simbias.simulation.numpy_loop import PlainSimulator
+from simbias.trial.diagnostics import of_goal
+from simbias.trial.steps import Stopwatch, iteration_record
+from simbias.trial.study import Study
+
+SHORT = ["task.horizon=100", "task.hold=0.5", "policy.knots=51", "identification=none", "tracking=none"]
+
+
+@pytest.fixture(scope="module")
+def robot() -> Study:
+    return simbias.load(["preset=arm_eight", "bias=none", *SHORT])
+
+
+def distances(study: Study, states: Array) -> Array:
+    """Distances (T+1,) in m from the goal along states (T+1, n)."""
+    return np.linalg.norm(study.task.error(states, study.task.time_step * np.arange(len(states))), axis=1)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
+def test_a_plan_follows_and_costs_what_the_cost_says(robot: Study) -> None:
+    """It begins at rest, and its policy follows on the model; on the hardware not as well."""
+    shooting = Shooting(robot.first_model(), robot.cost.goal_weights)
+    plan = shooting.plan(np.random.default_rng(0))
+    assert plan is not None
+    assert distances(robot, robot.task.start_mean[None]) == pytest.approx([0.0], abs=1e-9)
+    assert distances(robot, plan.states).max() < 0.02
+    assert isinstance(robot.policy, Trajectory)
+    policies = Following(robot.first_model(), robot.cost.goal_weights).policies(plan, robot.policy, [10.0])
+    (theta,) = policies
+    rollout = robot.simulate(theta)
+    assert distances(robot, rollout.states).max() < 0.02
+    seconds = robot.task.horizon * robot.task.time_step
+    assert shooting._cost(rollout.states, rollout.inputs) == pytest.approx(0.5 * seconds * rollout.cost, 1e-3)
+    lower, upper = robot.task.input_bounds
+    assert (plan.inputs >= lower).all()
+    assert (plan.inputs <= upper).all()
+    experiment = robot.experiment(theta, np.random.default_rng(0))
+    errors = [distances(robot, each.states).mean() for each in (rollout, experiment)]
+    assert errors[1] > 3 * errors[0]
+    tried = iteration_record(robot, 0, theta, (experiment,), 1, Stopwatch())
+    plane, *over_time = following(robot, [tried]).axes
+    aims = robot.task.aim(experiment.states)
+    np.testing.assert_array_equal(lines(plane, HARDWARE)[0], aims)
+    for axes, aim in zip(over_time, aims.T, strict=True):
+        np.testing.assert_array_equal(lines(axes, HARDWARE)[0][:, 1], aim)
+
+
+def test_a_goal_that_rests_has_no_such_picture() -> None:
+    resting = simbias.load(["preset=cartpole", "tracking=none"])
+    with pytest.raises(NoPictureError, match="does not move"):
+        following(resting, [])
+
+
+@pytest.mark.slow
+def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
+    """Shortened: one experiment an iteration, and fewer simulated policies. They are as in NumPy."""
+    options = ["optimizer.max_evaluations=6000", "evaluation.rollouts=4", "budget.experiments=4"]
+    study = simbias.load(["preset=cartpole_swingup", "tracking=none", "method.experiments=1", *options])
+    last = list(study.run())[-1]
+    assert last.succeeded
+    assert last.search.predicted_cost < 0.5  # 1 is the cost of hanging
+    (rollout,) = last.experiments
+    held = np.abs(study.task.error(rollout.states, 0.0)[-51:, 1])  # of the angle in the last second
+    assert rollout.states[0, 1] == pytest.approx(np.pi, abs=0.3)
+    assert held.max() < 0.2
+    start = study.task.start_mean
+    T = study.task.horizon
+    assert study.task.succeeds(np.tile(start, (T + 1, 1))) is False
+    calm = Disturbance(np.zeros((T, 1)), np.zeros((T + 1, 4)))  # with noise, it is the loop of the search
+    compiled = simulator(last.model, calm, study.cost).rollout(last.parameters, start)
+    (plain,) = PlainSimulator([last.model], [None]).rollouts(last.parameters[None], start[None])
+    np.testing.assert_allclose(compiled.states, plain.states, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
+def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
+    (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
+    assert "off by position 0 m, angle 3.14 rad, its inputs at their limits in 0% of" in remark.words
+    assert "does not reach the goal in 5 s" in remark.words
+    balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
+    assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model(), balancing.cost))
+    unlimited = property(lambda task: (-task.input_limit, np.full(1, np.inf)))
+    monkeypatch.setattr(type(study.task), "input_bounds", unlimited)
+    (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
+    assert "its inputs at their limits in 0% of" in remark.words
+
+
+@pytest.mark.slow
+def test_late_motors_are_met_before_any_experiment() -> None:
+    study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
+    names = [parameter.name for parameter in study.first_model().nominal.parameters]
+    assert names[-2:] == ["force.gain", "force.delay"]
+    without = simbias.load(["preset=cartpole_swingup", "tracking=none", "identification=none"])
+    assert without.first_model().nominal is without.nominal
