@@ -83,22 +83,6 @@ def test_kernels_agree_with_the_plain_posterior_and_its_draws() -> None:
         np.testing.assert_allclose(fast / scale(), plain / scale(), rtol=0, atol=1e-3)
 
 
-@pytest.mark.slow
-def test_a_rollout_on_a_draw_is_the_compiled_one() -> None:
-    """One function along a whole rollout; the compiled loop and the plain one agree on it."""
-    for option in OPTIONS:
-        study = simbias.load(["tracking=none", f"bias={option}", "task.horizon=60"])
-        draw = study.bias.fit(data()).draw(np.random.default_rng(2))
-        theta, start = np.zeros(study.policy.n_parameters), study.task.start_mean
-        fast = study.simulator(draw).rollout(theta, start).states
-        x = start
-        for t in range(len(fast) - 1):
-            u = study.policy.controller(theta, 0.001)(x)
-            x = study.nominal.step(x, u) + draw.predict(np.concatenate([x, u])[None])[0][0]
-            np.testing.assert_allclose(fast[t + 1], x, rtol=0, atol=1e-5)
-        assert len(fast) > 20
-
-
 def pendulum(option: str = "sparse_gp_learned", *values: str) -> Study:
     """A pendulum of whose dynamics nothing is known; its draws vary where there are no data."""
     scratch = ["preset=[pendulum_swingup,scratch]", "tracking=none", f"bias={option}"]
