@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from filelock import FileLock
-from in_numpy import simulate_in_numpy
+from in_numpy import predict_in_numpy, simulate_in_numpy
 from threadpoolctl import threadpool_limits
 
 import simbias
@@ -112,6 +112,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate in NumPy: to compile a robot's loop, or a bias, takes longer than a few short rollouts."""
     simulate_in_numpy(monkeypatch)
+
+
+@pytest.fixture
+def plain_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predict recordings in NumPy, likewise; `test_open_loop.py` holds compiled predictions to them."""
+    predict_in_numpy(monkeypatch)
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ import pandas as pd
 import premise
 import pytest
 from conftest import ROOT
-from in_numpy import predict_in_numpy
 from sweeping import FOLDERS, NO_FIGURES
 
 from simbias.__main__ import main
@@ -100,11 +99,9 @@ def test_what_is_learned_on_one_engine_is_tried_on_all(study: Study, tmp_path: P
     assert [line.split(" | ")[0] for line in printed.splitlines()[2:]] == [f"| {name}" for name in engines]
 
 
-def test_what_is_learned_of_gaps_predicts_other_experiments(
-    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("plain_predictions")
+def test_what_is_learned_of_gaps_predicts_other_experiments(study: Study, tmp_path: Path) -> None:
     """A motor of 40% is a parameter of the model: what is identified predicts best."""
-    predict_in_numpy(monkeypatch)
     quick = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=3"]
     known = ("slope", "ankle_damping", "ankle_stiffness", "ankle_friction", "payload_mass", "payload_x")
     known += ("masses", "foot_mass", "torque_offset", "lag", "delay")

@@ -6,7 +6,6 @@ from copy import copy
 
 import numpy as np
 import pytest
-from in_numpy import predict_in_numpy
 
 from simbias.core import Nominal
 from simbias.core.parameters import uncertain
@@ -17,6 +16,8 @@ from simbias.robots.declared.declarations import Input
 from simbias.robots.declared.starts import State
 from simbias.robots.declared.task import Declared
 
+pytestmark = pytest.mark.usefixtures("plain_predictions")
+
 FRAME, STEPS = 0.02, 20  # s, steps of a frame
 DECLARED = {"gravity": 9.0, "ground": 0.05}
 TASK = Declared(
@@ -25,12 +26,6 @@ TASK = Declared(
     time_step=FRAME,
     horizon=100,
 )
-
-
-@pytest.fixture(autouse=True)
-def _in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Predictions: `test_open_loop.py` holds compiled ones to them."""
-    predict_in_numpy(monkeypatch)
 
 
 class Bouncing(Nominal):

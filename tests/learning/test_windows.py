@@ -5,15 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_numpy import predict_in_numpy
 
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout, Transitions
-from simbias.learning.bias.covariance import Hyperparameters
 from simbias.learning.bias.posterior import GPSample
 from simbias.learning.bias.sensitivity import BATCH, sensitivities
 from simbias.learning.bias.window_gp import WindowGP, WindowPosterior, features, root
+from simbias.learning.covariance import Hyperparameters
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
+
+pytestmark = pytest.mark.usefixtures("plain_predictions")  # `test_window_gp.py` has compiled ones
 
 NO_DATA = Transitions(np.empty((0, 3)), np.empty((0, 2)))
 
@@ -56,12 +57,6 @@ def points(R: int) -> Array:
 
 def task(time_step: float = 0.02) -> Any:
     return SimpleNamespace(time_step=time_step)
-
-
-@pytest.fixture(autouse=True)
-def _in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Predictions: `test_window_gp.py` holds compiled ones to them."""
-    predict_in_numpy(monkeypatch)
 
 
 def test_sensitivities_are_those_of_differences() -> None:

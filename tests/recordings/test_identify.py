@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from in_numpy import predict_in_numpy
 from mechanisms import cart_pole, mjcf
 from pendulum import QUICK, experiment, pendulum, truth
 from scipy.stats import multivariate_normal
@@ -33,6 +32,7 @@ from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
 from simbias.trial.study import Study
 
+Robot = tuple[dict[str, float], dict[str, Rollout]]  # its parameters, and recordings of it
 QUICKER = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=4"]
 
 
@@ -42,7 +42,7 @@ def study() -> Study:
 
 
 @pytest.fixture(scope="module")
-def robot(study: Study) -> tuple[dict[str, float], dict[str, Rollout]]:
+def robot(study: Study) -> Robot:
     """A robot's parameters, and two recordings of it."""
     rng = np.random.default_rng(4)
     model, values = truth(study.nominal, rng)
@@ -53,14 +53,12 @@ def robot(study: Study) -> tuple[dict[str, float], dict[str, Rollout]]:
 
 
 @pytest.fixture(scope="module")
-def assessment(study: Study, robot: tuple[dict[str, float], dict[str, Rollout]]) -> Assessment:
+def assessment(study: Study, robot: Robot) -> Assessment:
     return assess(study, robot[1])
 
 
 @pytest.mark.slow
-def test_what_is_trusted_is_true(
-    assessment: Assessment, robot: tuple[dict[str, float], dict[str, Rollout]]
-) -> None:
+def test_what_is_trusted_is_true(assessment: Assessment, robot: Robot) -> None:
     """Each trusted value lies within three deviations of the truth, and some are trusted."""
     trusted = [finding for finding in assessment.findings if finding.trusted]
     assert {"friction_1", "friction_2"} <= {finding.prior.name for finding in trusted}
@@ -147,11 +145,9 @@ def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("time_step", "seconds"), [(0.04, [0.04, 0.08, 0.2, 0.48, 1.0]), (0.25, [0.25, 0.5, 1.0])]
 )
-def test_horizons_are_what_is_predicted(
-    time_step: float, seconds: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("plain_predictions")
+def test_horizons_are_what_is_predicted(time_step: float, seconds: list[float]) -> None:
     """States grow by 1/s, so that a model in which they stand errs by the horizon."""
-    predict_in_numpy(monkeypatch)
     task, t = cart_pole(time_step=time_step), time_step * np.arange(150)
     rollout = Rollout(np.tile(t[:, None], 4), np.zeros((149, 1)))
     made = predictions(task, NoNominal(task), [NoNominal(task)], [[rollout]])
@@ -280,7 +276,7 @@ def write_csv(rollout: Rollout, file: Path) -> None:
 @pytest.mark.usefixtures("uncompiled")
 def test_the_command_tells_and_writes(
     study: Study,
-    robot: tuple[dict[str, float], dict[str, Rollout]],
+    robot: Robot,
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

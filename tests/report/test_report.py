@@ -6,7 +6,7 @@ from contextlib import chdir
 from pathlib import Path
 
 import pytest
-from in_numpy import predict_in_numpy, simulate_in_numpy
+from in_numpy import simulate_in_numpy
 from sweeping import FOLDERS, write_sweep
 
 import simbias
@@ -92,12 +92,9 @@ def test_what_files_say_is_text_and_never_markup(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
-def test_the_page_of_a_sweep(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("uncompiled", "plain_predictions")
+def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its tables, figures and counts; labels are the user's."""
-    predict_in_numpy(monkeypatch)
     conf = write_sweep(tmp_path, "mine", SWEEP)
     quick = ["task.horizon=50", "optimizer.max_evaluations=5", "policy_test.episodes=2"]
     overrides = ["preset=cartpole", "policy_test.long_episodes=0", *quick, *FOLDERS]

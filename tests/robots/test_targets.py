@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from errors import one_line
-from in_numpy import predict_in_numpy
 from interpreted import interpreted
 from mechanisms import declared as cart_pole
 
@@ -143,14 +142,14 @@ def test_a_hardware_has_none_and_its_policy_knows_them(still: Study) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_learned_of_them(still: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("plain_predictions")
+def test_nothing_is_learned_of_them(still: Study) -> None:
     """What is learned is what the robot's own states say."""
     made = still.experiment(thetas(still, 1)[0], np.random.default_rng(0), START)
     own = made.of_states(4)
     selection, same = still.select([made], still.nominal), still.samples.select([own], still.nominal)
     assert selection.transitions.inputs.shape[1] == 4 + 1
     np.testing.assert_array_equal(selection.transitions.residuals, same.transitions.residuals)
-    predict_in_numpy(monkeypatch)
     quick = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=2"]
     learner = replace(still, identification=simbias.load(["preset=acrobot", *quick]).identification)
     assert np.shape(learner.identified([made]).step(START[:4], np.zeros(1))) == (4,)

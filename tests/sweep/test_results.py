@@ -15,7 +15,6 @@ import optimizers
 import pandas as pd
 import pytest
 from conftest import ROOT
-from in_numpy import predict_in_numpy
 from paired import paired
 from shipped import shortened
 from side_by_side import side_by_side
@@ -84,14 +83,13 @@ def build_what_is_new(cell: Cell) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
+@pytest.mark.usefixtures("uncompiled", "plain_predictions")
 @pytest.mark.parametrize("name", [name for name in sweeps() if not name.startswith("fig")])
 def test_every_sweep_runs_shortened(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A trial of the last cell: it is read back, the table has a line a cell, new figures are drawn."""
     monkeypatch.setattr(ilqr, "ITERATIONS", 1)  # of a plan
-    predict_in_numpy(monkeypatch)
     whole = swept(f"{name}_test" if RESULTS / f"{name}_test" in PUBLISHED else name)  # which is read below
     *others, last = whole.cells
     for cell in others:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
-from in_numpy import predict_in_numpy
 from pendulum import pendulum
 
 import simbias
@@ -43,10 +42,9 @@ def problems(study: Study, group: str) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
-def test_what_rests_without_inputs_is_warmed_up(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("uncompiled", "plain_predictions")
+def test_what_rests_without_inputs_is_warmed_up() -> None:
     """A hanging pendulum: nothing errs, so there is nothing to whiten by."""
-    predict_in_numpy(monkeypatch)
     study = pendulum("identification=posterior", "bias=window_gp", "task.horizon=120", *FEW)
     assert not study.simulate(np.zeros(study.policy.n_parameters)).states.any()
     warm_up(study)

@@ -44,6 +44,7 @@ ROBUST = [
     *("optimizer.explorations=10", "evaluation.rollouts=3", "evaluation.sample_bias=true"),
     *("method.retry_search=1", "method.stop_at_failure=false", "method.max_iterations=2"),
 ]
+Whole = tuple[Path, TrialRecord]  # the folder of a trial that ended, and its record
 EXPERIMENTS = 8  # with the test's
 
 
@@ -53,7 +54,7 @@ def short() -> Study:
 
 
 @pytest.fixture(scope="module")
-def whole(short: Study, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrialRecord]:
+def whole(short: Study, tmp_path_factory: pytest.TempPathFactory) -> Whole:
     """The folder of a trial that ended, and its record."""
     folder = tmp_path_factory.mktemp("trial") / "whole"
     return folder, run_trial(short, folder)
@@ -130,7 +131,7 @@ def test_it_waits_for_each_result_and_resumes(short: Study, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_trial_that_ended_touches_no_hardware(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: Study, whole: Whole, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor a file, be the folder somebody's who may only read it."""
     before = {file: file.stat().st_mtime_ns for file in TrialFolder(whole[0]).files()}
@@ -144,7 +145,7 @@ def test_a_trial_that_ended_touches_no_hardware(
 
 @pytest.mark.slow
 def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+    short: Study, whole: Whole, tmp_path: Path
 ) -> None:
     names = step_names(whole[0])
     for lost in range(len(names) + 1):
@@ -169,9 +170,7 @@ def test_its_study_is_built_from_the_folder_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_read_is_one_line_that_names_the_file(
-    whole: tuple[Path, TrialRecord], tmp_path: Path
-) -> None:
+def test_what_cannot_be_read_is_one_line_that_names_the_file(whole: Whole, tmp_path: Path) -> None:
     folder = shutil.copytree(whole[0], tmp_path / "trial")
     for name in (TRIAL, OUTCOME, "0000_search.json", "0001_experiment.npz", "0003_iteration.json"):
         right = (folder / name).read_bytes()
@@ -185,9 +184,7 @@ def test_what_cannot_be_read_is_one_line_that_names_the_file(
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="devices and pipes")
-def test_a_device_or_a_pipe_is_not_read_for_ever(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
-) -> None:
+def test_a_device_or_a_pipe_is_not_read_for_ever(short: Study, whole: Whole, tmp_path: Path) -> None:
     for name in (ATTEMPTS, "0000_search.json", "0001_experiment.npz"):
         folder = shutil.copytree(whole[0], tmp_path / name)
         for kind in (os.mkfifo, lambda file: file.symlink_to("/dev/zero")):
@@ -198,7 +195,7 @@ def test_a_device_or_a_pipe_is_not_read_for_ever(
 
 
 def test_an_experiment_that_no_hardware_can_have_made_is_named(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
+    short: Study, whole: Whole, tmp_path: Path
 ) -> None:
     """Arrays of another shape, of no numbers, or of NaN, as somebody's own script writes them."""
     file = shutil.copytree(whole[0], tmp_path / "trial") / "0001_experiment.npz"
@@ -224,9 +221,7 @@ def test_an_experiment_that_holds_objects_runs_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-def test_steps_of_other_code_are_one_line(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path
-) -> None:
+def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: Path) -> None:
     """Another kind of step, another policy, another iteration."""
     kind, theta, iteration = (cut(whole[0], tmp_path / name, 0) for name in ("kind", "theta", "iteration"))
     (kind / "0000_search.json").rename(kind / "0000_experiment.npz")
@@ -245,7 +240,7 @@ def test_steps_of_other_code_are_one_line(
         assert step_names(folder)[1:] == step_names(whole[0])[1:]  # nothing is lost
 
 
-def test_changed_code_is_said(whole: tuple[Path, TrialRecord], tmp_path: Path) -> None:
+def test_changed_code_is_said(whole: Whole, tmp_path: Path) -> None:
     study = simbias.load([*POINT_MASS, "tracking=none", "optimizer.max_evaluations=20"], OWN_CONF)
     run_trial(study, tmp_path)
     assert changed_since(study, tmp_path) == ""
@@ -263,7 +258,7 @@ def test_changed_code_is_said(whole: tuple[Path, TrialRecord], tmp_path: Path) -
 @pytest.mark.slow
 def test_another_platform_is_said_and_kept(
     short: Study,
-    whole: tuple[Path, TrialRecord],
+    whole: Whole,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -282,7 +277,7 @@ def test_another_platform_is_said_and_kept(
 
 @pytest.mark.slow
 def test_a_full_disk_loses_nothing(
-    short: Study, whole: tuple[Path, TrialRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: Study, whole: Whole, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Full at any step, the trial stops with an error, and resumes, time and again, as uninterrupted."""
 
@@ -319,7 +314,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(
         run_trial(short, path / "trial")
 
 
-def test_pandas_reads_it(whole: tuple[Path, TrialRecord]) -> None:
+def test_pandas_reads_it(whole: Whole) -> None:
     folder = TrialFolder(whole[0])
     iterations = pd.json_normalize(folder.iterations())
     assert list(iterations["iteration"]) == [0, 1, 2]

@@ -21,6 +21,7 @@ from simbias.trial.run import TrialRecord, read_trial, run_trial
 pytestmark = pytest.mark.slow
 
 KILLS = 2
+Uninterrupted = tuple[TrialRecord, list[list[float]]]  # the record, and the starts of its experiments
 SHORT = [
     *("tracking=none", "task.horizon=200", "optimizer.max_evaluations=20", "method.max_iterations=4"),
     "cost.max_cost=1e-3",  # never reached
@@ -35,10 +36,7 @@ def conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(
-    conf: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[TrialRecord, list[list[float]]]:
-    """The record of the trial, and the starts of its experiments."""
+def uninterrupted(conf: Path, tmp_path_factory: pytest.TempPathFactory) -> Uninterrupted:
     folder = tmp_path_factory.mktemp("uninterrupted")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -58,7 +56,7 @@ def until_begun(process: BaseProcess, folder: Path, count: int) -> None:
 
 
 def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
-    conf: Path, uninterrupted: tuple[TrialRecord, list[list[float]]], tmp_path: Path
+    conf: Path, uninterrupted: Uninterrupted, tmp_path: Path
 ) -> None:
     expected, starts = uninterrupted
     assert len(starts) == 8
@@ -83,10 +81,7 @@ def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
 
 
 def test_two_processes_do_not_make_the_same_trial(
-    conf: Path,
-    uninterrupted: tuple[TrialRecord, list[list[float]]],
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    conf: Path, uninterrupted: Uninterrupted, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second one gives up, or waits until the first has ended, and then finds what that made."""
     study, trial = simbias.load(SHORT, conf), folder / "trial"

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from in_numpy import predict_in_numpy
 from point_mass import InTheWind
 from scripted import Guessing
 
@@ -91,12 +90,9 @@ def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
-def test_lqr_of_the_identified_model_is_designed_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("uncompiled", "plain_predictions")
+def test_lqr_of_the_identified_model_is_designed_again(tmp_path: Path) -> None:
     """Until it balances two poles by a motor that is weaker than its model's; read back, all is as it was."""
-    predict_in_numpy(monkeypatch)
     lqr = ["preset=double_cartpole", "method=lqr", "method.identified=true"]
     quick = ["identification.starts=1", "identification.rounds=1", "task.horizon=40"]  # it falls within 16
     study = simbias.load([*lqr, *quick, "tracking=none"])
