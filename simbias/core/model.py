@@ -22,12 +22,14 @@ class Nominal(ABC):
     """The simulation model f' (Section IV-A).
 
     A model of what the state does not show, as an actuator's lag or a delay, keeps it in its own state,
-    which is zero at the start (`simbias.simulation.actuator`).
+    which is zero at the start (`simbias.simulation.actuator`). Its bias is a function of the commanded input
+    (Eq. 2), or of the one that acts, where the model state keeps that.
     """
 
     kernel: Kernel | None = None
     parameters: tuple[Parameter, ...] = ()  # those that are not known exactly
     state_size: int = 0  # s, of the model state
+    acting: tuple[int, ...] = ()  # rows of the model state that keep the input that acted; none: see `acted`
     estimates: Sequence[Estimate] = ()  # what has been identified
     diagnostics: Mapping[str, float] = MappingProxyType({})  # what the identification says of its fit
 
@@ -41,6 +43,10 @@ class Nominal(ABC):
     def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
         """x_next (..., n), and the model state (..., s) for the next frame; for models that have one."""
         return self.step(x, u), model_state
+
+    def acted(self, u: Array, model_state: Array) -> Array:
+        """Input (..., m) that a bias is a function of: u, or what acted in the frame that left this state."""
+        return model_state[..., self.acting] if self.acting else u
 
     def model_states(self, states: Array, inputs: Array) -> Array:
         """Model states (k, s) in each frame of a record: of its states (k, n) and inputs (k, m)."""
@@ -58,6 +64,12 @@ class Nominal(ABC):
         if not self.state_size:
             return self.step(states, inputs)
         return self.advance(states, inputs, self.model_states(states, inputs))[0]
+
+    def acted_along(self, states: Array, inputs: Array) -> Array:
+        """Inputs (k, m) that a bias is a function of, along a recorded rollout: see `along`, `acted`."""
+        if not self.acting:
+            return inputs
+        return self.acted(inputs, self.advance(states, inputs, self.model_states(states, inputs))[1])
 
     def with_parameters(self, values: Array) -> Nominal:
         """The model with other values (k,) of its `parameters`, in their units."""

@@ -80,6 +80,7 @@ class CompiledSimulator:
             and self.bias.parameters is other.bias.parameters
             and self.nominal.function is other.nominal.function
             and self.n_model_state == other.n_model_state
+            and self.models[0].acting == other.models[0].acting
             and self.nominal.parameters.shape[1:] == other.nominal.parameters.shape[1:]
             and self.noise.shape[1:] == other.noise.shape[1:]
         )
@@ -162,6 +163,7 @@ class CompiledSimulator:
             n_model_state=self.n_model_state,
             reductions=cost.reductions if cost and terms else (),
             noisy=self.noise.shape[1] > 0,
+            acting=self.models[0].acting,
             targets=len(task.targets),
         )
 

@@ -29,7 +29,7 @@ def advanced(nominal: Nominal, bias: FittedBias, n: int, points: Array) -> Array
     """States and model state (..., l) of the corrected model after points (..., l+m), inputs being last."""
     x, model_state, u = np.split(points, [n, n + nominal.state_size], axis=-1)
     after, kept = nominal.advance(x, u, model_state)
-    return np.concatenate([after + bias.correction(x, u), kept], axis=-1)
+    return np.concatenate([after + bias.correction(x, nominal.acted(u, kept)), kept], axis=-1)
 
 
 def linearization(nominal: Nominal, x: Array, u: Array, input_limit: Array) -> tuple[Array, Array]:

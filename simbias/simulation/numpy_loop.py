@@ -87,14 +87,15 @@ class PlainSimulator:
         """The next states (k, n) and model states (k, s) by each scenario's model and bias (Eq. 7)."""
         robot = x.shape[1] - len(self.models[0].task.targets)
         x, targets = x[:, :robot], x[:, robot:]
-        x_next, kept, g = np.empty_like(x), np.empty_like(model_state), np.empty_like(x)
+        x_next, kept, g, acted = np.empty_like(x), np.empty_like(model_state), np.empty_like(x), u.copy()
         for nominal, rows in _rows_of([model.nominal for model in self.models], scenarios):
             if nominal.state_size:
                 x_next[rows], kept[rows] = nominal.advance(x[rows], u[rows], model_state[rows])
+                acted[rows] = nominal.acted(u[rows], kept[rows])
             else:
                 x_next[rows] = nominal.step(x[rows], u[rows])
         for bias, rows in _rows_of([model.bias for model in self.models], scenarios):
-            g[rows] = self.correct(bias, x[rows], u[rows])
+            g[rows] = self.correct(bias, x[rows], acted[rows])
         return np.concatenate([x_next + g, targets], axis=1), kept
 
 

@@ -114,7 +114,7 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
     steps = Kernel(kernels[0].function, np.array([kernel.parameters for kernel in kernels]))
     weights = np.array([model.weight for model in models])
     offsets = np.array([np.zeros(n) if model.offset is None else model.offset for model in models])
-    return _compiled(windows, steps, correct, weights, offsets, models[0].nominal.state_size)
+    return _compiled(windows, steps, correct, weights, offsets, models[0].nominal)
 
 
 def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
@@ -126,14 +126,20 @@ def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
 
 
 def _compiled(
-    windows: Windows, step: Kernel, correct: Kernel, weights: Array, offsets: Array, n_model_state: int
+    windows: Windows,
+    step: Kernel,
+    correct: Kernel,
+    weights: Array,
+    offsets: Array,
+    nominal: Nominal | None = None,
 ) -> Array:
     """Means (k, w, J, n) of k models, by kernels: in lanes and threads."""
     n, m = windows.states.shape[1], windows.inputs.shape[1]
     chunks = windows.frames // windows.chunk
+    memory = (nominal.state_size, nominal.acting) if nominal else (0, ())
     means = np.empty((len(weights), chunks.sum(), n))
     loop = partial(
-        compile_open_loop(Function.of(step), Function.of(correct), n, m, n_model_state),
+        compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, weights, offsets),
         *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
         *map(np.ascontiguousarray, (windows.states, windows.inputs)),  # else another loop is compiled
@@ -154,7 +160,7 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
     once, rows = np.ones(k, np.int64), np.arange(k)
     windows = Windows(x, u, rows, 0 * once, once, window=1, chunk=1)
     step = constant(np.zeros((1, n)))
-    return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)), 0)[0, :, 0]
+    return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)))[0, :, 0]
 
 
 def plain(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias | None = None) -> Array:
@@ -170,7 +176,9 @@ def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) ->
     for t in range(windows.window):
         u = windows.inputs[starts + t]
         x_next, model_state = nominal.advance(x, u, model_state)
-        made[:, t] = x = x_next if bias is None else x_next + model.weight * bias.correction(x, u)
+        if bias is not None:
+            x_next = x_next + model.weight * bias.correction(x, nominal.acted(u, model_state))
+        made[:, t] = x = x_next
     return windows._chunked(made)
 
 

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 import simbias
 from simbias.core import FittedBias, SlowWarning
 from simbias.core.records import Array, Transitions
-from simbias.learning.bias.covariance import correlation
+from simbias.learning.covariance import correlation
 from simbias.simulation.compiler import LANES
 from simbias.simulation.compiler.compilation import Compilation
 

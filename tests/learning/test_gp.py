@@ -14,12 +14,12 @@ from simbias.config import ConfigError
 from simbias.config.build import build
 from simbias.core import SlowWarning
 from simbias.core.records import Array, Transitions
-from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.bias.gp import GaussianProcess
 from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.lscde import LeastSquaresDensity
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import exact
+from simbias.learning.covariance import Hyperparameters, stable_cholesky
 from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.notices import slowness_in_one_line

@@ -14,9 +14,9 @@ from scipy.optimize import check_grad
 
 import simbias
 from simbias.core.records import Array, Transitions
-from simbias.learning.bias import likelihood
-from simbias.learning.bias.covariance import Hyperparameters
-from simbias.learning.bias.likelihood import LEAST_NOISE, REACH, Learning, learn, log_marginal_likelihood
+from simbias.learning import likelihood
+from simbias.learning.covariance import Hyperparameters
+from simbias.learning.likelihood import LEAST_NOISE, REACH, Learning, learn, log_marginal_likelihood
 from simbias.trial.study import Study
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ import warnings
 from simbias.core import Bias, FittedBias, SlowWarning, Task
 from simbias.core.ranges import CountOrZero, Positive, Scale
 from simbias.core.records import Transitions
-from simbias.learning.bias.covariance import Hyperparameters, hyperparameters
 from simbias.learning.bias.inducing import Inducing
-from simbias.learning.bias.likelihood import Learning, learn
 from simbias.learning.bias.posterior import exact, sparse
+from simbias.learning.covariance import Hyperparameters, hyperparameters
+from simbias.learning.likelihood import Learning, learn
 
 # By sweeps/benchmarks/gp.py, batched on one thread: 11 us at N = 1000, growing faster than N^2 beyond.
 SECONDS_PER_STEP = 11e-6 / 1000**2

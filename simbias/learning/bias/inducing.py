@@ -12,7 +12,7 @@ from scipy.linalg import solve_triangular
 
 from simbias.core.ranges import Count
 from simbias.core.records import Array
-from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
+from simbias.learning.covariance import Hyperparameters, stable_cholesky
 
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 

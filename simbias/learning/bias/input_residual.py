@@ -8,8 +8,8 @@ import numpy as np
 
 from simbias.core import FittedBias, Nominal
 from simbias.core.records import Array, Rollout, Transitions
-from simbias.learning.bias.covariance import output_scale
 from simbias.learning.bias.gp import GaussianProcess
+from simbias.learning.covariance import output_scale
 
 STEP = 1e-3  # of states' unit inputs, for derivatives of the model
 

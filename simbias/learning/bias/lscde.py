@@ -10,9 +10,9 @@ from pydantic import Field
 from simbias.core import Bias, FittedBias, Kernel, Task
 from simbias.core.ranges import Count, Positive
 from simbias.core.records import Array, Flags, Indices, Transitions
-from simbias.learning.bias.covariance import correlation, hyperparameters, output_scale
 from simbias.learning.bias.gp_kernel import coordinates_of, correlations, means, pack
 from simbias.learning.bias.none import ZeroBias
+from simbias.learning.covariance import correlation, hyperparameters, output_scale
 from simbias.simulation.compiler import LANES
 
 Candidates = Annotated[list[Positive], Field(min_length=1)]

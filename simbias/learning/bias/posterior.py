@@ -11,9 +11,9 @@ from scipy.linalg import solve_triangular
 
 from simbias.core import FittedBias, Kernel
 from simbias.core.records import Array, Transitions
-from simbias.learning.bias.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.learning.bias.gp_kernel import correct, pack, pack_triangle
 from simbias.learning.bias.inducing import Inducing, choose, view
+from simbias.learning.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.simulation.compiler import constant
 
 ROWS = 32

@@ -41,12 +41,12 @@ def _of(
     means = []
     for t in range(windows.window):
         u = windows.inputs[starts + t]
-        phi = features(np.concatenate([x, u], axis=1))
         shifted = x[:, None] + STEP * np.eye(n)
         advanced, _ = nominal.advance(
             shifted, np.repeat(u[:, None], n, axis=1), np.repeat(model_state[:, None], n, axis=1)
         )
         x_next, model_state = nominal.advance(x, u, model_state)
+        phi = features(np.concatenate([x, nominal.acted(u, model_state)], axis=1))
         A = (advanced - x_next[:, None]).transpose(0, 2, 1) / STEP
         if not t:
             S = total = np.zeros((w, n, n, phi.shape[1]))

@@ -12,11 +12,11 @@ from scipy.linalg import solve_triangular
 from simbias.core import Bias, FittedBias, Nominal, Task
 from simbias.core.ranges import Count, NonNegative, Positive, Seconds
 from simbias.core.records import Array, Indices, Rollout, Transitions
-from simbias.learning.bias.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import GPSample, Posterior
 from simbias.learning.bias.sensitivity import sensitivities
+from simbias.learning.covariance import Hyperparameters, stable_cholesky
 from simbias.learning.prediction_errors import ErrorDistribution, correlation_time
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 

@@ -123,8 +123,9 @@ class Thresholds(Samples):
             nothing = Transitions.empty(states.shape[1], inputs.shape[1])
             return _Candidates(nothing.inputs, nothing.residuals, np.empty(0, np.int64))
         residuals = states[1:] - nominal.along(states[:-1], inputs)  # Eq. 6
+        acted = nominal.acted_along(states[:-1], inputs)
         weights = line_weights(window)
-        columns = (states[:-1], inputs, states[1:], residuals)
+        columns = (states[:-1], acted, states[1:], residuals)
         x, u, x_next, residuals = (
             sliding_window_view(column, window, axis=0) @ weights for column in columns
         )

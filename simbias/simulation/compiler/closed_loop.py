@@ -96,6 +96,7 @@ class Composition:
     n_model_state: int
     reductions: tuple[str, ...]  # of the cost's terms
     noisy: bool
+    acting: tuple[int, ...] = ()  # of the nominal model, for its bias
     targets: int = 0  # the last of the states
 
 
@@ -135,6 +136,7 @@ def compile_closed_loop(c: Composition) -> Any:
         record=RECORD.format(**sizes),
         release=RELEASE.format(**sizes),
         targets=c.targets,
+        acting=c.acting,
     ).compiled()
 
 

@@ -121,6 +121,7 @@ class Loop:
     release: str  # a pass b has ended
     weight: str = ""  # of the correction: a factor
     targets: int = 0  # the last of the states, which stay as they are
+    acting: tuple[int, ...] = ()  # rows of the next model state: inputs of `correct` in place of u_
 
     def compiled(self) -> Any:
         """The loop, ready to be called."""
@@ -191,7 +192,13 @@ class Loop:
         return [
             f"y, model_state_next = step({self._x}, u_, {step.own('nominal')}, {state})",
             *assign("model_state", "model_state_next", self.n_model_state),
+            *self._acted(),
         ]
+
+    def _acted(self) -> list[str]:
+        """A line that sets u_ to what acted, for the bias; none if that is the command."""
+        rows = "".join(f"model_state_next[{row}], " for row in self.acting)
+        return [f"u_ = ({rows})"] if rows else []
 
     def _settled(self, x_new: str) -> list[str]:
         """Lines that set the next state."""

@@ -47,7 +47,9 @@ for lane in range({LANES}):
 
 
 @lru_cache(maxsize=64)
-def compile_open_loop(step: Function, correct: Function, n: int, m: int, n_model_state: int) -> Any:
+def compile_open_loop(
+    step: Function, correct: Function, n: int, m: int, n_model_state: int, acting: tuple[int, ...]
+) -> Any:
     """The loop of these kernels, ready to be called."""
     return Loop(
         ARGUMENTS,
@@ -64,4 +66,5 @@ def compile_open_loop(step: Function, correct: Function, n: int, m: int, n_model
         record=RECORD.format(n=n),
         release="",
         weight="weight[0, lane] * ",
+        acting=acting,
     ).compiled()

@@ -11,8 +11,8 @@ import numpy as np
 from simbias.core.objective import Mapped
 from simbias.core.ranges import Count, Scale
 from simbias.core.records import Array, Iteration, Search, Transitions
-from simbias.learning.bias.covariance import Hyperparameters
 from simbias.learning.bias.posterior import Posterior, exact
+from simbias.learning.covariance import Hyperparameters
 from simbias.search.lqr import lqr_candidates
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer

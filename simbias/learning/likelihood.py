@@ -9,7 +9,7 @@ from scipy.linalg import cho_solve, cholesky
 
 from simbias.core.ranges import Count, Spread
 from simbias.core.records import Array, Transitions
-from simbias.learning.bias.covariance import Hyperparameters, correlation, output_scale
+from simbias.learning.covariance import Hyperparameters, correlation, output_scale
 
 LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
 REACH = 10.0  # deviations of the priors; beyond, where a line search may try, distances may be all rounding
@@ -30,6 +30,21 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
 
     All outputs share them, each over its root mean square. Deterministic; without data, the medians.
     """
+    return _mode(medians, transitions, learning)[0]
+
+
+def evidence(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> float:
+    """Log of the marginal likelihood, in nats, times the priors, at their most probable values (`learn`).
+
+    Outputs are over their root mean squares, so it compares models of the same residuals.
+    """
+    return _mode(medians, transitions, learning)[1]
+
+
+def _mode(
+    medians: Hyperparameters, transitions: Transitions, learning: Learning
+) -> tuple[Hyperparameters, float]:
+    """The mode of the hyper-parameters, and its log-density up to a constant."""
     from scipy.optimize import Bounds, minimize  # lazily: most trials learn none
 
     N = len(transitions)
@@ -56,14 +71,15 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
         z = (theta - centre) * precision
         return float(0.5 * z @ z) - log_likelihood, z * precision - np.where(reached == theta, gradient, 0.0)
 
-    mode = np.exp(minimize(loss, centre, jac=True, method="L-BFGS-B", bounds=bounds).x)
-    *length_scale, signal_variance, noise_ratio = mode
-    return replace(
+    found = minimize(loss, centre, jac=True, method="L-BFGS-B", bounds=bounds)
+    *length_scale, signal_variance, noise_ratio = np.exp(found.x)
+    hyper = replace(
         medians,
         length_scale=np.array(length_scale),
         signal_variance=float(signal_variance),
         noise_variance=float(signal_variance * noise_ratio),
     )
+    return hyper, -float(found.fun)
 
 
 def log_marginal_likelihood(theta: Array, x: Array, y: Array) -> tuple[float, Array]:

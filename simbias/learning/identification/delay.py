@@ -1,0 +1,132 @@
+"""The delay of motors, where nothing else of a robot is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import final
+
+import numpy as np
+
+from simbias.core import Identification, Nominal, Task
+from simbias.core.parameters import Estimate
+from simbias.core.ranges import Count, Seconds
+from simbias.core.records import Array, Rollout, Transitions
+from simbias.learning.covariance import hyperparameters
+from simbias.learning.likelihood import Learning, evidence
+from simbias.simulation.actuator import Actuator, Actuators, taps_of
+from simbias.simulation.compiler import Points, of_nominal
+
+STEPS = 2  # candidates in each frame
+
+
+class Delay(Identification):
+    """The most probable delay of all motors, whatever the robot does with its inputs once they act.
+
+    For each delay, Gaussian processes of the nominal model's residuals, with learned hyper-parameters, are
+    functions of the states and of the inputs that act. Their marginal likelihood tells the delay: with a
+    wrong one, residuals follow from other inputs, which is noise to them.
+
+    Parameters
+    ----------
+    longest
+        In s; all delays up to it have the same prior probability.
+    points
+        Most samples that a likelihood is of, evenly spaced in the data; it takes their number cubed.
+    """
+
+    def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200) -> None:
+        self._task = task
+        self._taps = taps_of(longest, task.time_step)
+        frames = np.arange(STEPS * self._taps + 1) / STEPS
+        self._delays = frames[frames * task.time_step <= longest + 1e-9] * task.time_step
+        self._learning = Learning(points=points)
+        self._medians = hyperparameters(task, 1.0, 1.0, 0.02, 1.0, None, periodic=True)
+
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Late:
+        """The model behind motors of the most probable delay, by all rollouts; of none without rollouts.
+
+        Raises
+        ------
+        ValueError
+            If the model has a delay, or another state, of its own.
+        """
+        if nominal.state_size:
+            raise ValueError("identification=delay: the nominal model has lag and delay of its own")
+        candidates = [Late(self._task, nominal, delay, self._taps) for delay in self._delays.tolist()]
+        if not rollouts:
+            return candidates[0]
+        log_evidence = np.array([self._log_evidence(model, rollouts) for model in candidates])
+        best = candidates[int(np.argmax(log_evidence))]
+        probabilities = np.exp(log_evidence - log_evidence.max())
+        best.estimates = (_estimate(self._delays, probabilities / probabilities.sum()),)
+        return best
+
+    def _log_evidence(self, model: Late, rollouts: Sequence[Rollout]) -> float:
+        """Of the residuals along the rollouts, in nats."""
+        data = Transitions.empty(len(self._task.states), len(self._task.inputs))
+        for rollout in rollouts:
+            x, u = rollout.states[:-1], rollout.inputs
+            inputs = np.concatenate([x, model.acted_along(x, u)], axis=1)
+            data |= Transitions(inputs, rollout.states[1:] - model.along(x, u))
+        return evidence(self._medians, data, self._learning)
+
+
+def _estimate(delays: Array, probabilities: Array) -> Estimate:
+    """The most probable delay, and what holds 90% of the probabilities."""
+    below = np.cumsum(probabilities)
+    low, high = (delays[int(np.searchsorted(below, share))] for share in (0.05, 0.95))
+    return Estimate("delay", "s", 0.0, float(delays[np.argmax(probabilities)]), float(low), float(high))
+
+
+@final
+class Late(Nominal):
+    """A model behind motors that are late; its bias is a function of the inputs that act.
+
+    A bias of the commands could not express a delay: what the robot does depends on earlier ones.
+    """
+
+    def __init__(self, task: Task, nominal: Nominal, delay: float, taps: int) -> None:
+        self._task = task
+        self._actuators = Actuators([Actuator(delay=delay)] * len(task.inputs), task.time_step, taps)
+        self.state_size = self._actuators.state_size
+        self.acting = tuple(range(0, self.state_size, 1 + taps))
+        self._put_behind(nominal)
+
+    def _put_behind(self, nominal: Nominal) -> None:
+        """Let the motors drive this model."""
+        self._nominal, self.parameters = nominal, nominal.parameters
+        mechanics = of_nominal(nominal, Points.of(self._task)).kernel
+        self.kernel = None if mechanics is None else self._actuators.before(mechanics)
+
+    def step(self, x: Array, u: Array) -> Array:
+        """X_next (..., n) after x (..., n), as if u (..., m) had acted for long."""
+        return self._nominal.step(x, u)
+
+    def advance(self, x: Array, u: Array, model_state: Array) -> tuple[Array, Array]:
+        """X_next (..., n), and the inputs (..., s) that later frames need."""
+        acting, kept = self._actuators.acting(u, model_state)
+        return self._nominal.step(x, acting), kept
+
+    def model_states(self, states: Array, inputs: Array) -> Array:
+        """Inputs (k, s) before each frame of a record."""
+        return self._actuators.model_states(inputs)
+
+    def with_parameters(self, values: Array) -> Late:
+        """The model with other values (k,) of its parameters, as late as it is."""
+        return self._driving(self._nominal.with_parameters(values))
+
+    @property
+    def slack(self) -> Array:
+        """That of the model behind the motors."""
+        return self._nominal.slack
+
+    def without_dry_friction(self) -> Late:
+        """The model without friction, as late as it is."""
+        return self._driving(self._nominal.without_dry_friction())
+
+    def _driving(self, nominal: Nominal) -> Late:
+        """The same motors before another model."""
+        other = copy(self)
+        other._put_behind(nominal)
+        return other
