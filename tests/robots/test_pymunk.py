@@ -1,4 +1,4 @@
-"""The engines against the laws that they should obey and each other, and experiments against their contract."""
+"""The engines against the laws that they should obey and each other, experiments against their contract."""
 
 from typing import Any
 
@@ -224,7 +224,6 @@ def test_torque_that_is_not_a_number_is_an_error_that_names_the_frame() -> None:
 
 
 ENGINES: tuple[Any, ...] = (Box2dBongoboard, MujocoBongoboard)
-BALANCING = np.array([9.92, 6.37, -8.36, -4.38, 5.77])  # found on the hardware in pymunk
 
 
 def test_a_frame_is_the_lagrangian_step() -> None:
