@@ -18,6 +18,8 @@ from simbias.report.sweep import sweep_page
 from simbias.sweep.folder import SweepFolder
 from simbias.trial.run import run_trial
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 EVIL = "<script>alert(1)</script>"
 SWEEP = f"""
 sweep:
@@ -49,7 +51,6 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
 def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     some = {name: FIGURES[name] for name in ("costs", "phases")}
     monkeypatch.setattr("simbias.report.trial.FIGURES", some)
@@ -68,7 +69,6 @@ def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path, monkeypatch
     assert html.count("data:image/png;base64,") == 2
 
 
-@pytest.mark.usefixtures("uncompiled")
 def test_what_files_say_is_text_and_never_markup(
     trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,7 +92,7 @@ def test_what_files_say_is_text_and_never_markup(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled", "plain_predictions")
+@pytest.mark.usefixtures("plain_predictions")
 def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its tables, figures and counts; labels are the user's."""
     conf = write_sweep(tmp_path, "mine", SWEEP)

@@ -17,6 +17,8 @@ from simbias.testing.expectations import rollout
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 FEW = ["identification.starts=2", "identification.rounds=1", "identification.evaluations=2"]
 
 
@@ -42,7 +44,7 @@ def problems(study: Study, group: str) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled", "plain_predictions")
+@pytest.mark.usefixtures("plain_predictions")
 def test_what_rests_without_inputs_is_warmed_up() -> None:
     """A hanging pendulum: nothing errs, so there is nothing to whiten by."""
     study = pendulum("identification=posterior", "bias=window_gp", "task.horizon=120", *FEW)
@@ -51,39 +53,29 @@ def test_what_rests_without_inputs_is_warmed_up() -> None:
     assert problems(study, "identification") == []
 
 
-@pytest.mark.usefixtures("uncompiled")
-def test_the_warm_up_keeps_to_the_policys_box() -> None:
-    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
-    policy, evaluation = copy(study.policy), Noting()
+def test_warm_up_and_checks_keep_to_the_policys_box(
+    point_mass: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In simulation, and on the hardware, which may break."""
+    policy, evaluation, thetas = copy(point_mass.policy), Noting(), list[Array]()
     policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
-    warm_up(replace(study, policy=policy, evaluation=evaluation))
+    narrow, run = replace(point_mass, policy=policy), point_mass.hardware.run
+    warm_up(replace(narrow, evaluation=evaluation))
     np.testing.assert_array_equal(evaluation.thetas, np.full((2, policy.n_parameters), 0.5))
-
-
-@pytest.mark.usefixtures("uncompiled")
-def test_what_is_checked_keeps_to_the_policys_box(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the hardware, which may break, and in simulation."""
-    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
-    policy, run, thetas = copy(study.policy), study.hardware.run, list[Array]()
-    policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
 
     def noted(policy: Policy, theta: Array, *others: Any) -> Rollout:
         thetas.append(theta)
         return run(policy, theta, *others)
 
-    monkeypatch.setattr(study.hardware, "run", noted)
-    narrow = replace(study, policy=policy)
+    monkeypatch.setattr(narrow.hardware, "run", noted)
     assert problems(narrow, "hardware") == []
     np.testing.assert_array_equal([*thetas, rollout(narrow).parameters], 0.5)
 
 
-@pytest.mark.usefixtures("uncompiled")
-def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates() -> None:
-    study = simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
-    assert problems(replace(study, cost=Constant()), "cost") == []
-    longer = simbias.load(
-        [*POINT_MASS, "tracking=none", "evaluation=robust", "evaluation.seconds=3"], OWN_CONF
-    )
+def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates(point_mass: Study) -> None:
+    assert problems(replace(point_mass, cost=Constant()), "cost") == []
+    long = ["tracking=none", "evaluation=robust", "evaluation.seconds=3"]
+    longer = simbias.load([*POINT_MASS, *long], OWN_CONF)
     (problem,) = problems(replace(longer, cost=Constant()), "cost")
     assert "Constant" in problem
     assert "with_horizon" in problem
@@ -104,8 +96,6 @@ class Failing(Noting):
 def test_a_method_is_checked_by_a_short_trial() -> None:
     """However long its own are: on a model of many contacts they take minutes."""
     long = ["bias=none", "optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]
-    study = replace(
-        simbias.load([*POINT_MASS, "tracking=none", *long], OWN_CONF), evaluation=(evaluation := Failing())
-    )
-    assert problems(study, "method") == []
+    study, evaluation = simbias.load([*POINT_MASS, "tracking=none", *long], OWN_CONF), Failing()
+    assert problems(replace(study, evaluation=evaluation), "method") == []
     assert 0 < len(evaluation.thetas) < 1000

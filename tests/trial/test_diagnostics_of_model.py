@@ -12,6 +12,8 @@ from simbias.trial.diagnostics import of_model, of_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import iteration_summary
 
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("uncompiled")]
+
 
 @pytest.fixture(scope="module")
 def study() -> Study:
@@ -29,8 +31,6 @@ def of_spread(study: Study, open_deviation: float) -> tuple[Identified, list[str
     return nominal, [remark.words for remark in of_model(theta, model, study.cost)]
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
 def test_it_is_told_and_the_direction_named(study: Study) -> None:
     """Once in full in an iteration's events; also among a trial's diagnostics, which reports show."""
     nominal, said = of_spread(study, 6.0)
@@ -50,8 +50,6 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     assert kind in second
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("uncompiled")
 def test_nothing_is_said_where_the_policy_lasts_or_all_is_determined(study: Study) -> None:
     assert of_spread(study, 0.6)[1] == []
     assert undetermined(of_spread(study, 0.4)[0]) == []
