@@ -209,39 +209,26 @@ def test_an_experiment_that_does_not_end_is_stopped_and_how_that_went_is_told(
     monkeypatch.setattr(checked_hardware, "STOP_SECONDS", 0.1)
     end = threading.Event()
 
-    class Deaf(Doing):
-        def stop(self) -> None:
-            pass
-
-    class Broken(Doing):
-        def stop(self) -> None:
-            raise OSError("no answer")
-
-    class Stuck(Doing):
-        def stop(self) -> None:
-            end.wait(60.0)
-
-    class Obeying(Doing):
-        def stop(self) -> None:
-            end.set()
-
     def wait(rollout: Rollout) -> Rollout:
         end.wait(60.0)
         return rollout
 
-    for kind, words in (
-        (Deaf, "was called, but it still runs"),
-        (Broken, "raised OSError: no answer"),
-        (Stuck, "did not end within 0.1 s either"),
-        (Obeying, "was called, and it ended"),
+    def broken(self: Hardware) -> None:
+        raise OSError("no answer")
+
+    for name, stop, words in (
+        ("Deaf", lambda self: None, "was called, but it still runs"),
+        ("Broken", broken, "raised OSError: no answer"),
+        ("Stuck", lambda self: end.wait(60.0), "did not end within 0.1 s either"),
+        ("Obeying", lambda self: end.set(), "was called, and it ended"),
     ):
-        hardware = kind(point_mass.hardware, wait)
+        hardware = type(name, (Doing,), {"stop": stop})(point_mass.hardware, wait)
         hanging = replace(point_mass, hardware=hardware, conditions=ExperimentConditions(0.1))
         begun = time.monotonic()
         with pytest.raises(HardwareError) as caught:
             hanging.experiment(THETA, np.random.default_rng(1))
         line = r"run: expected an end within 0.1 s (experiment_timeout), got none; "
-        assert str(caught.value) == f"{kind.__name__}.{line}{kind.__name__}.stop {words}"
+        assert str(caught.value) == f"{name}.{line}{name}.stop {words}"
         assert 0.1 <= time.monotonic() - begun < 2.0
 
 

@@ -139,15 +139,21 @@ def test_a_search_made_again_draws_nearer_models(point_mass: Study) -> None:
     assert same.search.predicted_cost == 1.0
 
 
+class Recorded(NominalStart):
+    """Keeps the policies that each search evaluates."""
+
+    def __init__(self, task: PointMass) -> None:
+        super().__init__(task)
+        self.searches: list[list[np.ndarray]] = []
+
+    def objective(self, model, cost, rng):
+        objective, evaluated = super().objective(model, cost, rng), []
+        self.searches.append(evaluated)
+        return lambda theta: evaluated.append(theta) or objective(theta)
+
+
 @pytest.mark.slow
 def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
-    evaluated: list[np.ndarray] = []
-
-    class Recorded(NominalStart):
-        def objective(self, model, cost, rng):
-            objective = super().objective(model, cost, rng)
-            return lambda theta: evaluated.append(theta) or objective(theta)
-
     study = replace(
         point_mass,
         evaluation=Recorded(point_mass.task),
@@ -158,23 +164,16 @@ def test_a_search_may_begin_with_lqr(point_mass: Study) -> None:
     list(study.run())
     expected = lqr_policies(study.model())
     assert len(expected) > 1
-    np.testing.assert_array_equal(evaluated[: len(expected)], expected)
+    np.testing.assert_array_equal(study.evaluation.searches[0][: len(expected)], expected)
 
 
 @pytest.mark.slow
 def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
     point_mass: Study, tmp_path: Path
 ) -> None:
-    searches: list[list[np.ndarray]] = []
-
-    class Recorded(NominalStart):
-        def objective(self, model, cost, rng):
-            objective, evaluated = super().objective(model, cost, rng), []
-            searches.append(evaluated)
-            return lambda theta: evaluated.append(theta) or objective(theta)
-
     task = PointMass(horizon=FRAMES)
     study = replace(point_mass, task=task, evaluation=Recorded(task), bias=NoBias())
+    searches = study.evaluation.searches
     for from_last in (True, False):
         searches.clear()
         method = ModelBased(2, from_last=from_last)
