@@ -21,6 +21,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote, urlparse
 
 import pandas as pd
 
@@ -29,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support"
 
 from logged_hardware import LOG
 from mlflow.entities import Run
-from sweeping import artifacts, client_of, finish, run, start, trial_by_trial
+from sweeping import client_of, finish, run, start, trial_by_trial
 
 SHORT = [
     *("task.horizon=300", "optimizer.max_evaluations=30", "method.max_iterations=4", "cost.max_cost=1e-3"),
@@ -89,7 +90,7 @@ def exported(folder: Path) -> dict[str, object]:
 
 def _run(folder: Path, run: Run) -> dict[str, object]:
     """A run, comparable."""
-    client, files = client_of(folder), artifacts(run)
+    client, files = client_of(folder), Path(unquote(urlparse(run.info.artifact_uri).path))
     names = [name for name in run.data.metrics if not name.startswith(("seconds/", "trial/seconds"))]
     histories = {name: client.get_metric_history(run.info.run_id, name) for name in names}
     inside = [str(file.relative_to(files)) for file in files.rglob("*") if file.is_file()]

@@ -1,7 +1,5 @@
 """The double pendulum, and experiments that are simulated on a model of it."""
 
-from dataclasses import replace
-
 import numpy as np
 
 import simbias
@@ -41,8 +39,3 @@ def truth(nominal: Nominal, rng: np.random.Generator) -> tuple[Nominal, Array]:
     """A model drawn from the prior, and its parameters' values."""
     values = values_at(nominal.parameters, rng.standard_normal(len(nominal.parameters)))
     return nominal.with_parameters(values), values
-
-
-def with_a_fall(rollout: Rollout) -> Rollout:
-    """The same, ended by a failure."""
-    return replace(rollout, failed_at=rollout.frames, failure="speed")

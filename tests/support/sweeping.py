@@ -12,7 +12,6 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote, urlparse
 
 import numpy as np
 import psutil
@@ -121,10 +120,6 @@ def runs(folder: Path) -> tuple[list[Run], list[Run]]:
     found = list(client.search_runs([experiment.experiment_id], max_results=1000))
     parents = [run for run in found if "sweep" in run.data.tags]
     return parents, [run for run in found if "mlflow.parentRunId" in run.data.tags]
-
-
-def artifacts(run: Run) -> Path:
-    return Path(unquote(urlparse(run.info.artifact_uri).path))
 
 
 def trial_by_trial(folder: Path) -> dict[str, Any]:
