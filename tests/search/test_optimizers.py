@@ -362,28 +362,6 @@ def test_fresh_scenarios_in_each_generation_lead_to_the_known_optimum(name: str)
         assert each.cost == sphere(each.parameters) < 1.0 + 5 / 4  # a generation's own optimum is 5 away
 
 
-class Trap(Objective):
-    """A wide valley down to 0, a narrow one down to 10; each generation may meet others."""
-
-    fresh = True
-
-    def together(self, thetas: Array) -> Array:
-        wide, narrow = (np.sum((thetas - centre) ** 2, axis=1) for centre in (SHIFT, -SHIFT / 2))
-        return np.minimum(np.minimum(0.3 * wide, 10.0 + narrow), 60.0)
-
-
-def test_patience_leaves_a_valley_that_does_not_lead_below_the_target() -> None:
-    """Without it, all evaluations are spent beside the candidate."""
-
-    def found(patience: int | None) -> Optimum:
-        options = {"patience": patience, "candidate_deviation": 0.01, "max_evaluations": 2000}
-        options |= {"resolution": 1e-12}  # which noise would keep a run from
-        return minimize(make("hybrid", **options), Trap(), *BOX, 0, 5.0, candidates=[-SHIFT / 2])
-
-    assert found(None).cost == pytest.approx(10.0)
-    assert found(10).cost < 1.0
-
-
 class Funnel(Objective):
     """A funnel around the optimum, flat outside of its radius; it may have a wider one as a first stage."""
 

@@ -49,7 +49,6 @@ def evolve(
     deviation: float,
     population: int | None = None,
     resolution: float = 0.0,
-    patience: int | None = None,
 ) -> str:
     """One run of CMA-ES with the mean `start` (p,); why it ended, in words.
 
@@ -57,12 +56,10 @@ def evolve(
     keeps it inside. It gives up where no cost of a generation is below the target and all deviations are
     below the resolution. Where generations meet scenarios of their own, their means are what is judged, and
     it ends once the best of these, below the target, hardly improves, or where a whole generation costs the
-    same, as on a model in which nothing moves; above the target, where the best has hardly improved within
-    `patience` generations. Pycma's own tests on costs are off:
+    same, as on a model in which nothing moves. Pycma's own tests on costs are off:
     they are absolute, or relative to what the cost of a failure in Eq. 8 inflates.
     """
-    means: list[float] = []  # best costs of means so far, of all evaluations
-    own: list[float] = []  # and of this run alone
+    means: list[float] = []  # best costs of means so far
     width = evaluations.upper - evaluations.lower
     evolution = strategy(evaluations.lower, evaluations.upper, rng, start, deviation, population)
     while not (stop := evolution.stop()):
@@ -74,9 +71,8 @@ def evolve(
                 return FLAT
             costs = [evaluations.evaluate(evaluations.lower + width * evolution.result.xfavorite)]
             means.append(evaluations.best_cost)
-            own.append(min(costs + own[-1:]))
-            best, within = (means, PATIENCE) if evaluations.below_target else (own, patience)
-            if within and len(best) > within and best[-1] > (1 - PROGRESS) * best[-1 - within]:
+            stale = len(means) > PATIENCE and means[-1] > (1 - PROGRESS) * means[-1 - PATIENCE]
+            if stale and evaluations.below_target:
                 return NO_PROGRESS
         if max(evolution.stds) < resolution and min(costs) >= evaluations.target_cost:
             return RESOLUTION

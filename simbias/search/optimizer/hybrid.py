@@ -9,7 +9,7 @@ import numpy as np
 
 from simbias.core import Optimizer
 from simbias.core.evaluations import Evaluations
-from simbias.core.ranges import Count, Deviation, EvaluationCount, Population, Share
+from simbias.core.ranges import Deviation, EvaluationCount, Population, Share
 from simbias.core.records import Array
 from simbias.search.optimizer.cma import FLAT, RESOLUTION, evolve
 from simbias.search.optimizer.nlopt import Algorithm, search_nlopt
@@ -39,9 +39,6 @@ class Hybrid(Optimizer):
     candidate_deviation
         Standard deviation of CMA-ES's first generation around the best candidate, even above the target,
         in units of the box's width; None is `initial_deviation`, around one below the target.
-    patience
-        Generations within which CMA-ES has to improve where generations meet scenarios of their own and no
-        cost is below the target, or the search begins again; None: it goes on.
     """
 
     exploration: Literal["sobol"] | Algorithm
@@ -50,7 +47,6 @@ class Hybrid(Optimizer):
     population: Population | None
     resolution: Share
     candidate_deviation: Deviation | None = None
-    patience: Count | None = None
 
     def search(self, evaluations: Evaluations, rng: np.random.Generator) -> str:
         """Explore and refine, again and again as long as that fails."""
@@ -76,4 +72,4 @@ class Hybrid(Optimizer):
     ) -> str:
         """CMA-ES from a point (p,); why it ended. Its resolution is in proportion to its deviation."""
         resolution = self.resolution * deviation / self.initial_deviation
-        return evolve(evaluations, rng, start, deviation, self.population, resolution, self.patience)
+        return evolve(evaluations, rng, start, deviation, self.population, resolution)
