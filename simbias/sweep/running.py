@@ -14,6 +14,7 @@ from simbias.config.build import build, service
 from simbias.config.sent_code import packed
 from simbias.core.interruption import Interruption
 from simbias.engine.contract import Engine, WorkerLostError
+from simbias.engine.workplace import tidy
 from simbias.sweep.grid import Sweep, Trial, expanded
 from simbias.sweep.making import FigureObserver, make_figures
 from simbias.sweep.state import SweepState, finished
@@ -114,6 +115,7 @@ def run_sweep(
     observer = observer or SweepObserver()
     folder = store.sweep_folder(sweep.name, sweep.hash)
     with locked(folder.path / LOCK, 0.0, ConfigError("sweep", "another process is running this sweep")):
+        tidy()  # an engine without workers makes no folder of its own, which would
         state = SweepState(sweep, store, again)
         try:
             with Interruption() as interruption:

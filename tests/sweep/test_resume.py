@@ -110,7 +110,7 @@ def test_a_later_start_removes_what_a_kill_left(
     assert list(temporary.iterdir())
     assert list(sweep_folder(folder).glob(".shared_*"))
     done = finished(folder)
-    status, out, err = run(*COMMAND, folder=folder, temporary=temporary)
+    status, out, err = run(*COMMAND, ONE_PROCESS, folder=folder, temporary=temporary)
     assert (status, err) == (0, ""), out + err
     assert done.items() < finished(folder).items()
     check(folder, uninterrupted)

@@ -70,9 +70,10 @@ class DirectSearch(Method):
         model = None if self.begin == "cold" else study.first_model()
         start = self._start(study, model)
         proposals = PROPOSALS[self.strategy](*study.policy.bounds, start, self.deviation, proposal_rng)
-        theta, made = next(proposals), 0
+        made, record = 0, None
         for index in range(self.max_iterations):
             clock = Stopwatch()
+            theta = next(proposals) if record is None else proposals.send(record.hardware_cost)
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
             made += len(rollouts)
@@ -80,7 +81,6 @@ class DirectSearch(Method):
             yield record
             if record.succeeded:
                 return
-            theta = proposals.send(record.hardware_cost)
 
 
 def _cma(lower: Array, upper: Array, start: Array, deviation: float, rng: np.random.Generator) -> Proposals:
