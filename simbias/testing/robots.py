@@ -82,6 +82,7 @@ def _nominal_state(study: Study) -> None:
         equal(np.shape(x_next), x.shape, "nominal.advance", f"states of shape {x.shape}")
         equal(np.shape(after), model_state.shape, "nominal.advance", f"a state of shape {model_state.shape}")
         model_state = after
+    equal(np.shape(nominal.acted(u, model_state)), u.shape, "nominal.acting", f"inputs of shape {u.shape}")
 
     def advance(x: Array, u: Array, before: Array) -> Array:
         return np.concatenate(nominal.advance(x, u, before), axis=-1)
