@@ -68,7 +68,7 @@ class Disturbance:
 class Transitions:
     """Training data D of the dynamics bias (Section IV-C), in the task's units."""
 
-    inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1})
+    inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1}), u what acted (`Nominal.acted`)
     residuals: Array  # (N, n) Delta_t of Eq. 6
 
     def __len__(self) -> int:

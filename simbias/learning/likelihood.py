@@ -12,6 +12,7 @@ from simbias.core.records import Array, Transitions
 from simbias.learning.covariance import Hyperparameters, correlation, output_scale
 
 LEAST_NOISE = 1e-4  # of the signal's variance: what the compiled kernel's single precision can resolve
+LEAST_SCALE = 1e-12  # of residuals, in their units: those of a model that is exact
 REACH = 10.0  # deviations of the priors; beyond, where a line search may try, distances may be all rounding
 
 
@@ -36,9 +37,11 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
 def evidence(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> float:
     """Log of the marginal likelihood, in nats, times the priors, at their most probable values (`learn`).
 
-    Outputs are over their root mean squares, so it compares models of the same residuals.
+    It is of the residuals in their units, up to a constant, so it compares models that leave others, too.
     """
-    return _mode(medians, transitions, learning)[1]
+    scale = np.maximum(output_scale(transitions.residuals), LEAST_SCALE)
+    count = min(len(transitions), learning.points)
+    return _mode(medians, transitions, learning)[1] - count * float(np.sum(np.log(scale)))
 
 
 def _mode(

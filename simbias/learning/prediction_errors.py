@@ -108,4 +108,7 @@ def correlation_time(e: Array, experiments: Indices) -> float:
 
 def _lagged(errors: Sequence[Array], lag: int) -> float:
     """Sum of products of errors (w, d) of each experiment with those this number of windows later."""
-    return sum(float(np.sum(own[lag:] * own[: max(len(own) - lag, 0)])) for own in errors)
+    total = 0.0  # one after the other: Python's own sum rounds differently from 3.12 on
+    for own in errors:
+        total += float(np.sum(own[lag:] * own[: max(len(own) - lag, 0)]))
+    return total

@@ -80,6 +80,19 @@ class Windows:
         return np.concatenate([first + np.arange(0, k, self.window) for first, k in each])
 
     @property
+    def rows(self) -> list[slice]:
+        """The rows of each experiment, but the last, after which nothing is predicted."""
+        bounds = zip(self.firsts, self.leads, self.frames, strict=True)
+        return [slice(first - lead, first + frames) for first, lead, frames in bounds]
+
+    def acted(self, nominal: Nominal) -> Array:
+        """Inputs (F, m) that a bias of the model is a function of (`Nominal.acted`)."""
+        acted = self.inputs.copy()
+        for rows in self.rows:
+            acted[rows] = nominal.acted_along(self.states[rows], self.inputs[rows])
+        return acted
+
+    @property
     def means(self) -> Array:
         """Means (w, J, n) of the recorded states over each chunk: the first one's are x_1 to x_chunk."""
         rows = self.starts[:, None] + np.arange(1, self.window + 1)
@@ -186,7 +199,6 @@ def model_states(nominal: Nominal, windows: Windows) -> Array:
     """The model state (w, s) at the beginning of each window: what the inputs before leave in it."""
     kept = np.zeros((len(windows.states), nominal.state_size))
     if nominal.state_size:
-        for first, lead, frames in zip(windows.firsts, windows.leads, windows.frames, strict=True):
-            rows = slice(first - lead, first + frames)
+        for rows in windows.rows:
             kept[rows] = nominal.model_states(windows.states[rows], windows.inputs[rows])
     return kept[windows.starts]

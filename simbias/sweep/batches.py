@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import ConfigDict, TypeAdapter
 
 from simbias.config import Composition
 from simbias.config.build import build
@@ -39,6 +39,8 @@ class Batch:
 @dataclass(frozen=True)
 class Outcomes:
     """The outcomes of the k experiments of a batch."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     costs: tuple[float, ...]  # (k,) Z of Eq. 8
     frames: tuple[int, ...]  # (k,) for which the robot was controlled

@@ -104,8 +104,8 @@ class BiasField(SweepFigure):
             for iteration in trial.iterations
             for experiment_rng in rng.spawn(self._experiments)
         ]
-        selection = study.samples.select(rollouts, study.nominal)
-        inputs, n = selection.transitions.inputs, len(study.task.states)
+        selection = study.select(rollouts, model.nominal)
+        inputs, n = selection.transitions.inputs, selection.transitions.residuals.shape[1]
         weighted = bias.correction(inputs[:, :n], inputs[:, n:])
         lessons = [iteration.learning for iteration in trial.iterations[:-1] if iteration.learning]
         data = lessons[-1].data if lessons else study.no_data

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +15,10 @@ from interpreted import assert_alike, interpreted
 import simbias
 from simbias.core import FittedBias, Kernel, Nominal
 from simbias.core.records import Array, Rollout
+from simbias.learning.bias.sensitivity import sensitivities
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.linearization import advanced
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.simulation.open_loop import PredictionModel, Windows, plain, predict
 from simbias.trial.study import Study
@@ -50,6 +55,35 @@ def test_the_delay_of_motors_comes_back(delay: float, seed: int) -> None:
     assert found.low <= found.value <= found.high
 
 
+class Pendulum(Nominal):
+    """That of `late_pendulum`, of a torque times `gain`, without a delay."""
+
+    def __init__(self, study: Study, gain: float) -> None:
+        self._h, self._gain = study.task.time_step, gain
+
+    def step(self, x: Array, u: Array) -> Array:
+        acceleration = 20.0 * np.sin(x[..., 0]) - x[..., 1] + self._gain * 3.0 * u[..., 0]
+        return x + self._h * np.stack([x[..., 1], acceleration], axis=-1)
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.2])
+@pytest.mark.parametrize("delay", [0.0, 2.0])
+def test_the_delay_comes_back_with_a_model_whose_residuals_depend_on_it(gain: float, delay: float) -> None:
+    """The model may be exact: what is left is noise, which no other delay leaves as small."""
+    study, rng = scratch(), np.random.default_rng(0)
+    exact = late_pendulum(study, delay, 60)
+    measured = Rollout(exact.states + 1e-3 * rng.standard_normal(exact.states.shape), exact.inputs)
+    found = study.identification.fit(Pendulum(study, gain), [measured]).estimates[0]
+    assert found.value == pytest.approx(delay * study.task.time_step)
+
+
+def test_where_data_tell_nothing_every_delay_may_be() -> None:
+    study = scratch()
+    found = study.identified([Rollout(np.zeros((31, 2)), np.zeros((30, 1)))]).estimates[0]
+    assert (found.low, found.value) == (0.0, 0.0)
+    assert found.high > 0.9 * 0.06
+
+
 def learned(study: Study, delay: float) -> tuple[Nominal, FittedBias, list[Rollout]]:
     """The identified model and the bias of some experiments, and the experiments."""
     experiments = [late_pendulum(study, delay, 60, seed) for seed in range(3)]
@@ -74,14 +108,14 @@ def test_a_bias_of_late_inputs_predicts_what_a_bias_of_commands_cannot() -> None
 class Pushed(FittedBias):
     """Changes a rate by the input, in a lane after the other or in all at once."""
 
-    def __init__(self, all_lanes: bool) -> None:
-        self.kernel = Kernel(_pushed, np.array([0.1])) if all_lanes else None
+    def __init__(self, all_lanes: bool, size: float = 0.1) -> None:
+        self.kernel, self._size = Kernel(_pushed, np.array([size])) if all_lanes else None, size
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         return self.correction(inputs[:, :2], inputs[:, 2:]), np.zeros((len(inputs), 2))
 
     def correction(self, x: Array, u: Array) -> Array:
-        return np.concatenate([0.0 * u, 0.1 * u], axis=-1)
+        return np.concatenate([0.0 * u, self._size * u], axis=-1)
 
 
 def _pushed(x, u, data, correction):
@@ -114,6 +148,48 @@ def test_a_model_with_a_delay_of_its_own_is_refused() -> None:
 def test_samples_hold_the_inputs_that_acted() -> None:
     study = scratch()
     nominal, _, (first, *_) = learned(study, 2.0)
-    acted: Array = nominal.acted_along(first.states[:-1], first.inputs)
-    np.testing.assert_array_equal(acted[2:], first.inputs[:-2])
-    np.testing.assert_array_equal(acted[:2], 0.0)
+    acted = np.concatenate([np.zeros((2, 1)), first.inputs[:-2]])
+    samples = study.select([first], nominal).transitions.inputs
+    assert len(samples) > 20
+    assert {tuple(row) for row in samples} <= {(*x, *u) for x, u in zip(first.states, acted, strict=False)}
+    np.testing.assert_array_equal(Windows.of([first], 10, 5).acted(nominal)[:-1], acted)
+
+
+def test_what_is_linearised_is_what_acts() -> None:
+    """Derivatives of predictions by a bias' weights, and of a step, are differences of the plain loop."""
+    study, rng = scratch(), np.random.default_rng(0)
+    experiment = late_pendulum(study, 1.5, 30)
+    nominal, windows = study.identified([experiment]), Windows.of([experiment], 6, 2)
+    derivatives = sensitivities(nominal, windows, lambda inputs: inputs[:, 2:])  # of one feature, the input
+    base, moved = (plain([PredictionModel(nominal)], windows, Pushed(False, size))[0] for size in (0.0, 1e-5))
+    np.testing.assert_allclose(1e5 * (moved - base), derivatives[..., 1], rtol=1e-4, atol=1e-7)
+    x, memory, u = (rng.standard_normal((5, size)) for size in (2, nominal.state_size, 1))
+    after = advanced(nominal, Pushed(False), 2, np.concatenate([x, memory, u], axis=1))
+    x_next, kept = nominal.advance(x, u, memory)
+    expected = x_next + Pushed(False).correction(x, nominal.acted(u, kept))
+    np.testing.assert_allclose(after, np.concatenate([expected, kept], axis=1), rtol=1e-12)
+
+
+def test_models_keep_what_acts_through_identification_and_draws() -> None:
+    study = simbias.load(["identification=posterior", "nominal.sampled=[masses]", "tracking=none"])
+    late = simbias.load(["identification=delay", "nominal.sampled=[masses]", "tracking=none"]).identified([])
+    assert study.identification.fit(late, []).acting == late.acting != ()
+    rng = (np.random.default_rng(1) for _ in range(2))
+    x, u = np.full(6, 0.1), np.ones(1)
+    np.testing.assert_array_equal(late.draw(next(rng)).step(x, u), study.nominal.draw(next(rng)).step(x, u))
+
+
+def test_models_whose_biases_see_other_inputs_do_not_run_in_lockstep() -> None:
+    study = scratch()
+    late = study.identified([])
+    commanded = copy(late)
+    commanded.acting = ()
+    one, same, other = (
+        CompiledSimulator.of(study.model(Pushed(False), nominal), None) for nominal in (late, late, commanded)
+    )
+    assert one is not None
+    assert same is not None
+    assert other is not None
+    bias = one.bias
+    assert CompiledSimulator.join([one, replace(same, bias=bias, policy=one.policy)]) is not None
+    assert CompiledSimulator.join([one, replace(other, bias=bias, policy=one.policy)]) is None

@@ -91,7 +91,7 @@ class WindowGP(Bias):
         unit = np.sqrt(np.mean(np.clip(last, -most, most) ** 2, axis=0)) / self._window
         unit = np.maximum(unit, LEAST_SIGNAL)
         for length in self._length_scales:
-            hyper, Z = self._inducing(windows, length)
+            hyper, Z = self._inducing(windows, length, nominal)
             derivatives = sensitivities(nominal, windows, features(hyper, Z))
             fits = _Fits.of(derivatives, residuals, errors, fold, windows.experiments)
             gains = [fits.gain(times * unit) for times in self._signals]
@@ -110,11 +110,11 @@ class WindowGP(Bias):
             first = segments[own[-1]] + 1
         return segments * min(self._folds, first) // first
 
-    def _inducing(self, windows: Windows, length: float) -> tuple[Hyperparameters, Array]:
+    def _inducing(self, windows: Windows, length: float, nominal: Nominal) -> tuple[Hyperparameters, Array]:
         """Hyper-parameters scaled by the data, and scaled inducing points (R, n+m)."""
         rows = (windows.starts[:, None] + np.arange(windows.window)).ravel()
         rows = rows[:: max(1, len(rows) // CANDIDATES)]
-        inputs = np.concatenate([windows.states[rows], windows.inputs[rows]], axis=1)
+        inputs = np.concatenate([windows.states[rows], windows.acted(nominal)[rows]], axis=1)
         scale = np.maximum(np.std(inputs, axis=0), 1e-9)
         hyper = Hyperparameters(scale, np.full(inputs.shape[1], length), 1.0, 0.0, self._d)
         scaled = hyper.scale(inputs)

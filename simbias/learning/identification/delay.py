@@ -17,7 +17,8 @@ from simbias.learning.likelihood import Learning, evidence
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import Points, of_nominal
 
-STEPS = 2  # candidates in each frame
+STEPS = 2  # candidates in each frame,
+MOST = 24  # and in all, beside none: a likelihood takes a second
 
 
 class Delay(Identification):
@@ -38,8 +39,9 @@ class Delay(Identification):
     def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200) -> None:
         self._task = task
         self._taps = taps_of(longest, task.time_step)
-        frames = np.arange(STEPS * self._taps + 1) / STEPS
-        self._delays = frames[frames * task.time_step <= longest + 1e-9] * task.time_step
+        count = min(int(STEPS * longest / task.time_step + 1e-9), MOST)
+        step = max(task.time_step / STEPS, longest / MOST)
+        self._delays = step * np.arange(count + 1, dtype=np.float64)
         self._learning = Learning(points=points)
         self._medians = hyperparameters(task, 1.0, 1.0, 0.02, 1.0, None, periodic=True)
 
@@ -51,8 +53,6 @@ class Delay(Identification):
         ValueError
             If the model has a delay, or another state, of its own.
         """
-        if nominal.state_size:
-            raise ValueError("identification=delay: the nominal model has lag and delay of its own")
         candidates = [Late(self._task, nominal, delay, self._taps) for delay in self._delays.tolist()]
         if not rollouts:
             return candidates[0]
@@ -73,10 +73,10 @@ class Delay(Identification):
 
 
 def _estimate(delays: Array, probabilities: Array) -> Estimate:
-    """The most probable delay, and what holds 90% of the probabilities."""
-    below = np.cumsum(probabilities)
-    low, high = (delays[int(np.searchsorted(below, share))] for share in (0.05, 0.95))
-    return Estimate("delay", "s", 0.0, float(delays[np.argmax(probabilities)]), float(low), float(high))
+    """The most probable delay, the first of several, and what holds 90% of the probabilities and it."""
+    below, value = np.cumsum(probabilities), float(delays[np.argmax(probabilities)])
+    low, high = delays[[int(np.sum(below < share)) for share in (0.05, 0.95)]].tolist()
+    return Estimate("delay", "s", 0.0, value, min(low, value), max(high, value))
 
 
 @final
@@ -84,6 +84,11 @@ class Late(Nominal):
     """A model behind motors that are late; its bias is a function of the inputs that act.
 
     A bias of the commands could not express a delay: what the robot does depends on earlier ones.
+
+    Raises
+    ------
+    ValueError
+        If the model has a delay, or another state, of its own.
     """
 
     def __init__(self, task: Task, nominal: Nominal, delay: float, taps: int) -> None:
@@ -95,6 +100,8 @@ class Late(Nominal):
 
     def _put_behind(self, nominal: Nominal) -> None:
         """Let the motors drive this model."""
+        if nominal.state_size:
+            raise ValueError("identification=delay: the nominal model has lag and delay of its own")
         self._nominal, self.parameters = nominal, nominal.parameters
         mechanics = of_nominal(nominal, Points.of(self._task)).kernel
         self.kernel = None if mechanics is None else self._actuators.before(mechanics)
@@ -115,6 +122,10 @@ class Late(Nominal):
     def with_parameters(self, values: Array) -> Late:
         """The model with other values (k,) of its parameters, as late as it is."""
         return self._driving(self._nominal.with_parameters(values))
+
+    def draw(self, rng: np.random.Generator) -> Late:
+        """A draw of the model behind the motors."""
+        return self._driving(self._nominal.draw(rng))
 
     @property
     def slack(self) -> Array:

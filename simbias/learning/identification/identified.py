@@ -45,7 +45,7 @@ class Identified(Nominal):
         self.model = prior.with_parameters(values_at(prior.parameters, mode))
         self.kernel = self.model.kernel
         self.parameters = prior.parameters
-        self.state_size = self.model.state_size
+        self.state_size, self.acting = self.model.state_size, self.model.acting
         self.diagnostics = diagnostics
         self.recordings: tuple[Identified, ...] = ()  # the model of each, if there are several that differ
         self.errors = errors  # of predictions over windows, at the mode
@@ -167,7 +167,7 @@ class KnownPrior(Nominal):
             )
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
-        self.kernel, self.state_size = nominal.kernel, nominal.state_size
+        self.kernel, self.state_size, self.acting = nominal.kernel, nominal.state_size, nominal.acting
         own = [
             parameter.of_recording and known.spread[i] == np.eye(len(names))[i].tolist()
             for i, parameter in enumerate(nominal.parameters)

@@ -122,6 +122,7 @@ class Rig(Nominal):
         ]
         self._actuators = Actuators(actuators, self._time_step, self._taps) if self._has_motors else None
         self.state_size = self._actuators.state_size if self._actuators else self._nominal.state_size
+        self.acting = self._nominal.acting  # a model with a state has no motors here
         self._numbers = np.array(
             [
                 *(v.get(f"{x}.offset", 0.0) + v.get(f"{x}.zero", 0.0) for x in self._states),

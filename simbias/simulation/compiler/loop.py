@@ -101,6 +101,8 @@ class Function(NamedTuple):
 class Loop:
     """The source of a loop: x_new (n,) = step(x_, u_) + correct(x_, u_) (Eq. 7), and what happens around it.
 
+    What acts may be another input than u_, if the model keeps it: `acting`.
+
     Blocks are lines of text; `b` is a pass, `x_`, `u_`, `x_new` are tuples, rows are `x[i, lane]`.
     """
 
