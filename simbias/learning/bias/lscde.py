@@ -66,7 +66,8 @@ class LeastSquaresDensity(Bias):
         chosen, folds = order[: self._kernels], order % self._folds
 
         def error(candidate: tuple[float, float]) -> float:
-            return sum(self._error(x, y, chosen, folds == fold, *candidate) for fold in range(self._folds))
+            own = [self._error(x, y, chosen, folds == fold, *candidate) for fold in range(self._folds)]
+            return float(np.sum(own))  # Python's own sum rounds differently from 3.12 on
 
         width, regularisation = min(self._candidates, key=error)
         H, h = _moments(x, y, x[chosen], y[chosen], width)
