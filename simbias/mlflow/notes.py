@@ -8,7 +8,7 @@ from typing import Any
 from simbias.core import markdown
 from simbias.core.messages import counted
 from simbias.trial.folder import Withdrawal
-from simbias.trial.summary import COLUMNS, Outcome, TrialSummary, cells
+from simbias.trial.summary import COLUMNS, PARAMETERS, Outcome, TrialSummary, cells, parameters
 
 SHOWN_ROWS = 40  # MLflow keeps 8000 characters of a note
 REASON_LENGTH = 500
@@ -39,6 +39,8 @@ def note(
         parts.append(markdown.table(COLUMNS, map(cells, rows[-SHOWN_ROWS:])).rstrip())
     if len(rows) > SHOWN_ROWS:
         parts.append(f"The {len(rows) - SHOWN_ROWS} iterations before these are among the metrics.")
+    if identified := parameters(rows):
+        parts += ["Identified, of the last policy's model:", markdown.table(PARAMETERS, identified).rstrip()]
     return "\n\n".join([*parts, ARTIFACTS])
 
 

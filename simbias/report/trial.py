@@ -14,7 +14,7 @@ from simbias.pictures.trial.gallery import FIGURES
 from simbias.report.parts import made_with
 from simbias.trial.folder import TrialFolder
 from simbias.trial.run import TrialRecord
-from simbias.trial.summary import COLUMNS, cells
+from simbias.trial.summary import COLUMNS, PARAMETERS, cells, parameters
 
 
 def trial_page(folder: Path, config_dir: Path | str | None, allow: Sequence[str]) -> str:
@@ -34,7 +34,11 @@ def _parts(record: TrialRecord, folder: TrialFolder) -> Iterator[str]:
     if notes:
         yield items(notes)
     yield heading("Iterations")
-    yield table(COLUMNS, map(cells, folder.iterations()))
+    iterations = folder.iterations()
+    yield table(COLUMNS, map(cells, iterations))
+    if identified := parameters(iterations):
+        yield heading("Identified parameters of the last policy's model")
+        yield table(PARAMETERS, identified)
     for name, draw in FIGURES.items() if record.iterations else ():
         try:
             figure = draw(record.study, record.iterations)

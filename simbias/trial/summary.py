@@ -20,6 +20,7 @@ from simbias.trial.study import Study
 COLUMNS = (  # of a table of iterations
     *("iteration", "predicted cost", "hardware cost", "experiments", "samples", "seconds", "what happened"),
 )
+PARAMETERS = ("parameter", "declared", "identified", "5%", "95%", "unit")  # of a table of them
 
 
 class Outcome(StrEnum):
@@ -178,6 +179,13 @@ def cells(iteration: Mapping[str, Any]) -> list[str]:
         f"{sum(iteration['seconds'].values()):.1f}",
         "; ".join(["succeeded"] * iteration["succeeded"] + list(iteration["events"])),
     ]
+
+
+def parameters(iterations: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Identified parameters of the last policy's model, as texts, below the names of `PARAMETERS`."""
+    identified = iterations[-1].get("estimates", []) if iterations else []
+    keys = "declared", "value", "low", "high"
+    return [[each["name"], *(f"{each[key]:.4g}" for key in keys), each["unit"]] for each in identified]
 
 
 def metrics(iteration: Iteration) -> dict[str, float]:

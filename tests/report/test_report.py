@@ -3,7 +3,9 @@
 import json
 import re
 from contextlib import chdir
+from html import escape
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 from in_numpy import simulate_in_numpy
@@ -11,11 +13,15 @@ from sweeping import FOLDERS, write_sweep
 
 import simbias
 from simbias.__main__ import main
+from simbias.core import markdown
 from simbias.core.errors import ConfigError
+from simbias.mlflow.notes import note
 from simbias.pictures.trial.gallery import FIGURES
 from simbias.report.folder import write_report
 from simbias.report.sweep import sweep_page
+from simbias.report.trial import trial_page
 from simbias.sweep.folder import SweepFolder
+from simbias.trial.folder import TrialFolder
 from simbias.trial.run import run_trial
 
 pytestmark = pytest.mark.usefixtures("uncompiled")
@@ -67,6 +73,22 @@ def test_the_page_of_a_trial_tells_what_its_folder_does(trial: Path, monkeypatch
     ]
     assert [words for words in said if words not in html] == []
     assert html.count("data:image/png;base64,") == 2
+
+
+def test_the_page_and_the_note_have_what_was_identified(
+    trial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simbias.report.trial.FIGURES", {})
+    folder = Path(copytree(trial, tmp_path / trial.name))
+    step = next(folder.glob("*_iteration.json"))
+    estimate = {"name": "<i>", "unit": "s", "declared": 0.0, "value": 0.02, "low": 0.01, "high": 0.03}
+    step.write_text(json.dumps(json.loads(step.read_text()) | {"estimates": [estimate]}))
+    row = [estimate["name"], "0", "0.02", "0.01", "0.03", "s"]
+    html = trial_page(folder, None, ())
+    assert "".join(f"<td>{escape(cell)}</td>" for cell in row) in html
+    read = TrialFolder(folder)
+    text = note(read.description(), read.iterations(), read.summary(), running=False)
+    assert f"| {' | '.join(map(markdown.text, row))} |" in text
 
 
 def test_what_files_say_is_text_and_never_markup(
