@@ -1,4 +1,4 @@
-"""The delay of motors, where nothing else of a robot is known."""
+"""The delay of motors, whatever else of a robot is known."""
 
 from __future__ import annotations
 
