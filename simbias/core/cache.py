@@ -39,7 +39,12 @@ def _parents(first: tuple[str, ...]) -> Iterator[Path]:
 def _private() -> Path:
     """A folder of this user's among the temporary ones.
 
-    Another user may have made one of that name, and what Numba finds in its cache it runs: then, OSError.
+    Another user may have made one of that name, and what Numba finds in its cache it runs.
+
+    Raises
+    ------
+    OSError
+        If another user made it.
     """
     user = os.getuid() if sys.platform != "win32" else 0  # where temporary folders are a user's own
     folder = Path(tempfile.gettempdir()) / f"simbias-{user}"

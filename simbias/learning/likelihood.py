@@ -37,11 +37,9 @@ def learn(medians: Hyperparameters, transitions: Transitions, learning: Learning
 def evidence(medians: Hyperparameters, transitions: Transitions, learning: Learning) -> float:
     """Log of the marginal likelihood, in nats, times the priors, at their most probable values (`learn`).
 
-    It is of the residuals in their units, up to a constant, so it compares models that leave others, too.
+    It is of the residuals in their units, up to a constant: models may be compared whose residuals differ.
     """
-    scale = np.maximum(output_scale(transitions.residuals), LEAST_SCALE)
-    count = min(len(transitions), learning.points)
-    return _mode(medians, transitions, learning)[1] - count * float(np.sum(np.log(scale)))
+    return _mode(medians, transitions, learning)[1]
 
 
 def _mode(
@@ -82,7 +80,8 @@ def _mode(
         signal_variance=float(signal_variance),
         noise_variance=float(signal_variance * noise_ratio),
     )
-    return hyper, -float(found.fun)
+    of_units = len(y) * np.sum(np.log(np.maximum(scale, LEAST_SCALE)))
+    return hyper, -float(found.fun + of_units)
 
 
 def log_marginal_likelihood(theta: Array, x: Array, y: Array) -> tuple[float, Array]:

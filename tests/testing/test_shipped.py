@@ -30,7 +30,7 @@ def wanted() -> dict[tuple[str, ...], set[str]]:
         for option in names if group not in ("engine", "tracking") else ():
             presets = NEEDED.get(f"{group}={option}", []) if group == "preset" else []
             chosen = [f"preset={option}", *presets] if group == "preset" else overrides(group, option)
-            if group == "identification" and option not in ("none", "delay"):
+            if group == "identification" and "window" in shipped(group, option):
                 chosen = [*chosen, SHORT_WINDOW]
             found.setdefault(tuple(chosen), set()).update({group} - {"preset"})
     return found

@@ -17,8 +17,8 @@ from simbias.learning.likelihood import Learning, evidence
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
 from simbias.simulation.compiler import Points, of_nominal
 
-STEPS = 2  # candidates in each frame,
-MOST = 24  # and in all, beside none: a likelihood takes a second
+STEPS = 2  # candidate delays in each frame
+MOST = 24  # candidates beside no delay: each likelihood takes up to a second
 
 
 class Delay(Identification):
@@ -26,14 +26,14 @@ class Delay(Identification):
 
     For each delay, Gaussian processes of the nominal model's residuals, with learned hyper-parameters, are
     functions of the states and of the inputs that act. Their marginal likelihood tells the delay: with a
-    wrong one, residuals follow from other inputs, which is noise to them.
+    wrong one, the processes see inputs that did not cause the residuals, and take the difference for noise.
 
     Parameters
     ----------
     longest
         In s; all delays up to it have the same prior probability.
     points
-        Most samples that a likelihood is of, evenly spaced in the data; it takes their number cubed.
+        Most samples of a likelihood, evenly spaced in the data; its time grows with their number cubed.
     """
 
     def __init__(self, task: Task, longest: Seconds = 0.06, points: Count = 200) -> None:
@@ -73,7 +73,7 @@ class Delay(Identification):
 
 
 def _estimate(delays: Array, probabilities: Array) -> Estimate:
-    """The most probable delay, the first of several, and what holds 90% of the probabilities and it."""
+    """The most probable delay, the shortest of several, and an interval with it and 90% of the mass."""
     below, value = np.cumsum(probabilities), float(delays[np.argmax(probabilities)])
     low, high = delays[[int(np.sum(below < share)) for share in (0.05, 0.95)]].tolist()
     return Estimate("delay", "s", 0.0, value, min(low, value), max(high, value))
