@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Task, rates_and_positions, wrapped
 from simbias.core.records import Array
-from simbias.simulation.linearization import linearization
+from simbias.simulation.linearization import STEP, linearization
 from simbias.simulation.noise import QUIET, Noise, Variances
 
 ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
@@ -19,6 +19,7 @@ DISTURBANCE = 0.05  # deviation of unknown inputs in a frame, as a share of the 
 ELSEWHERE = 0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is exact
 MOST_AHEAD = 20  # frames that it looks ahead
 EXACT = 1e-6  # deviation of what is measured without noise, in its unit
+BALANCED, ROUNDS = 1e-9, 5  # change of states in a frame, in their units, that is none; steps towards it
 
 
 class Observer(ABC):
@@ -135,9 +136,10 @@ class KalmanFilter(Observer):
     """x^ <- x- + L (x - x-), x- = f'(x^, u): a stationary Kalman filter of the (identified) nominal model.
 
     L is that of the model linearised at the goal's rest, or at the mean start if the goal is not about all
-    states, its joints sliding (R. E. Kalman, J. Basic Eng. 82, 1960). What the states do not show, as inputs
-    that are late, is known: it follows from the inputs that were sent. If inputs are late, the policy acts on
-    the state that its input will meet: `frames_ahead` frames later, by the inputs that are under way.
+    states, under the inputs that hold it there, its joints sliding (R. E. Kalman, J. Basic Eng. 82, 1960).
+    What the states do not show, as inputs that are late, is known: it follows from the inputs that were sent.
+    If inputs are late, the policy acts on the state that its input will meet: `frames_ahead` frames later, by
+    the inputs that are under way.
 
     Raises
     ------
@@ -154,19 +156,33 @@ class KalmanFilter(Observer):
     def _stationary(self) -> Array:
         """The gain (n, n) of what is measured."""
         task, limit = self._task, self._task.input_limit
-        at_goal, end = task.goals == task.states, task.horizon * task.time_step
-        x = np.broadcast_to(task.reference(end) if at_goal else task.start_mean, (len(task.states),))
-        A, B = linearization(self._nominal.without_dry_friction(), x, np.zeros(len(limit)), limit)
+        A, B = linearization(self._nominal.without_dry_friction(), *self._at_rest(), limit)
         by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
-        W = by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(x))
+        W = by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))
         V = np.diag(np.maximum(Noise(task, self._noise).sensor_variance, EXACT**2))
         try:
-            P = solve_discrete_are(A.T, np.eye(len(x)), W, V)
+            P = solve_discrete_are(A.T, np.eye(len(A)), W, V)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(
                 f"observer: the nominal model has no Kalman filter at the goal: {error}"
             ) from error
         return np.linalg.solve(P + V, P).T
+
+    def _at_rest(self) -> tuple[Array, Array]:
+        """States (n,), and inputs (m,) that keep them as nearly as they can; none where none will do."""
+        task, nominal, limit = self._task, self._nominal.without_dry_friction(), self._task.input_limit
+        at_goal, end = task.goals == task.states, task.horizon * task.time_step
+        x = np.broadcast_to(task.reference(end) if at_goal else task.start_mean, (len(task.states),))
+        lower, upper = task.input_bounds
+        within = lower + STEP * limit, upper - STEP * limit  # differences do not leave the limits
+        u = np.clip(np.zeros(len(limit)), *within)
+        for _ in range(ROUNDS):
+            moved = nominal.step(x, u) - x
+            if np.abs(moved).max() <= BALANCED:
+                break
+            B = linearization(nominal, x, u, limit)[1]
+            u = np.clip(u - np.linalg.lstsq(B, moved, rcond=None)[0], *within)
+        return x, u
 
     def _delay(self) -> int:
         """Frames until more than half of an input acts."""

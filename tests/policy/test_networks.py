@@ -160,6 +160,22 @@ def test_the_kalman_filters_gain_is_where_its_covariance_settles(cartpole: Study
     np.testing.assert_allclose(trusting @ np.eye(4), np.eye(4), atol=0.3)
 
 
+def test_a_kalman_filter_is_that_of_the_inputs_which_hold_the_robot() -> None:
+    """As it pitches, a quadrotor moves sideways only while its rotors push, and they cannot pull."""
+    study, hover = simbias.load(["preset=quadrotor_square"]), np.full(2, 4.905)
+    task, model, noise = study.task, study.nominal, study.config["hardware"]["noise"]
+    observer, rng = KalmanFilter(task, model, noise), np.random.default_rng(0)
+    x, kept, errors = task.start_mean.copy(), np.zeros(observer.size), []
+    x[3] = 0.3  # m/s
+    for t in range(400):
+        seen = x + np.sqrt(Noise(task, noise).sensor_variance) * rng.standard_normal(6)
+        estimate = observer.estimate(np.empty(0), seen, t * task.time_step, kept)
+        errors.append((estimate - x)[:3])
+        u = hover + 0.2 * rng.standard_normal(2)
+        kept, x = observer.keep(seen, estimate, u, kept), model.step(x, u)
+    assert (np.sqrt(np.mean(np.square(errors[200:]), axis=0)) < 0.5 * 0.01).all()  # of what is measured
+
+
 def test_a_kalman_filter_knows_late_inputs_and_what_the_next_one_will_meet(
     cartpole: Study, turning: Task
 ) -> None:
