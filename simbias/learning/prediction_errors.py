@@ -70,7 +70,8 @@ class ErrorDistribution:
 
     def whiten(self, errors: Array) -> Array:
         """Whitened errors (..., d) of errors (..., J, n)."""
-        white = errors.reshape(*errors.shape[:-2], -1) @ self.inverse.T
+        with np.errstate(invalid="ignore"):  # where a model has blown up
+            white = errors.reshape(*errors.shape[:-2], -1) @ self.inverse.T
         return np.clip(np.nan_to_num(white, nan=CEILING), -CEILING, CEILING)
 
     def weights(self, white: Array) -> Array:

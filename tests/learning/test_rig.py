@@ -9,11 +9,14 @@ from mechanisms import cart_pole, mjcf
 from models import with_values
 from pendulum import NOISE, QUICK, pendulum
 
+import simbias
 from simbias.core import Nominal
+from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, KnownPrior
+from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Motor, Rig, Sensor
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.open_loop import PredictionModel, Windows
@@ -166,13 +169,15 @@ def test_recordings_that_are_fitted_together_have_their_own_zeros(fitted: Identi
 
 def test_what_the_task_has_not_is_told(study: Study) -> None:
     for motors, sensors, words in (
-        ({"tau3": Motor(0.1)}, {}, "identification.motors: no tau3; there is tau1, tau2"),
-        ({}, {"angle": Sensor(0.1)}, "identification.sensors: no angle; there is pos1"),
-        ({"tau1": Motor(load=0.1)}, {}, "identification.motors.tau1.velocity: missing"),
-        ({"tau1": Motor(load=0.1, velocity="v")}, {}, "identification.motors: no v; there is pos1"),
+        ({"tau3": Motor(0.1)}, {}, "motors: no tau3; there is tau1, tau2"),
+        ({}, {"angle": Sensor(0.1)}, "sensors: no angle; there is pos1"),
+        ({"tau1": Motor(load=0.1)}, {}, "motors.tau1.velocity: missing"),
+        ({"tau1": Motor(load=0.1, velocity="v")}, {}, "motors: no v; there is pos1"),
         ({"tau1": Motor(delay=1.0)}, {}, "a delay of up to 4 s is 2000 frames"),
     ):
         with pytest.raises(ValueError, match=words):
-            Rig(study.task, study.nominal, motors, sensors)
+            Posterior(study.task, motors=motors, sensors=sensors)
+    with pytest.raises(ConfigError, match=r"^identification: motors: no force; there is tau1, tau2$"):
+        simbias.load(["preset=double_pendulum", "identification=cartpole_swingup"])
     with pytest.raises(ValueError, match=r"identification\.each: no load; there is mass_1, "):
         Rig(study.task, study.nominal, {}, {}, each=["load"])

@@ -14,7 +14,7 @@ from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.identification.possible import nearest_possible
 from simbias.learning.identification.problem import Comparison, Problem
-from simbias.learning.identification.rig import Motor, Rig, Sensor
+from simbias.learning.identification.rig import Motor, Rig, Sensor, check_signals
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.simulation.open_loop import Windows
@@ -74,7 +74,8 @@ class Posterior(Identification):
     Raises
     ------
     ValueError
-        If `known` is not of the model's parameters, or there is no such motor, sensor or parameter (`fit`).
+        If the task has no such motor or sensor; in `fit`, if the model has no such parameter, or `known` is
+        not of its parameters.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class Posterior(Identification):
         noise: Variances = QUIET,
     ) -> None:
         self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
+        check_signals(task, self._motors, self._sensors)
         self._time_step = task.time_step
         self._chunks = chunks
         self._set_window(window)

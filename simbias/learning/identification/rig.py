@@ -71,8 +71,7 @@ class Rig(Nominal):
     Raises
     ------
     ValueError
-        If the task has no such input or state, a motor has friction but no velocity, a delay is too long,
-        motors are declared of a model that has its own, or the model has no parameter of a name.
+        If motors are declared of a model that has its own, or the model has no parameter of a name.
     """
 
     def __init__(
@@ -83,24 +82,15 @@ class Rig(Nominal):
         sensors: Mapping[str, Sensor],
         each: Sequence[str] = (),
     ) -> None:
-        states, inputs = ([each.name for each in some] for some in (task.states, task.inputs))
-        _check_names(motors, inputs, "motors")
-        _check_names(sensors, states, "sensors")
-        _check_names(each, [parameter.name for parameter in nominal.parameters], "each")
-        _check_names([m.velocity for m in motors.values() if m.velocity], states, "motors")
+        states, inputs = _names(task.states), _names(task.inputs)
+        _check_names(each, _names(nominal.parameters), "identification.each")
         if motors and nominal.state_size:
             raise ValueError("identification.motors: the nominal model has lag and delay of its own")
-        for name, motor in motors.items():
-            if (motor.stribeck or motor.load) and motor.velocity is None:
-                raise ValueError(
-                    f"identification.motors.{name}.velocity: missing; friction brakes a velocity"
-                )
         self._nominal, self._time_step = nominal, task.time_step
         self._states, self._inputs = states, inputs
         brakes = [motors[u].velocity if u in motors else None for u in inputs]
         self._brakes = tuple(None if name is None else states.index(name) for name in brakes)
-        longest = max((motor.delay for motor in motors.values()), default=0.0)
-        self._taps = taps_of(MOST_DELAY * longest, task.time_step)
+        self._taps = _taps(task, motors)
         own = [*_parameters(task.inputs, motors), *_parameters(task.states, sensors)]
         shared = [p._replace(of_recording=p.of_recording or p.name in each) for p in nominal.parameters]
         self.parameters = (*shared, *own)
@@ -202,11 +192,40 @@ class Rig(Nominal):
         return elementwise(_back(len(self._states)), x, parameters=self._numbers)
 
 
+def check_signals(task: Task, motors: Mapping[str, Motor], sensors: Mapping[str, Sensor]) -> None:
+    """Refuse motors and sensors that the task has not, or that cannot be as they are declared.
+
+    Raises
+    ------
+    ValueError
+        If the task has no such input or state, a motor has friction but no velocity, or a delay is too long.
+    """
+    states = _names(task.states)
+    _check_names(motors, _names(task.inputs), "motors")
+    _check_names(sensors, states, "sensors")
+    _check_names([motor.velocity for motor in motors.values() if motor.velocity], states, "motors")
+    for name, motor in motors.items():
+        if (motor.stribeck or motor.load) and motor.velocity is None:
+            raise ValueError(f"motors.{name}.velocity: missing; friction brakes a velocity")
+    _taps(task, motors)
+
+
+def _names(signals: Sequence[Quantity | Parameter]) -> list[str]:
+    """Their names."""
+    return [each.name for each in signals]
+
+
 def _check_names(named: Sequence[str] | Mapping[str, object], known: Sequence[str], key: str) -> None:
-    """Refuse what the task has not."""
+    """Refuse what is not known."""
     unknown = sorted(set(named) - set(known))
     if unknown:
-        raise ValueError(f"identification.{key}: no {', '.join(unknown)}; there is {', '.join(known)}")
+        raise ValueError(f"{key}: no {', '.join(unknown)}; there is {', '.join(known)}")
+
+
+def _taps(task: Task, motors: Mapping[str, Motor]) -> int:
+    """The number of earlier inputs that the longest delay needs."""
+    longest = max((motor.delay for motor in motors.values()), default=0.0)
+    return taps_of(MOST_DELAY * longest, task.time_step)
 
 
 def _parameters(signals: Sequence[Quantity], uncertain: Mapping[str, Motor | Sensor]) -> list[Parameter]:
