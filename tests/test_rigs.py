@@ -184,8 +184,8 @@ def test_the_labs_parameters_are_within_the_priors(modules: None) -> None:
         rig = load(declaration | {"development": []}, ROOT)
         known = of_lab(rig)
         made = dict(zip(known.parameters, values_at(rig.prior.parameters, np.array(known.mode)), strict=True))
-        for parameter, value in rig.lab_values.items():
-            assert made[parameter] == pytest.approx(value, rel=1e-6), name
+        labs = {parameter.name: parameter.value for parameter in rig.prior.parameters} | rig.lab_values
+        assert made == pytest.approx(labs, rel=1e-6, abs=1e-12), name
 
 
 def test_recordings_differ_by_their_own_and_a_little_by_all_else() -> None:

@@ -20,6 +20,7 @@ REGION = 0.9  # probability of a predictive region
 DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a prediction
 COMMON = 0.03  # share of the common second moments in the measure of an error
 LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
+CHANGE = 0.1  # share of the predicted change that other recordings' errors have beside known ones
 FEWEST = 5  # errors that a region is estimated from, for each state
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
@@ -33,6 +34,9 @@ class Prediction:
     nominal: tuple[Array, ...]  # of each part (w, n)
     identified: tuple[Array, ...]  # by models that were not fitted to the part
     spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
+    changes: tuple[
+        Array, ...
+    ] = ()  # (w, n) of the states as predicted; of parts of other recordings than known
     known: Known | None = None  # what regions are estimated from; None: of each part, the other parts
 
     @property
@@ -59,7 +63,8 @@ class Prediction:
         for i, own in enumerate(self.identified):
             known = self.known or self._others(i)
             if len(own) and known.enough:
-                held.append(inside(own, regions(self.spreads[i], known.errors, known.spreads)))
+                region = regions(self.spreads[i], known.errors, known.spreads)
+                held.append(inside(own, region + of_change(self.changes[i]) if self.changes else region))
         return float(np.mean(np.concatenate(held))) if held else np.nan
 
     def _others(self, index: int) -> Known:
@@ -103,6 +108,7 @@ def predictions(
             tuple(errors(nominal, part, k) for part in parts),
             tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
             tuple(spread(model, part, k) for model, part in zip(identified, parts, strict=True)),
+            tuple(changes(*each, k) for each in zip(identified, parts, strict=True)) if learned else (),
             _known(learned, k) if learned else None,
         )
         for k in sorted({task.frames(seconds) for seconds in HORIZONS})
@@ -126,8 +132,23 @@ def errors(
     windows = _windows(rollouts, frames)
     if not windows:
         return np.empty((0, rollouts[0].states.shape[1]))
-    wrong = predict([PredictionModel(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
-    return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+    return _ends(nominal, windows, bias) - windows.means[:, -1]
+
+
+def changes(
+    nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
+) -> Array:
+    """Changes (w, n) of the states that are predicted in this number of frames."""
+    windows = _windows(rollouts, frames)
+    if not windows:
+        return np.empty((0, rollouts[0].states.shape[1]))
+    return _ends(nominal, windows, bias) - windows.states[windows.starts]
+
+
+def _ends(nominal: Nominal, windows: Windows, bias: FittedBias | None) -> Array:
+    """Predicted states (w, n) at the windows' ends."""
+    made = predict([PredictionModel(nominal)], windows, bias)[0, :, -1]
+    return np.nan_to_num(made, nan=np.inf, posinf=np.inf, neginf=-np.inf)
 
 
 def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True) -> Array:
@@ -163,6 +184,15 @@ def regions(spreads: Array, known: Array, known_spreads: Array) -> Array:
     share = min(1.0, np.ceil(REGION * (independent + 1)) / independent)
     limit = np.quantile(_sizes(known, known_spreads + COMMON * moments), share)
     return limit / _normal_limit(known.shape[1]) * (spreads + COMMON * moments)
+
+
+def of_change(changes: Array) -> Array:
+    """Covariances (w, n, n) to add for recordings of other motions than the known ones, of changes (w, n).
+
+    A model may be wrong in proportion to what happens, in a way that what it was learned from does not show.
+    """
+    deviations = CHANGE * np.clip(changes, -LARGEST_ERROR, LARGEST_ERROR)
+    return deviations[:, :, None] ** 2 * np.eye(changes.shape[1])
 
 
 def inside(wrong: Array, covariances: Array) -> Flags:

@@ -19,10 +19,11 @@ from simbias.config import ConfigError
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.rig import Rig, Sensor
+from simbias.recordings import horizons
 from simbias.recordings.assessment import Assessment, assess
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import draws, models, option_lines, write
-from simbias.recordings.horizons import Prediction, inside, predictions, regions, surprises
+from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, surprises
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
 from simbias.recordings.report import report
@@ -140,6 +141,18 @@ def test_what_known_errors_do_not_hold_widens_regions_as_it_is() -> None:
     np.testing.assert_allclose(covariances[0], np.eye(2) + zeros, rtol=0.05, atol=0.05)
     expected = multivariate_normal([0.0, 0.0], covariances[0]).logpdf(wrong)
     np.testing.assert_allclose(surprises(wrong, covariances), -expected, rtol=1e-9)
+
+
+def test_other_recordings_may_err_by_a_share_of_what_happens() -> None:
+    """Where more happens than in what is known, regions are as much wider as errors are larger."""
+    rng, none = np.random.default_rng(0), (np.zeros((4000, 2, 2)),)
+    known, moved = (
+        horizons.Known(rng.standard_normal((4000, 2)), none[0]),
+        30.0 * rng.standard_normal((4000, 2)),
+    )
+    wrong = (rng.standard_normal((4000, 2)) + CHANGE * moved * rng.standard_normal((4000, 2)),)
+    assert Prediction(0.1, wrong, wrong, none, known=known).coverage() < 0.6
+    assert Prediction(0.1, wrong, wrong, none, (moved,), known).coverage() == pytest.approx(0.9, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,12 @@
 """Identify public robots from their recordings, and predict recordings that nothing was chosen on.
 
-    python sweeps/studies/rigs CHECKOUTS [--test | --second] [--rigs NAME ...] [--ways NAME ...]
+    python sweeps/studies/rigs CHECKOUTS [--test | --second | --third] [--rigs NAME ...] [--ways NAME ...]
 
 CHECKOUTS is a folder of checkouts of the repositories that `rigs.yaml` names, each in a folder of its name;
 those of other commits in `NAME-COMMIT`. That file also says which recordings may be looked at (development)
-and which are predicted once, at the end (`--test`; a later `--second` test has others). In development, each
-other recording is predicted by what is learned from one, and each by what is learned from all others
-together; at the end, test recordings are by what is learned from one, and from all development recordings.
+and which are predicted once, at the end (`--test`; later tests, `--second` and `--third`, have others). In
+development, each other recording is predicted by what is learned from one, and each by what is learned from
+all others together; at the end, test recordings are by what is learned from one, and from all of development.
 
 Measured are, at each horizon, from measured states under measured inputs: errors of all states over those of
 the lab's own identified model, a geometric mean over states; how many errors lie in 90% regions; how many
@@ -34,7 +34,7 @@ import in_units
 import loads
 import numpy as np
 import pandas as pd
-from loading import ONE, Rig, cases, declared, load
+from loading import FIRST, LATER, ONE, Rig, cases, declared, load
 from threadpoolctl import threadpool_limits
 from ways import OF_SEVERAL, WAYS, fit, lab, of_lab, timed
 
@@ -146,7 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="rigs")
     parser.add_argument("checkouts", type=Path)
     tests = parser.add_mutually_exclusive_group()
-    for part in ("test", "second"):
+    for part in (FIRST, *LATER):
         tests.add_argument(
             f"--{part}", dest="part", action="store_const", const=part, help="predict these, once"
         )
@@ -166,7 +166,7 @@ def main() -> None:
         if "published" in declaration:
             told += [{"rig": name, **row} for row in in_units.rows(rig, declaration["published"])]
             pd.DataFrame(told).to_csv("published.csv", index=False, float_format="%.4g")
-        found += [{"rig": name, **row} for row in rows(rig, arguments.ways, arguments.part != "second")]
+        found += [{"rig": name, **row} for row in rows(rig, arguments.ways, arguments.part not in LATER)]
         pd.DataFrame(found).to_csv("rigs.csv", index=False, float_format="%.4g")
     text = summary(pd.DataFrame(found)) if found else ""
     Path("table.md").write_text(text)

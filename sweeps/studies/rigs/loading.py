@@ -22,6 +22,7 @@ from simbias.trial.study import Study
 HERE = Path(__file__).parent
 ZERO = 0.05  # rad, standard deviation of an encoder's zero
 LONGER = [0.5]  # s, of predictions that are compared beside those of 0.1 s
+FIRST, LATER = "test", ("second", "third")  # tests, by their names in `rigs.yaml`
 ONE, SEVERAL = "one", "several"  # recordings that are learned from
 
 
@@ -31,7 +32,7 @@ class Rig(NamedTuple):
     study: Study
     lab_values: dict[str, float]  # of parameters, as the lab identified them; others are nominal
     development: dict[str, Rollout]
-    test: dict[str, Rollout]  # or those of the second test; empty unless they are asked for
+    test: dict[str, Rollout]  # or those of a later test; empty unless they are asked for
 
     @property
     def lab(self) -> Nominal:
@@ -58,7 +59,7 @@ def declared() -> dict[str, dict[str, Any]]:
 
 
 def load(rig: Mapping[str, Any], checkouts: Path, part: str | None = None) -> Rig:
-    """A rig whose repository is checked out in a folder of its name; with those of `test` or `second`."""
+    """A rig whose repository is checked out in a folder of its name; with the recordings of a test."""
     nominal = [f"{key}={_text(value)}" for key, value in rig.items() if key.startswith("nominal.")]
     zeros = [f"+identification.sensors.{angle}.zero={ZERO}" for angle in rig["zeros"]]
     load = (
@@ -68,7 +69,7 @@ def load(rig: Mapping[str, Any], checkouts: Path, part: str | None = None) -> Ri
     )
     options = ["tracking=none", f"identification.longer_windows={LONGER}"]
     study = simbias.load([*options, *rig["composition"], *nominal, *zeros, *load], HERE / "robots")
-    before = rig["before_second"] if part == "second" and "before_second" in rig else rig["development"]
+    before = rig["learned_later"] if part in LATER and "learned_later" in rig else rig["development"]
     after = rig.get(part, []) if part else []
     return Rig(study, rig["lab"], *(_read(study, rig, checkouts, places) for places in (before, after)))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from simbias.core.parameters import values_at
 from simbias.core.records import Array, Flags, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
-from simbias.recordings.horizons import errors, ratio, regions, spread
+from simbias.recordings.horizons import changes, errors, of_change, ratio, regions, spread
 from simbias.recordings.parts import Part, others, parts
 from simbias.simulation.open_loop import PredictionModel, predict
 from simbias.trial.study import Study
@@ -42,19 +43,20 @@ class Learned(NamedTuple):
         """Covariances (w, n, n) of these errors, sized by those of the recordings that are known.
 
         Of several, each is predicted by a model of the others, as yet others are. One tells of itself alone:
-        how recordings differ is added.
+        how recordings differ is added. A share of the predicted change is added to either.
         """
         pairs = list(zip(self.apart or self.own, known, strict=True))
         wrong = np.concatenate([errors(model, [one], frames, self.bias) for model, one in pairs])
+        moved = changes(self.model, rollouts, frames, self.bias)
+        beyond = of_change(moved)
         if not isinstance(self.model, Identified):
             n = wrong.shape[1]
-            count = len(errors(self.model, rollouts, frames))
-            return regions(np.zeros((count, n, n)), wrong, np.zeros((len(wrong), n, n)))
+            return regions(np.zeros((len(moved), n, n)), wrong, np.zeros((len(wrong), n, n))) + beyond
         spreads = np.concatenate([spread(model, [one], frames) for model, one in pairs])
         if self.apart:
-            return regions(spread(self.model, rollouts, frames), wrong, spreads)
-        unseen = spread(of_shift(self.model), rollouts, frames, noisy=False)
-        return regions(spread(of_shared(self.model), rollouts, frames), wrong, spreads) + unseen
+            return regions(spread(self.model, rollouts, frames), wrong, spreads) + beyond
+        beyond += spread(of_shift(self.model), rollouts, frames, noisy=False)
+        return regions(spread(of_shared(self.model), rollouts, frames), wrong, spreads) + beyond
 
 
 def of_shared(model: Identified) -> Identified:
@@ -170,10 +172,8 @@ def of_lab(rig: Rig) -> Known:
     """The lab's parameters, which are certain, and the prior of zeros."""
     parameters = rig.prior.parameters
     values = {parameter.name: parameter.value for parameter in parameters} | rig.lab_values
-    mode = [
-        0.0 if p.value == values[p.name] else float(brentq(lambda z, p=p: p.at(z) - values[p.name], -30, 30))
-        for p in parameters
-    ]
+    off = [partial(lambda p, z: p.at(z) - values[p.name], each) for each in parameters]
+    mode = [0.0 if each(0.0) == 0.0 else float(brentq(each, -30.0, 30.0)) for each in off]
     own = np.diag([float(p.of_recording) for p in parameters])
     return Known([p.name for p in parameters], mode, own.tolist())
 
