@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_are
 
 from simbias.core import Nominal, Task, rates_and_positions, wrapped
 from simbias.core.records import Array
-from simbias.simulation.linearization import STEP, linearization
+from simbias.simulation.linearization import STEP, input_scale, linearization
 from simbias.simulation.noise import QUIET, Noise, Variances
 
 ObserverKind = Literal["none", "filter", "derivative", "model", "kalman"]
@@ -19,7 +19,7 @@ DISTURBANCE = 0.05  # deviation of unknown inputs in a frame, as a share of the 
 ELSEWHERE = 0.01  # that of each rate, as a share of what unknown inputs do to it: no direction is exact
 MOST_AHEAD = 20  # frames that it looks ahead
 EXACT = 1e-6  # deviation of what is measured without noise, in its unit
-BALANCED, ROUNDS = 1e-9, 5  # change of states in a frame, in their units, that is none; steps towards it
+BALANCED, ROUNDS = 1e-9, 5  # change of states in a frame, in their units, that is none; steps to a balance
 
 
 class Observer(ABC):
@@ -155,12 +155,12 @@ class KalmanFilter(Observer):
 
     def _stationary(self) -> Array:
         """The gain (n, n) of what is measured."""
-        task, limit = self._task, self._task.input_limit
-        A, B = linearization(self._nominal.without_dry_friction(), *self._at_rest(), limit)
-        by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
-        W = by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))
+        task, limit = self._task, input_scale(self._task)
         V = np.diag(np.maximum(Noise(task, self._noise).sensor_variance, EXACT**2))
         try:
+            A, B = linearization(self._nominal.without_dry_friction(), *self._balance(), limit)
+            by_inputs = (DISTURBANCE * limit * B) @ (DISTURBANCE * limit * B).T
+            W = by_inputs + ELSEWHERE**2 * np.diag(np.diag(by_inputs)) + EXACT**2 * np.eye(len(A))
             P = solve_discrete_are(A.T, np.eye(len(A)), W, V)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(
@@ -168,20 +168,23 @@ class KalmanFilter(Observer):
             ) from error
         return np.linalg.solve(P + V, P).T
 
-    def _at_rest(self) -> tuple[Array, Array]:
-        """States (n,), and inputs (m,) that keep them as nearly as they can; none where none will do."""
-        task, nominal, limit = self._task, self._nominal.without_dry_friction(), self._task.input_limit
+    def _balance(self) -> tuple[Array, Array]:
+        """States (n,), and the inputs (m,) within the limits under which they change least."""
+        from scipy.optimize import lsq_linear  # lazily: few policies have a filter
+
+        task, nominal, limit = self._task, self._nominal.without_dry_friction(), input_scale(self._task)
         at_goal, end = task.goals == task.states, task.horizon * task.time_step
         x = np.broadcast_to(task.reference(end) if at_goal else task.start_mean, (len(task.states),))
         lower, upper = task.input_bounds
-        within = lower + STEP * limit, upper - STEP * limit  # differences do not leave the limits
-        u = np.clip(np.zeros(len(limit)), *within)
+        room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences do not leave the limits
+        lower, upper = lower + room, upper - room
+        u = np.clip(np.zeros(len(limit)), lower, upper)
         for _ in range(ROUNDS):
             moved = nominal.step(x, u) - x
-            if np.abs(moved).max() <= BALANCED:
+            if not np.abs(moved).max() > BALANCED or not np.isfinite(moved).all():
                 break
             B = linearization(nominal, x, u, limit)[1]
-            u = np.clip(u - np.linalg.lstsq(B, moved, rcond=None)[0], *within)
+            u = u + lsq_linear(B, -moved, (lower - u, upper - u)).x
         return x, u
 
     def _delay(self) -> int:

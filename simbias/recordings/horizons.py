@@ -20,7 +20,7 @@ REGION = 0.9  # probability of a predictive region
 DRAWS, SEED = 24, 0  # of the model and of the start, for the spread of a prediction
 COMMON = 0.03  # share of the common second moments in the measure of an error
 LARGEST_SPREAD = LARGEST_ERROR = 1e6  # in place of one that is not finite
-CHANGE = 0.1  # share of the predicted change that other recordings' errors have beside known ones
+CHANGE = 0.1  # share of the predicted change by which predictions of other recordings may be wrong
 FEWEST = 5  # errors that a region is estimated from, for each state
 SMALLEST, LARGEST = 1e-150, 1e150  # errors: their ratio is a number
 MOST_RATIO = 1e3  # of errors, or one over it: what blows up counts as this
@@ -34,10 +34,8 @@ class Prediction:
     nominal: tuple[Array, ...]  # of each part (w, n)
     identified: tuple[Array, ...]  # by models that were not fitted to the part
     spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
-    changes: tuple[
-        Array, ...
-    ] = ()  # (w, n) of the states as predicted; of parts of other recordings than known
     known: Known | None = None  # what regions are estimated from; None: of each part, the other parts
+    changes: tuple[Array, ...] = ()  # (w, n) that are predicted, if parts are of other recordings than known
 
     @property
     def windows(self) -> int:
@@ -57,7 +55,8 @@ class Prediction:
     def coverage(self) -> float:
         """Share of a part's errors in the 90% region that known ones span; nan if these are too few.
 
-        Regions are wider where small differences grow (`regions`).
+        Regions are wider where small differences grow (`regions`), and for recordings other than the known
+        ones by a share of what happens (`of_change`).
         """
         held: list[Flags] = []
         for i, own in enumerate(self.identified):
@@ -108,8 +107,8 @@ def predictions(
             tuple(errors(nominal, part, k) for part in parts),
             tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
             tuple(spread(model, part, k) for model, part in zip(identified, parts, strict=True)),
-            tuple(changes(*each, k) for each in zip(identified, parts, strict=True)) if learned else (),
             _known(learned, k) if learned else None,
+            tuple(changes(*each, k) for each in zip(identified, parts, strict=True)) if learned else (),
         )
         for k in sorted({task.frames(seconds) for seconds in HORIZONS})
         if k <= longest

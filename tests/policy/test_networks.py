@@ -176,6 +176,18 @@ def test_a_kalman_filter_is_that_of_the_inputs_which_hold_the_robot() -> None:
     assert (np.sqrt(np.mean(np.square(errors[200:]), axis=0)) < 0.5 * 0.01).all()  # of what is measured
 
 
+def test_where_inputs_cannot_hold_the_robot_they_do_their_best() -> None:
+    """One rotor too weak to hover: the other pushes less, too, as the quadrotor would turn."""
+    study = simbias.load(["preset=quadrotor_square", "task.inputs.right.limit=5.0"])
+    observer = KalmanFilter(study.task, study.nominal)
+    x, u = observer._balance()
+    near = u + np.random.default_rng(0).uniform(-0.5, 0.5, (200, 2))
+    within = near[(near >= [1.2, 0.5]).all(axis=1) & (near <= [10.8, 4.5]).all(axis=1)]
+    changes = np.linalg.norm(study.nominal.step(np.tile(x, (len(within), 1)), within) - x, axis=1)
+    assert len(within) > 50
+    assert np.linalg.norm(study.nominal.step(x, u) - x) <= changes.min()
+
+
 def test_a_kalman_filter_knows_late_inputs_and_what_the_next_one_will_meet(
     cartpole: Study, turning: Task
 ) -> None:

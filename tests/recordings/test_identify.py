@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
-from simbias.core.records import Rollout
+from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons
@@ -152,7 +152,7 @@ def test_other_recordings_may_err_by_a_share_of_what_happens() -> None:
     )
     wrong = (rng.standard_normal((4000, 2)) + CHANGE * moved * rng.standard_normal((4000, 2)),)
     assert Prediction(0.1, wrong, wrong, none, known=known).coverage() < 0.6
-    assert Prediction(0.1, wrong, wrong, none, (moved,), known).coverage() == pytest.approx(0.9, abs=0.02)
+    assert Prediction(0.1, wrong, wrong, none, known, (moved,)).coverage() == pytest.approx(0.9, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -166,6 +166,25 @@ def test_horizons_are_what_is_predicted(time_step: float, seconds: list[float]) 
     made = predictions(task, NoNominal(task), [NoNominal(task)], [[rollout]])
     assert [each.seconds for each in made] == seconds
     np.testing.assert_allclose([each.rmse()[0][0] for each in made], seconds, rtol=1e-5)
+
+
+class Growing(NoNominal):
+    """States grow by 2/s."""
+
+    def step(self, x: Array, u: Array) -> Array:
+        return x + 2.0 * 0.04
+
+
+@pytest.mark.usefixtures("plain_predictions")
+def test_of_other_recordings_the_predicted_change_counts() -> None:
+    """Not the measured one, which is half of it; and of no recording among the known ones."""
+    task = cart_pole(time_step=0.04)
+    rollout = Rollout(np.tile(0.04 * np.arange(60.0)[:, None], 4), np.zeros((59, 1)))
+    model, parts_of = Growing(task), [[rollout]]
+    made = predictions(task, model, [model], parts_of, learned=[(model, [rollout])])
+    for each in made:
+        np.testing.assert_allclose(each.changes[0], 2.0 * each.seconds)
+    assert {each.changes for each in predictions(task, model, [model], parts_of)} == {()}
 
 
 def test_few_errors_give_regions_that_hold_another_one() -> None:

@@ -71,7 +71,8 @@ class Rig(Nominal):
     Raises
     ------
     ValueError
-        If motors are declared of a model that has its own, or the model has no parameter of a name.
+        As of `check_signals`; if motors are declared of a model that has its own, or the model has no
+        parameter of a name.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class Rig(Nominal):
         sensors: Mapping[str, Sensor],
         each: Sequence[str] = (),
     ) -> None:
+        check_signals(task, motors, sensors)
         states, inputs = _names(task.states), _names(task.inputs)
         _check_names(each, _names(nominal.parameters), "identification.each")
         if motors and nominal.state_size:
