@@ -181,7 +181,7 @@ class KalmanFilter(Observer):
         u = np.clip(np.zeros(len(limit)), lower, upper)
         for _ in range(ROUNDS):
             moved = nominal.step(x, u) - x
-            if not np.abs(moved).max() > BALANCED or not np.isfinite(moved).all():
+            if not BALANCED < np.abs(moved).max() < np.inf:
                 break
             B = linearization(nominal, x, u, limit)[1]
             u = u + lsq_linear(B, -moved, (lower - u, upper - u)).x

@@ -35,7 +35,7 @@ class Prediction:
     identified: tuple[Array, ...]  # by models that were not fitted to the part
     spreads: tuple[Array, ...]  # (w, n, n) of each prediction among models and starts as they may be
     known: Known | None = None  # what regions are estimated from; None: of each part, the other parts
-    changes: tuple[Array, ...] = ()  # (w, n) that are predicted, if parts are of other recordings than known
+    changes: tuple[Array, ...] = ()  # (w, n) as predicted; none if parts are the known recordings
 
     @property
     def windows(self) -> int:
@@ -101,18 +101,19 @@ def predictions(
     these, from those on the other parts.
     """
     longest = min(max(rollout.frames for rollout in part) for part in parts)
-    return [
-        Prediction(
+
+    def ahead(k: int) -> Prediction:
+        wrong = tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True))
+        return Prediction(
             float(f"{k * task.time_step:.6g}"),
             tuple(errors(nominal, part, k) for part in parts),
-            tuple(errors(model, part, k) for model, part in zip(identified, parts, strict=True)),
+            wrong,
             tuple(spread(model, part, k) for model, part in zip(identified, parts, strict=True)),
             _known(learned, k) if learned else None,
-            tuple(changes(*each, k) for each in zip(identified, parts, strict=True)) if learned else (),
+            tuple(changes(*each, k) for each in zip(wrong, parts, strict=True)) if learned else (),
         )
-        for k in sorted({task.frames(seconds) for seconds in HORIZONS})
-        if k <= longest
-    ]
+
+    return [ahead(k) for k in sorted({task.frames(seconds) for seconds in HORIZONS}) if k <= longest]
 
 
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:
@@ -131,23 +132,14 @@ def errors(
     windows = _windows(rollouts, frames)
     if not windows:
         return np.empty((0, rollouts[0].states.shape[1]))
-    return _ends(nominal, windows, bias) - windows.means[:, -1]
+    wrong = predict([PredictionModel(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
+    return np.nan_to_num(wrong, nan=np.inf, posinf=np.inf, neginf=-np.inf)
 
 
-def changes(
-    nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
-) -> Array:
-    """Changes (w, n) of the states that are predicted in this number of frames."""
+def changes(wrong: Array, rollouts: Sequence[Rollout], frames: int) -> Array:
+    """Changes (w, n) of states in this number of frames, as predicted with these errors (w, n)."""
     windows = _windows(rollouts, frames)
-    if not windows:
-        return np.empty((0, rollouts[0].states.shape[1]))
-    return _ends(nominal, windows, bias) - windows.states[windows.starts]
-
-
-def _ends(nominal: Nominal, windows: Windows, bias: FittedBias | None) -> Array:
-    """Predicted states (w, n) at the windows' ends."""
-    made = predict([PredictionModel(nominal)], windows, bias)[0, :, -1]
-    return np.nan_to_num(made, nan=np.inf, posinf=np.inf, neginf=-np.inf)
+    return wrong + windows.means[:, -1] - windows.states[windows.starts] if windows else wrong
 
 
 def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True) -> Array:

@@ -195,7 +195,7 @@ class Rig(Nominal):
 
 
 def check_signals(task: Task, motors: Mapping[str, Motor], sensors: Mapping[str, Sensor]) -> None:
-    """Refuse motors and sensors that the task has not, or that cannot be as they are declared.
+    """Refuse motors and sensors that the task does not have, or that cannot be as they are declared.
 
     Raises
     ------

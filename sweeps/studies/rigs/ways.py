@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ from loading import Rig
 from scipy.optimize import brentq, least_squares
 
 from simbias.core import FittedBias, Nominal
-from simbias.core.parameters import values_at
+from simbias.core.parameters import Parameter, values_at
 from simbias.core.records import Array, Flags, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.posterior import Posterior
@@ -47,7 +46,7 @@ class Learned(NamedTuple):
         """
         pairs = list(zip(self.apart or self.own, known, strict=True))
         wrong = np.concatenate([errors(model, [one], frames, self.bias) for model, one in pairs])
-        moved = changes(self.model, rollouts, frames, self.bias)
+        moved = changes(self.errors(rollouts, frames), rollouts, frames)
         beyond = of_change(moved)
         if not isinstance(self.model, Identified):
             n = wrong.shape[1]
@@ -172,10 +171,16 @@ def of_lab(rig: Rig) -> Known:
     """The lab's parameters, which are certain, and the prior of zeros."""
     parameters = rig.prior.parameters
     values = {parameter.name: parameter.value for parameter in parameters} | rig.lab_values
-    off = [partial(lambda p, z: p.at(z) - values[p.name], each) for each in parameters]
-    mode = [0.0 if each(0.0) == 0.0 else float(brentq(each, -30.0, 30.0)) for each in off]
+    mode = [_coordinate(parameter, values[parameter.name]) for parameter in parameters]
     own = np.diag([float(p.of_recording) for p in parameters])
     return Known([p.name for p in parameters], mode, own.tolist())
+
+
+def _coordinate(parameter: Parameter, value: float) -> float:
+    """Where a parameter has this value."""
+    if parameter.at(0.0) == value:
+        return 0.0
+    return float(brentq(lambda z: parameter.at(z) - value, -30.0, 30.0))
 
 
 def timed(way: Way, rig: Rig, rollouts: Sequence[Rollout]) -> tuple[Learned, float]:
