@@ -28,20 +28,16 @@ MEMORY = Path("/dev/shm")  # as a disk, for which each trial waits some thirty t
 os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = "1"  # colouring what nobody reads takes a tenth
 if os.access(MEMORY, os.W_OK) and not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
-_writes_no_bytecode = sys.dont_write_bytecode
 
 
 def pytest_sessionstart() -> None:
-    """Keep the tests' bytecode: pytest would rewrite 20,000 lines at each start, in each process."""
+    """Keep bytecode: else pytest rewrites 20,000 lines at each start, and each process compiles MLflow."""
     sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 def pytest_collection_finish() -> None:
-    """Write none while tests run: they write modules anew, some within a second.
-
-    And look for cycles more rarely, and not in what has been imported: it took a seventh of the time.
-    """
-    sys.dont_write_bytecode = _writes_no_bytecode
+    """Look for cycles more rarely, and not in what has been imported: it took a seventh of the time."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
