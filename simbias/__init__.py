@@ -98,7 +98,8 @@ def identify(
     >>> found = identify(["recordings"], ["preset=double_pendulum", "identification=posterior"])
     >>> found.better, [finding.trusted for finding in found.findings]
 
-    `columns` are names of columns by the task's names.
+    `columns` are names of columns by the task's names. Nothing is fitted to a file that is held out, even if
+    `recordings` name it, too.
 
     Raises
     ------
@@ -110,4 +111,4 @@ def identify(
 
     study = load(overrides, config_dir, allow)
     kept = read(study, held_out, columns).rollouts
-    return assess(study, read(study, recordings, columns).rollouts, kept)
+    return assess(study, read(study, recordings, columns, held_out).rollouts, kept)

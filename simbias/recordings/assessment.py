@@ -103,8 +103,10 @@ def assess(
     Raises
     ------
     ConfigError
-        If the study identifies nothing, or the recordings are too short.
+        If the study identifies nothing, or there are no recordings, or they are too short.
     """
+    if not recordings:
+        raise ConfigError("identify", "needs recordings that are not held out: files or folders")
     posterior = study.identification
     if not isinstance(posterior, Posterior):
         raise ConfigError("identification", "identifies no posterior; identification=posterior does")

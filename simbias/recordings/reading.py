@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,8 +25,13 @@ class Recordings(NamedTuple):
     notes: tuple[str, ...]  # what was done to the data, by file
 
 
-def read(study: Study, places: Sequence[Path | str], columns: Mapping[str, str] | None = None) -> Recordings:
-    """Recordings of files, and of all files in folders.
+def read(
+    study: Study,
+    places: Sequence[Path | str],
+    columns: Mapping[str, str] | None = None,
+    held_out: Sequence[Path | str] = (),
+) -> Recordings:
+    """Recordings of files, and of all files in folders, but for those that are held out.
 
     Without columns, those of the study's `hardware=recorded` are read, or else the task's own names.
 
@@ -41,20 +46,23 @@ def read(study: Study, places: Sequence[Path | str], columns: Mapping[str, str] 
             hardware = Recorded(study.task, ".", columns=columns)
         except ValueError as error:
             raise ConfigError("columns", words(error).removeprefix("columns ")) from error
-    files = [file for place in places for file in _files(Path(place))]
-    found = Recordings({}, {}, ())
-    for file in files:
+    kept, files = _by_place(held_out), _by_place(places)
+    rollouts, times, notes = dict[str, Rollout](), dict[str, Array](), list[str]()
+    for place, file in files.items():
+        name = _name(file, files.values())
+        if place in kept:
+            notes.append(f"{name}: is held out, so nothing is fitted to it")
+            continue
         try:
             recording = hardware.reader.read(file)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
-        name = _name(file, files)
+        notes += [f"{name}: {note}" for note in recording.notes]
         count = len(recording.pieces)
         numbers = [""] if count == 1 else [f" ({i + 1})" for i in range(count)]
-        for number, piece, times in zip(numbers, recording.pieces, recording.times, strict=True):
-            found.rollouts[name + number], found.times[name + number] = piece, times
-        found = found._replace(notes=(*found.notes, *(f"{name}: {note}" for note in recording.notes)))
-    return found
+        for number, piece, when in zip(numbers, recording.pieces, recording.times, strict=True):
+            rollouts[name + number], times[name + number] = piece, when
+    return Recordings(rollouts, times, tuple(notes))
 
 
 def columns(text: str) -> dict[str, str]:
@@ -78,6 +86,11 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
+def _by_place(places: Sequence[Path | str]) -> dict[Path, Path]:
+    """Files of places by where they are: one that is named twice is one file."""
+    return {file.resolve(): file for place in places for file in _files(Path(place))}
+
+
 def _files(place: Path) -> list[Path]:
     """A file, a ROS 2 bag, or the files of a folder."""
     bag = (place / "metadata.yaml").is_file()
@@ -89,6 +102,6 @@ def _files(place: Path) -> list[Path]:
     return found
 
 
-def _name(file: Path, files: Sequence[Path]) -> str:
+def _name(file: Path, files: Collection[Path]) -> str:
     """A file's name, with its folder where several have the same."""
     return file.name if sum(other.name == file.name for other in files) == 1 else str(file)

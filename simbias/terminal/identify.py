@@ -67,9 +67,7 @@ def identify(request: Request) -> bool:
     with slowness_in_one_line():
         with preparing():
             study = build(request.composition).without_targets
-        recordings = read(study, request.recordings, request.columns)
-        if not recordings.rollouts:
-            raise ConfigError("identify", "needs recordings: files or folders")
+        recordings = read(study, request.recordings, request.columns, request.held_out)
         held_out = read(study, request.held_out, request.columns)
         for note in (*recordings.notes, *held_out.notes):
             say(console, note, "yellow")

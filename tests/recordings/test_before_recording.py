@@ -180,4 +180,5 @@ def test_the_commands(
     assert main(["identify", "--recover", "torques.csv", *arguments]) == 0
     assert re.search(r"^friction_2 +N m .* yes$", capsys.readouterr().out, re.MULTILINE)
     assert main(["identify", *arguments]) == 2
-    assert capsys.readouterr().err == "simbias: identify: needs recordings: files or folders\n"
+    said = "simbias: identify: needs recordings that are not held out: files or folders\n"
+    assert capsys.readouterr().err == said

@@ -26,6 +26,7 @@ from simbias.recordings.files import draws, models, option_lines, write
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, surprises
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
+from simbias.recordings.reading import read
 from simbias.recordings.report import report
 from simbias.recordings.words import advice, verdict
 from simbias.robots.mujoco.model import Mujoco
@@ -343,6 +344,20 @@ def test_the_command_tells_and_writes(
     ):
         assert main(wrong) == 2
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
+
+
+def test_nothing_is_fitted_to_what_is_held_out(folder: Path) -> None:
+    """However a file is named, also as one of a folder; without another one, there is nothing to fit to."""
+    (folder / "lab").mkdir()
+    for name in ("one", "two"):
+        write_csv(Rollout(np.zeros((9, 4)), np.zeros((8, 2))), folder / "lab" / f"{name}.csv")
+    (folder / "again.csv").symlink_to(folder / "lab" / "two.csv")
+    options = ["preset=double_pendulum", "tracking=none"]
+    found = read(simbias.load(options), ["lab", "lab/../lab/one.csv"], held_out=[folder / "again.csv"])
+    assert list(found.rollouts) == list(found.times) == ["one.csv"]
+    assert "two.csv: is held out, so nothing is fitted to it" in found.notes
+    with pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: files or "):
+        simbias.identify(["lab"], options, held_out=["lab"])
 
 
 @pytest.fixture(scope="module")
