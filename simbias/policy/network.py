@@ -11,6 +11,7 @@ from pydantic import Field
 from simbias.core import Nominal, Policy, Task
 from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
+from simbias.policy.limits import limits_of
 from simbias.policy.networks import NETWORKS, Kind
 from simbias.policy.observer import OBSERVERS, LookAhead, ObserverKind
 from simbias.simulation.noise import QUIET, Variances
@@ -43,6 +44,11 @@ class Network(Policy):
     latency
         Time in s by which measurements or inputs are late, besides what a Kalman filter knows of its model:
         the network acts on the state that the nominal model predicts from the inputs that were sent since.
+
+    Raises
+    ------
+    ValueError
+        If an input has no limit.
     """
 
     def __init__(
@@ -69,7 +75,7 @@ class Network(Policy):
         self.bounds, self.n_parameters = (lower, upper), len(lower)
         self._weights = len(self._network.bounds[0])
         self.state_size = self._observer.size
-        least, most = task.input_bounds
+        least, most = limits_of(task)
         self._middle, self._half = (most + least) / 2, (most - least) / 2
 
     def designed_on(self, nominal: Nominal) -> Network:

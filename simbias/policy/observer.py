@@ -189,7 +189,7 @@ class KalmanFilter(Observer):
 
     def _delay(self) -> int:
         """Frames until more than half of an input acts."""
-        nominal, limit = self._nominal, self._task.input_limit
+        nominal, limit = self._nominal, input_scale(self._task)
         x, hidden = np.zeros((2, len(self.gain))), np.zeros((2, nominal.state_size))
         u = np.stack([limit, 0.0 * limit])
         at_once = np.abs(np.subtract(*nominal.step(x, u))).sum()

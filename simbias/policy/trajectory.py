@@ -11,12 +11,13 @@ from pydantic import Field
 from simbias.core import Law, Nominal, Policy, Task, wrapped
 from simbias.core.ranges import NonNegative, Positive
 from simbias.core.records import Array
+from simbias.policy.limits import limits_of
 from simbias.policy.observer import OBSERVERS, ObserverKind
 from simbias.simulation.compiler import scheduled
 from simbias.simulation.noise import QUIET, Variances
 
 SMALL = 0.1  # share of the inputs' limits that gains for friction ask for at most
-LARGEST = 1e3  # of a state, and of an input without limits
+LARGEST = 1e3  # of a planned state, in its unit
 Knots = Annotated[int, Field(ge=2, le=2000)]
 ObserverGain = Annotated[float, Field(ge=0.02, le=1)]
 
@@ -47,8 +48,8 @@ class Trajectory(Policy):
     Raises
     ------
     ValueError
-        If the task has targets: each would take a plan of its own; or `resting` leaves nothing of the
-        horizon.
+        If the task has targets: each would take a plan of its own; an input has no limit; or `resting`
+        leaves nothing of the horizon.
     """
 
     def __init__(
@@ -74,8 +75,8 @@ class Trajectory(Policy):
         self._observer = OBSERVERS[observer](task, nominal, noise)
         self._gains = np.full(len(self._observer.bounds[0]), observer_gain)
         self.state_size = self._observer.size
-        lower, upper = (np.clip(each, -LARGEST, LARGEST) for each in task.input_bounds)
-        gains = np.repeat(bound * np.minimum(task.input_limit, LARGEST), self._n)
+        lower, upper = limits_of(task)
+        gains = np.repeat(bound * task.input_limit, self._n)
         states = np.full(self._n, LARGEST)
         self.bounds = (
             np.tile(np.concatenate([-states, lower, *[-gains] * (1 + sliding)]), knots),

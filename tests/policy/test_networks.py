@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from errors import one_line
 from interpreted import assert_alike, interpreted
 from mechanisms import CARTPOLE, declared
 from models import with_values
+from point_mass import PointMass, WithoutWind
 
 import simbias
 from simbias.core import Model, Policy, Task
@@ -24,6 +26,7 @@ from simbias.policy.observer import (
     ObserverKind,
 )
 from simbias.policy.switched import Switched
+from simbias.policy.trajectory import Trajectory
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.linearization import linearization
 from simbias.simulation.noise import Noise
@@ -64,6 +67,19 @@ def test_a_perceptron_and_radial_basis_functions_are_their_formulas(cartpole: St
     assert u == pytest.approx(300 * (9 * np.sin(v) + np.sin(3 * v)) / 8)
     everywhere = rbf.act(drawn(rbf, 100, 1.0), np.tile(z, (100, 1)), 0.0, np.empty((100, 0)))[0]
     assert np.abs(everywhere).max() <= 300
+
+
+def test_an_input_without_a_limit_is_named_and_a_kalman_filter_bears_it() -> None:
+    filters = []
+    for limit in (1.0, np.inf):
+        task = PointMass()
+        task.input_limit = np.array([limit])
+        filters.append(KalmanFilter(task, WithoutWind(task)))
+    assert filters[1].frames_ahead == filters[0].frames_ahead == 0
+    np.testing.assert_allclose(filters[1].gain, filters[0].gain)
+    for make in (Network, Trajectory):
+        with one_line("inputs.force has no limit", ValueError):
+            make(task, WithoutWind(task))
 
 
 def late(task: Task, study: Study, frames: float) -> Rig:

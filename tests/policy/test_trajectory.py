@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from interpreted import interpreted
+from mechanisms import declared
 from models import with_values
 
 import simbias
@@ -59,6 +60,12 @@ def test_the_input_is_feedforward_and_gains_at_that_time(cartpole: Study) -> Non
         assert u == pytest.approx(row[4:5] - row[5:] @ (x - row[:4]))
     beyond, _ = policy.act(theta, x + 9.0, 0.0, np.empty(0))
     assert abs(beyond) == cartpole.task.input_limit
+
+
+def test_feedforward_is_within_the_tasks_limits_however_large(cartpole: Study) -> None:
+    task = declared(inputs={"force": {"unit": "N", "limit": 5e4}})
+    rows = Trajectory(task, cartpole.nominal, KNOTS, bound=2.0).bounds[1].reshape(KNOTS, 9)
+    np.testing.assert_array_equal(rows[:, 4:], np.tile([5e4, *[1e5] * 4], (KNOTS, 1)))
 
 
 def test_gains_for_friction_are_cut_off_at_a_tenth_of_the_limits(cartpole: Study) -> None:

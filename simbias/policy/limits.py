@@ -1,0 +1,23 @@
+"""The limits of inputs, for policies that cannot do without."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simbias.core import Task
+from simbias.core.records import Array
+
+
+def limits_of(task: Task) -> tuple[Array, Array]:
+    """Lower and upper limits (m,) of the inputs.
+
+    Raises
+    ------
+    ValueError
+        If an input has none.
+    """
+    bounds = task.input_bounds
+    for each, limits in zip(task.inputs, np.transpose(bounds), strict=True):
+        if not np.isfinite(limits).all():
+            raise ValueError(f"inputs.{each.name} has no limit, which this policy needs")
+    return bounds
