@@ -93,7 +93,7 @@ class Actuators:
 
         k, columns = len(inputs), []
         for u, (gain, _, limit, keep, *weights) in zip(inputs.T, self._parameters, strict=True):
-            delayed = np.convolve(u, weights)[:k]
+            delayed = np.convolve(u, weights)[:k] if k else u
             lagged = lfilter([1.0 - keep], [1.0, -keep], limited(gain * delayed, limit))
             columns += [_earlier(lagged, 1), *(_earlier(u, j) for j in range(1, self._taps + 1))]
         return np.stack(columns, axis=-1)

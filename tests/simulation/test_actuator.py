@@ -82,6 +82,7 @@ def test_two_inputs_have_their_own_and_the_memory_of_a_record_is_that_of_the_loo
     acts, after = together.acting(inputs, memories)
     np.testing.assert_allclose(acts, responses(together, inputs), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(after[:-1], memories[1:], rtol=1e-12, atol=1e-12)
+    assert together.model_states(inputs[:0]).shape == (0, together.state_size)  # of a fall at the start
     for i, actuator in enumerate(both):
         np.testing.assert_allclose(acts[:, i], response(actuator, inputs[:, i]), rtol=1e-12, atol=1e-12)
 

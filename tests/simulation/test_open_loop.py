@@ -68,8 +68,12 @@ def models(study: Study) -> list[PredictionModel]:
 
 
 def test_written_agrees_with_plain(study: Study) -> None:
-    windows = Windows.of(experiments(study), 12, 3)
-    predicted_as_plain(models(study), windows, 1e-9, 1e-12)
+    predicted_as_plain(models(study), Windows.of(experiments(study), 12, 3), 1e-9, 1e-12)
+
+
+def test_of_an_experiment_without_frames_nothing_is_written(study: Study) -> None:
+    """Else it would be beyond the predictions, where experiments have chunks of one frame."""
+    predicted_as_plain(models(study), Windows.of(experiments(study, (24, 0)), 12, 1), 1e-9, 1e-12)
 
 
 def test_memory_runs_on_where_the_state_is_reset() -> None:

@@ -39,7 +39,7 @@ for lane in range({LANES}):
         if frame[lane] % chunk == 0:
             row = first_chunks[experiment[lane]] + frame[lane] // chunk - 1
             for i in range({{n}}):
-                if frame[lane] > 0:
+                if 0 < frame[lane] <= frames[experiment[lane]]:  # one without frames has no chunk
                     means[number[lane] // firsts.shape[0], row, i] = total[i, lane] / chunk
                 total[i, lane] = 0.0
         ending[lane] = 1 if frame[lane] >= frames[experiment[lane]] else 0
