@@ -129,5 +129,8 @@ class Trajectory(Policy):
             f"u = u_t - K_t (x - x_t){beside}, cut off at the inputs' limits, linear between rows of "
             f"t, x_t, u_t, K_t{', L_t' * self.sliding}"
         )
+        words += f"; x as {type(self._observer).__name__} estimates it" * (self.state_size > 0)
+        if wrapping := [state.name for state in self._task.states if state.wraps]:
+            words += f"; {', '.join(wrapping)} within half a turn of x_t"
         rows = theta.reshape(self._knots, -1)
         return Law(words, {"knots": np.concatenate([self.times[:, None], rows], axis=1)})

@@ -80,6 +80,18 @@ def test_gains_for_friction_are_cut_off_at_a_tenth_of_the_limits(cartpole: Study
         assert u == pytest.approx(-2.0 * angle + beside)
 
 
+def test_the_law_says_what_x_is_and_what_wraps(cartpole: Study) -> None:
+    _, (theta,) = around(cartpole, 1)
+    swing_up = simbias.load(["preset=cartpole_trajectory", "tracking=none"])
+    for study, observer, said in (
+        (cartpole, "none", "K_t"),
+        (cartpole, "kalman", "; x as KalmanFilter estimates it"),
+        (swing_up, "none", "; angle within half a turn of x_t"),
+    ):
+        policy = Trajectory(study.task, study.nominal, KNOTS, observer=observer)
+        assert policy.law(theta).words.endswith(said)
+
+
 def test_written_it_is_what_it_is_in_numpy(cartpole: Study) -> None:
     """With noise; in lanes that are at different times, as rollouts end and others begin."""
     policy, thetas = around(cartpole, 24)
