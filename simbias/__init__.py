@@ -104,11 +104,11 @@ def identify(
     Raises
     ------
     simbias.config.ConfigError
-        If an override is bad, or the recordings cannot be read or are too short.
+        If an override is bad, nothing is identified, or the recordings cannot be read or are too short.
     """
-    from simbias.recordings.assessment import assess
+    from simbias.recordings.assessment import assess, prepared
     from simbias.recordings.reading import read
 
-    study = load(overrides, config_dir, allow)
+    study = prepared(load(overrides, config_dir, allow))
     kept = read(study, held_out, columns).rollouts
     return assess(study, read(study, recordings, columns, held_out).rollouts, kept)

@@ -88,6 +88,22 @@ class Assessment:
         return undetermined(self.identified)
 
 
+def prepared(study: Study) -> Study:
+    """The study of what recordings tell of the robot.
+
+    Raises
+    ------
+    ConfigError
+        If it identifies no posterior, or nothing is uncertain.
+    """
+    study, posterior = study.without_targets, study.identification
+    if not isinstance(posterior, Posterior):
+        raise ConfigError("identification", "identifies no posterior; identification=posterior does")
+    if not posterior.prior(study.nominal).parameters:
+        raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
+    return study
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
 def assess(
     study: Study,
@@ -95,7 +111,7 @@ def assess(
     held_out: Mapping[str, Rollout] | None = None,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Assessment:
-    """Identify the study's nominal model from recordings by name, and judge it.
+    """Identify the nominal model of a study, which is `prepared`, from recordings by name, and judge it.
 
     Without recordings that are held out, each recording (of a single one, each third) is predicted by a model
     of all others.
@@ -103,15 +119,12 @@ def assess(
     Raises
     ------
     ConfigError
-        If the study identifies nothing, or there are no recordings, or they are too short.
+        If there are no recordings, or they are too short.
     """
     if not recordings:
         raise ConfigError("identify", "needs recordings that are not held out: files or folders")
     posterior = study.identification
-    if not isinstance(posterior, Posterior):
-        raise ConfigError("identification", "identifies no posterior; identification=posterior does")
-    if not posterior.prior(study.nominal).parameters:
-        raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
+    assert isinstance(posterior, Posterior)
     all_parts = parts(recordings)
     _check_length(posterior, [*all_parts, *([Part("", tuple(held_out.values()))] if held_out else [])])
 

@@ -9,17 +9,15 @@ import numpy as np
 from rich.console import Console
 
 from simbias.config import ConfigError
-from simbias.config.build import build
 from simbias.core.records import Array, Rollout
-from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import trajectory
 from simbias.recordings.noise import noise_of
-from simbias.recordings.reading import Recordings, read
+from simbias.recordings.reading import read
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table
 from simbias.terminal.lines import say
-from simbias.terminal.notices import preparing, slowness_in_one_line
+from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 200
@@ -38,8 +36,8 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     if not LEAST <= seconds <= MOST:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
     console = Console(highlight=False)
-    study, given = _prepared(request)
-    recordings = list(given.rollouts.values())
+    study = request.study()
+    recordings = list(read(study, request.recordings, request.columns).rollouts.values())
     with slowness_in_one_line(), console.status("looking for what tells most"):
         model = study.identification.fit(study.nominal, recordings)
         designer = Designer(study, model, _noise(study, recordings))
@@ -74,7 +72,8 @@ def recovery(request: Request) -> bool:
         If a recording cannot be read, or no inputs keep the limits.
     """
     console = Console(highlight=False)
-    study, recordings = _prepared(request)
+    study = request.study()
+    recordings = read(study, request.recordings, request.columns, request.held_out)
     rollouts = recordings.rollouts
     with slowness_in_one_line(), console.status("") as status:
         noise = _noise(study, list(rollouts.values()))
@@ -106,18 +105,6 @@ def recovery(request: Request) -> bool:
     levels = ", ".join(f"{state.name} {level:.2g} {state.unit}" for state, level in pairs)
     say(console, f"Medians over robots drawn from the prior, in its deviations; white noise of {levels}.")
     return any(each.comes_back for each in recovered)
-
-
-def _prepared(request: Request) -> tuple[Study, Recordings]:
-    """The study, which identifies a posterior, and the recordings."""
-    with preparing():
-        study = build(request.composition).without_targets
-    if (
-        not isinstance(study.identification, Posterior)
-        or not study.identification.prior(study.nominal).parameters
-    ):
-        raise ConfigError("nominal", "declares no uncertain parameters, or identification is not posterior")
-    return study, read(study, request.recordings, request.columns)
 
 
 def _noise(study: Study, recordings: Sequence[Rollout]) -> Array:

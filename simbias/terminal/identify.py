@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
-from simbias.config import Composition, ConfigError, compose
+from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.config.hydra_config import overridden
 from simbias.recordings import words
-from simbias.recordings.assessment import Assessment, assess
+from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import OPTION, write
 from simbias.recordings.noise import noise_of
@@ -42,12 +42,12 @@ class Request(NamedTuple):
         """The folder of configs that the identified option is written to."""
         return Path(self.config_dir) if self.config_dir else self.folder / "conf"
 
-    @property
-    def composition(self) -> Composition:
-        """The study's composition; parameters are identified if no override says otherwise."""
+    def study(self) -> Study:
+        """The study; parameters are identified if no override says otherwise."""
         chosen = GROUP in overridden(self.overrides)
         overrides = [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
-        return compose(overrides, self.config_dir, self.allow)
+        with preparing():
+            return prepared(build(compose(overrides, self.config_dir, self.allow)))
 
     @property
     def again(self) -> list[str]:
@@ -65,8 +65,7 @@ def identify(request: Request) -> bool:
     """
     console = Console(highlight=False)
     with slowness_in_one_line():
-        with preparing():
-            study = build(request.composition).without_targets
+        study = request.study()
         recordings = read(study, request.recordings, request.columns, request.held_out)
         held_out = read(study, request.held_out, request.columns)
         for note in (*recordings.notes, *held_out.notes):

@@ -20,7 +20,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons
-from simbias.recordings.assessment import Assessment, assess
+from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import draws, models, option_lines, write
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, surprises
@@ -40,7 +40,7 @@ QUICKER = ["identification.starts=2", "identification.rounds=1", "identification
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return pendulum(*QUICK)
+    return prepared(pendulum(*QUICK))
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def test_too_short_recordings_are_one_line(study: Study) -> None:
     with pytest.raises(ConfigError, match=r"^short, part 1: is shorter than a window of 0\.2 s$"):
         assess(study, {"short": short})
     with pytest.raises(ConfigError, match="identification=posterior does"):
-        assess(pendulum(), {"short": short})
+        prepared(pendulum())
 
 
 @pytest.mark.slow
@@ -352,12 +352,22 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path) -> None:
     for name in ("one", "two"):
         write_csv(Rollout(np.zeros((9, 4)), np.zeros((8, 2))), folder / "lab" / f"{name}.csv")
     (folder / "again.csv").symlink_to(folder / "lab" / "two.csv")
-    options = ["preset=double_pendulum", "tracking=none"]
+    options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
     found = read(simbias.load(options), ["lab", "lab/../lab/one.csv"], held_out=[folder / "again.csv"])
     assert list(found.rollouts) == list(found.times) == ["one.csv"]
     assert "two.csv: is held out, so nothing is fitted to it" in found.notes
     with pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: files or "):
         simbias.identify(["lab"], options, held_out=["lab"])
+
+
+def test_nothing_is_asked_of_a_tasks_targets(folder: Path) -> None:
+    """They are no states of the robot, and no recording has them."""
+    options = ["preset=reacher", "identification=posterior", "tracking=none"]
+    task = simbias.load(options).task.without_targets
+    names = ["time", *(each.name for each in (*task.states, *task.inputs))]
+    pd.DataFrame(task.time_step * np.tile(np.arange(5.0)[:, None], len(names)), columns=names).to_csv("a.csv")
+    with pytest.raises(ConfigError, match=r"^a\.csv, part 1: is shorter than a window of "):
+        simbias.identify(["a.csv"], options)
 
 
 @pytest.fixture(scope="module")
