@@ -194,7 +194,9 @@ class Task(ABC):
 
 @final
 class WithoutTargets(Task):
-    """A task as its robot knows it: with the states, starts and failures of the robot."""
+    """A task as its robot knows it: with the states, starts and failures of the robot, but no goal."""
+
+    goals = ()  # it depends on targets
 
     def __init__(self, task: Task) -> None:
         self._task, n = task, len(task.states) - len(task.targets)
@@ -208,6 +210,10 @@ class WithoutTargets(Task):
     def input_bounds(self) -> tuple[Array, Array]:
         """Lower and upper limits (m,) of the inputs."""
         return self._task.input_bounds
+
+    def aim(self, x: Array) -> Array:
+        """Nothing (..., 0) of the robot's states x (..., n)."""
+        return x[..., :0]
 
     def measure(self, x: Array) -> Array:
         """Measures (..., c) of the failure criteria at the robot's states x (..., n)."""
