@@ -119,7 +119,8 @@ class DynamicOutputFeedback(Policy):
             u_0.append(gains[self._q + 1])
             G.append(gains[self._q + 2 :] / self._task.time_step)
         parts = [inverse_signed_exponential(np.concatenate(H)), np.zeros(int(self._filters))]
-        parts += [self._rate(np.array(H), np.array(G))] * self._integrates
+        if self._integrates:
+            parts.append(self._rate(np.array(H), np.array(G)))
         parts += [np.array(g)] * (self._delay > 0) + [np.array(u_0)] * self._constant
         return np.clip(np.concatenate(parts), *self.bounds)
 

@@ -139,3 +139,6 @@ def test_it_imitates_its_own_inputs() -> None:
         theta = np.array([*hat(-4.0, 2.0), rate, -30.0, 7.0])
         answers = np.array([inputs(policy, theta.tolist(), record) for record in states])[..., None]
         np.testing.assert_allclose(policy.imitating(states, answers), theta, rtol=1e-6, atol=1e-9)
+    without = DynamicOutputFeedback(Cart(), integrated=["position", "velocity"])  # at no rate
+    answers = states @ [[-4.0], [2.0]]
+    np.testing.assert_allclose(without.imitating(states, answers), hat(-4.0, 2.0), rtol=1e-6)
