@@ -2,7 +2,8 @@
 
 A value that equals its constructor's default is left out. So an option that is added, its default the old
 behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
-raises the component's `version` instead: that gives all trials with this component new identities.
+raises the component's `version` instead: that gives all trials with this component new identities. Where it
+changes by one value of an argument alone, that value has the version.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ FORMER = {  # classes and arguments whose identities, and so whose seeds, come f
     "ModelBased.lqr_candidates": "design",
     "WindowGP": "HeldOut",
 }
+VERSIONS = {"DirectSearch.strategy=bayesian": 2}  # of one value of an argument, in place of the class's
 
 
 def identity_fields(
@@ -78,8 +80,9 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
         if parameter.default is not parameter.empty
     }
     own = component.__module__.partition(".")[0] == __name__.partition(".")[0]  # whose files may move
-    version = getattr(component, "version", 1)
     name = component.__name__ if own else f"{component.__module__}.{component.__qualname__}"
+    changes = (VERSIONS.get(f"{name}.{argument}={value}") for argument, value in arguments.items())
+    version = next(filter(None, changes), getattr(component, "version", 1))
     deviations = _deviations(arguments, defaults).items()
     return {
         "class": FORMER.get(name, name),

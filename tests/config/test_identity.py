@@ -78,6 +78,16 @@ def test_what_may_change_a_result_changes_the_identity() -> None:
     assert len(hashes - {compose().hash}) == len(overrides)
 
 
+def test_a_change_of_one_value_of_an_argument_leaves_trials_with_others_as_they_are() -> None:
+    """Bayesian optimisation changed, CMA-ES on the hardware did not."""
+    cma, bayesian = (
+        compose(["method=direct_search", f"method.strategy={each}"]).identity_fields["method"]
+        for each in ("cma", "bayesian")
+    )
+    assert cma == {"class": "DirectSearch"}
+    assert bayesian == {"class": "DirectSearch", "version": 2, "strategy": "bayesian"}
+
+
 def test_an_override_of_an_axis_or_what_is_around_it_is_refused() -> None:
     for override, key in (
         ("hardware.noise={torque_variance: 0.1}", "hardware.noise"),

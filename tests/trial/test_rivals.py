@@ -1,5 +1,6 @@
 """Every rival on a case where it must work: the point mass in a wind, or a cost that is known."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -135,6 +136,15 @@ def test_a_direct_search_finds_a_known_minimum() -> None:
             costs.append(0.01 + float(np.sum((theta - best) ** 2)))
             theta = proposals.send(costs[-1])
         assert min(costs) < 0.03 < costs[0], strategy
+
+
+@pytest.mark.slow  # imports the library
+def test_bayesian_optimisation_tries_the_suggested_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    suggestions = ({f"p{i:03}": 0.1 * k + i for i in range(2)} for k in itertools.count())
+    monkeypatch.setattr("bayes_opt.BayesianOptimization.suggest", lambda search: next(suggestions))
+    proposals = PROPOSALS["bayesian"](-np.ones(2), np.ones(2), np.zeros(2), 0.25, np.random.default_rng(0))
+    tried = [next(proposals), *(proposals.send(1.0) for _ in range(5))]
+    np.testing.assert_allclose(tried[-2:], [[0.0, 1.0], [0.1, 1.1]])
 
 
 @pytest.mark.slow

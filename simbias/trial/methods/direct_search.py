@@ -32,8 +32,8 @@ class DirectSearch(Method):
     Parameters
     ----------
     strategy
-        "cma": CMA-ES (N. Hansen's pycma). "bayesian": Bayesian optimisation of ln Z, with expected
-        improvement's kind of acquisition (the library bayesian-optimization).
+        "cma": CMA-ES (N. Hansen's pycma). "bayesian": Bayesian optimisation of ln Z, by its lower
+        confidence bound (the library bayesian-optimization).
     begin
         "cold", at the box's centre, or "lqr", at the policy that imitates the nominal model's LQR.
     deviation
@@ -110,8 +110,11 @@ def _bayesian(
     for number in range(10**6):
         cost = yield theta
         search.register(dict(zip(names, theta.tolist(), strict=True)), -np.log(max(cost, 1e-6)))
-        few = number + 1 < FIRST * len(low)
-        theta = rng.uniform(low, high) if few else np.array([search.suggest()[name] for name in names])
+        if number + 1 < FIRST * len(low):
+            theta = rng.uniform(low, high)
+        else:
+            point = search.suggest()
+            theta = np.array([point[name] for name in names])
 
 
 PROPOSALS: dict[str, Callable[[Array, Array, Array, float, np.random.Generator], Proposals]] = {
