@@ -109,7 +109,6 @@ class PredictionModel:
     """A model that experiments are predicted with."""
 
     nominal: Nominal
-    weight: float = 1.0  # of the bias
     offset: Array | None = None  # (n,) added to the state at the beginning of each window
 
 
@@ -125,9 +124,8 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
     if _remembers_states(models[0].nominal, windows):
         return plain(models, windows, bias)
     steps = Kernel(kernels[0].function, np.array([kernel.parameters for kernel in kernels]))
-    weights = np.array([model.weight for model in models])
     offsets = np.array([np.zeros(n) if model.offset is None else model.offset for model in models])
-    return _compiled(windows, steps, correct, weights, offsets, models[0].nominal)
+    return _compiled(windows, steps, correct, offsets, models[0].nominal)
 
 
 def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
@@ -139,27 +137,22 @@ def _remembers_states(nominal: Nominal, windows: Windows) -> bool:
 
 
 def _compiled(
-    windows: Windows,
-    step: Kernel,
-    correct: Kernel,
-    weights: Array,
-    offsets: Array,
-    nominal: Nominal | None = None,
+    windows: Windows, step: Kernel, correct: Kernel, offsets: Array, nominal: Nominal | None = None
 ) -> Array:
     """Means (k, w, J, n) of k models, by kernels: in lanes and threads."""
     n, m = windows.states.shape[1], windows.inputs.shape[1]
     chunks = windows.frames // windows.chunk
     memory = (nominal.state_size, nominal.acting) if nominal else (0, ())
-    means = np.empty((len(weights), chunks.sum(), n))
+    means = np.empty((len(offsets), chunks.sum(), n))
     loop = partial(
         compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
-        *(windows.window, windows.chunk, step.parameters, correct.parameters, weights, offsets),
+        *(windows.window, windows.chunk, step.parameters, correct.parameters, offsets),
         *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
         *map(np.ascontiguousarray, (windows.states, windows.inputs)),  # else another loop is compiled
         means,
     )
-    in_threads(loop, len(weights) * len(windows.firsts))
-    return means.reshape(len(weights), len(windows), windows.window // windows.chunk, n)
+    in_threads(loop, len(offsets) * len(windows.firsts))
+    return means.reshape(len(offsets), len(windows), windows.window // windows.chunk, n)
 
 
 def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
@@ -173,7 +166,7 @@ def corrections(bias: FittedBias, x: Array, u: Array) -> Array:
     once, rows = np.ones(k, np.int64), np.arange(k)
     windows = Windows(x, u, rows, 0 * once, once, window=1, chunk=1)
     step = constant(np.zeros((1, n)))
-    return _compiled(windows, step, bias.kernel, np.ones(1), np.zeros((1, n)))[0, :, 0]
+    return _compiled(windows, step, bias.kernel, np.zeros((1, n)))[0, :, 0]
 
 
 def plain(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias | None = None) -> Array:
@@ -190,7 +183,7 @@ def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) ->
         u = windows.inputs[starts + t]
         x_next, model_state = nominal.advance(x, u, model_state)
         if bias is not None:
-            x_next = x_next + model.weight * bias.correction(x, nominal.acted(u, model_state))
+            x_next = x_next + bias.correction(x, nominal.acted(u, model_state))
         made[:, t] = x = x_next
     return windows._chunked(made)
 

@@ -121,7 +121,6 @@ class Loop:
     judge: str  # after it, for each lane; `ended` counts those that are `ending`
     record: str  # after a frame
     release: str  # a pass b has ended
-    weight: str = ""  # of the correction: a factor
     targets: int = 0  # the last of the states, which stay as they are
     acting: tuple[int, ...] = ()  # rows of the next model state: inputs of `correct` in place of u_
 
@@ -156,13 +155,13 @@ class Loop:
             advance += [*assign("x_next", "y", robot), *assign("force", "u_", self.m)]
             x = f"x[:{robot}]" if self.targets else "x"
             settle = [f"correct({x}, force, bias_parameters, correction)", f"for lane in range({LANES}):"]
-            x_new = f"x_next[{{0}}, lane] + {self.weight}correction[{{0}}, lane]"
+            x_new = "x_next[{0}, lane] + correction[{0}, lane]"
             settle += [f"    {line}" for line in self._settled(x_new)]
         else:
             constants.append(correct.read("bias"))
             advance += [
                 f"d = correct({self._x}, u_, bias_data)",
-                *self._settled(f"y[{{0}}] + {self.weight}d[{{0}}]"),
+                *self._settled("y[{0}] + d[{0}]"),
             ]
         take = [self.take, f"for i in range({step.parameters}):"]
         take += ["    nominal[i, lane] = nominal_parameters[model, i]"]

@@ -12,13 +12,12 @@ from simbias.simulation.compiler.text import tuple_of
 # Pass b is model b // r on experiment b % r of r experiments, which lie one after the other in states (F, n)
 # and inputs (F, m). Their windows begin at `firsts`, `leads` frames after the experiments.
 ARGUMENTS = """\
-window, chunk, nominal_parameters, bias_parameters, weights, offsets,
+window, chunk, nominal_parameters, bias_parameters, offsets,
 firsts, leads, frames, first_chunks, states, inputs, means,"""
 
 TAKE = """\
 model, experiment[lane] = b // firsts.shape[0], b % firsts.shape[0]
 frame[lane] = -leads[experiment[lane]]
-weight[0, lane] = weights[model]
 for i in range({n}):
     total[i, lane] = 0.0"""
 
@@ -55,7 +54,7 @@ def compile_open_loop(
         ARGUMENTS,
         {"step": step, "correct": correct},
         *(n, m, n_model_state),
-        rows={"u": m, "total": n, "weight": 1},
+        rows={"u": m, "total": n},
         integers=("experiment",),
         constants=(),
         take=TAKE.format(n=n),
@@ -65,6 +64,5 @@ def compile_open_loop(
         judge="",
         record=RECORD.format(n=n),
         release="",
-        weight="weight[0, lane] * ",
         acting=acting,
     ).compiled()
