@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simbias.core import Cost, Model, Simulator, SlowWarning
-from simbias.core.records import Array, Disturbance, Indices, Rollout
+from simbias.core.records import Array, Disturbance, Indices
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import parts_of
 from simbias.simulation.numpy_loop import PlainSimulator
@@ -66,14 +66,6 @@ class SimulatorSequence:
             own = scenarios == index
             costs[own], frames[own] = simulator.costs(cost, thetas[own], starts[own])
         return costs, frames
-
-    def rollouts(self, thetas: Array, starts: Array, scenarios: Indices) -> list[Rollout]:
-        """Run each theta of (k, p) from its start of (k, n) in its scenario of (k,)."""
-        made: dict[int, Rollout] = {}
-        for index, simulator in enumerate(self.simulators):
-            own = np.flatnonzero(scenarios == index)
-            made |= zip(own.tolist(), simulator.rollouts(thetas[own], starts[own]), strict=True)
-        return [made[index] for index in range(len(thetas))]
 
 
 Scenarios = CompiledSimulator | PlainSimulator | SimulatorSequence  # of one task, run together

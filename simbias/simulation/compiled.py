@@ -105,15 +105,11 @@ class CompiledSimulator:
         self, cost: Cost, thetas: Array, starts: Array, scenarios: Indices | None = None
     ) -> tuple[Array, Indices]:
         """Costs and frames (k,) of these rollouts; nothing is recorded if its terms can be traced."""
-        if not self.sums_up(cost):
+        if of_cost(cost, self.task).kernel is None:
             return costs_of(cost, self.rollouts(thetas, starts, scenarios))
         batch = self._run(cost, False, thetas, starts, scenarios)
         lost = np.where(batch.violated < 0, 0, self.task.horizon - batch.frames)
         return cost.of_totals(batch.totals, lost), batch.frames
-
-    def sums_up(self, cost: Cost) -> bool:
-        """Whether the terms of a cost can be traced."""
-        return of_cost(cost, self.task).kernel is not None
 
     def _run(
         self, cost: Cost | None, recorded: bool, thetas: Array, starts: Array, scenarios: Indices | None

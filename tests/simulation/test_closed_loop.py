@@ -194,10 +194,8 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
     for several, in_lockstep in ((noisy, True), (own, False), ([*noisy[:2], own[0]], False)):
         made = join(several)
         assert isinstance(made, CompiledSimulator if in_lockstep else SimulatorSequence)
-        for rollout, theta, start, scenario in zip(made.rollouts(*asked), *asked, strict=True):
-            alone = several[scenario].rollout(theta, start)
-            np.testing.assert_array_equal(rollout.states, alone.states)
-            np.testing.assert_array_equal(rollout.inputs, alone.inputs)
+        for cost, frames, theta, start, scenario in zip(*made.costs(study.cost, *asked), *asked, strict=True):
+            assert several[scenario].costs(study.cost, theta[None], start[None]) == (cost, frames)
 
 
 @pytest.mark.slow
