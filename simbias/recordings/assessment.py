@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from threadpoolctl import threadpool_limits
@@ -89,7 +89,7 @@ class Assessment:
 
 
 def prepared(study: Study) -> Study:
-    """The study of what recordings tell of the robot.
+    """The study of what recordings tell of the robot, also of what strong motion does not determine.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def prepared(study: Study) -> Study:
         raise ConfigError("identification", "identifies no posterior; identification=posterior does")
     if not posterior.prior(study.nominal).parameters:
         raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
-    return study
+    return replace(study, identification=posterior.with_central_differences())
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save

@@ -13,7 +13,7 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.identification.possible import nearest_possible
-from simbias.learning.identification.problem import Comparison, Problem
+from simbias.learning.identification.problem import Comparison, Differences, Problem
 from simbias.learning.identification.rig import Motor, Rig, Sensor, check_signals
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.noise import QUIET, Noise, Variances
@@ -70,6 +70,9 @@ class Posterior(Identification):
     longer_windows
         Further durations in s of predictions that count alike, as what differs little in a short while may
         differ much in a long one; those that no experiment lasts for do not count.
+    differences
+        That the covariance is computed from: forward ones are quicker, and published trials have them. Under
+        strong motion only central ones tell what experiments do not determine.
 
     Raises
     ------
@@ -92,6 +95,7 @@ class Posterior(Identification):
         each: list[str] | None = None,
         longer_windows: list[Seconds] | None = None,
         noise: Variances = QUIET,
+        differences: Differences = "forward",
     ) -> None:
         self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
         check_signals(task, self._motors, self._sensors)
@@ -103,6 +107,7 @@ class Posterior(Identification):
         self._rounds = rounds
         self._evaluations = evaluations
         self._longer = longer_windows or []
+        self._differences = differences
         self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
     def _set_window(self, window: float) -> None:
@@ -121,6 +126,12 @@ class Posterior(Identification):
         other = copy(self)
         other._set_window(window)
         other._longer = [each * window / self.window for each in self._longer]
+        return other
+
+    def with_central_differences(self) -> Posterior:
+        """A copy whose covariance also tells what strong motion does not determine."""
+        other = copy(self)
+        other._differences = "central"
         return other
 
     def with_known(self, known: Known) -> Posterior:
@@ -166,7 +177,7 @@ class Posterior(Identification):
                 precision = problem.precision(z)
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
-        spread = problem.spread(z)
+        spread = problem.spread(z, self._differences)
         if self._noise.any():
             spread = _no_wider(spread)
         z = nearest_possible(nominal, z, spread)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
@@ -15,6 +16,8 @@ from simbias.core.records import Array, Indices
 from simbias.learning.measurement_noise import Linearisation
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
+
+Differences = Literal["forward", "central"]
 
 STEP = 1e-4  # of finite differences: of a coordinate, or of the standard deviation of a state
 LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
@@ -63,15 +66,15 @@ class Comparison:
 
     def information(self, z: Array) -> Array:
         """Fisher information (p, p) about coordinates that these windows would hold if z were the truth."""
-        each = self.prediction_errors(z + STEP * np.eye(len(z) + 1, len(z), -1))
-        J = self.errors.whiten(each[1:] - each[0]).reshape(len(z), -1) / STEP
+        white = self.errors.whiten(self.prediction_errors(_around(z, "central")))
+        J = _slopes(white, len(z)).reshape(len(z), -1)
         return self.errors.independent_share * J @ J.T
 
-    def residuals(self, z: Array) -> tuple[Array, Array]:
+    def residuals(self, z: Array, differences: Differences = "forward") -> tuple[Array, Array]:
         """Residuals (w d,), whose squares sum to the loss, and their derivatives by z, (w d, p)."""
         p = len(z)
-        white = self.errors.whiten(self.prediction_errors(z + STEP * np.eye(p + 1, p, -1)))
-        J = (white[1:] - white[0]) / STEP
+        white = self.errors.whiten(self.prediction_errors(_around(z, differences)))
+        J = _slopes(white, p)
         weights = self.errors.independent_share * self.errors.weights(white[0])
         losses = self.errors.independent_share * self.errors.losses(white[0])
         size = np.sum(white[0] ** 2, axis=1)
@@ -80,25 +83,25 @@ class Comparison:
         slope = weights / scale
         return (scale[:, None] * white[0]).ravel(), (slope[:, None] * J).reshape(p, -1).T
 
-    def scatter(self, z: Array) -> Callable[[Array], Array]:
+    def scatter(self, z: Array, differences: Differences) -> Callable[[Array], Array]:
         """By a root (p, p) of the covariance of z: one (p, w d) of that which errors give to the gradient."""
-        p, windows = len(z), self._windows
+        p, windows, around = len(z), self._windows, _around(z, differences)
         steps = STEP * (np.std(windows.states, axis=0) + LEAST_DEVIATION)
         n = len(steps)
         each = self._predictions(
-            np.vstack([z + STEP * np.eye(p + 1, p, -1), np.tile(z, (n, 1))]),
-            np.vstack([np.zeros((p + 1, n)), np.diag(steps)]),
+            np.vstack([around, np.tile(z, (n, 1))]), np.vstack([np.zeros((len(around), n)), np.diag(steps)])
         )
-        by_start = np.moveaxis((each[p + 1 :] - each[0]) / steps[:, None, None, None], 0, -1)
-        errors = each[0] - self._observed
+        made, moved = each[: len(around)], each[len(around) :]
+        by_start = np.moveaxis((moved - made[0]) / steps[:, None, None, None], 0, -1)
+        errors = made - self._observed
         white = self.errors.whiten(errors)
-        J = (self.errors.whiten(each[1 : p + 1] - self._observed) - white) / STEP  # (p, w, d)
-        by_parameters = np.moveaxis((each[1 : p + 1] - each[0]) / STEP, 0, -1)
-        weights = self.errors.independent_share * self.errors.weights(white)
+        J = _slopes(white, p)  # (p, w, d)
+        by_parameters = np.moveaxis(_slopes(made, p), 0, -1)
+        weights = self.errors.independent_share * self.errors.weights(white[0])
 
         def across(spread: Array) -> Array:
             linearisation = Linearisation.of(by_start, by_parameters @ spread)
-            estimate = ErrorDistribution.of(errors, windows, FREEDOM, linearisation)
+            estimate = ErrorDistribution.of(errors[0], windows, FREEDOM, linearisation)
             ratio = np.linalg.solve(self.errors.factor, estimate.factor)
             return (np.sqrt(weights)[:, None] * (J @ ratio)).reshape(p, -1)
 
@@ -143,7 +146,7 @@ class Problem:
         counts = np.array([len(each) for each in comparisons])
         self._weights = np.sqrt(counts / counts.sum())  # of residuals
         self.places, self.errors = comparisons[0].places, comparisons[0].errors
-        self._last: tuple[bytes, Array, Array] | None = None
+        self._last: tuple[tuple[bytes, Differences], Array, Array] | None = None
 
     @staticmethod
     def at(nominal: Nominal, windows: Sequence[Windows], z: Array, freedom: float) -> Problem:
@@ -160,7 +163,7 @@ class Problem:
         J = self._at(z)[1]
         return J.T @ J
 
-    def spread(self, z: Array) -> Array:
+    def spread(self, z: Array, differences: Differences = "forward") -> Array:
         """A square root (p, p) of the covariance of the mode z: H^-1 (I + G) H^-1, with the precision H.
 
         G is the covariance of the log-density's gradient under the errors' estimated covariance; H has the
@@ -168,20 +171,33 @@ class Problem:
         durations, G is the mean, which that of their mean does not exceed.
         """
         p = len(z)
-        spread = solve_triangular(qr(self._at(z)[1], mode="economic")[1], np.eye(p))
-        H, scatters = spread @ spread.T, [each.scatter(z) for each in self._comparisons]
+        spread = solve_triangular(qr(self._at(z, differences)[1], mode="economic")[1], np.eye(p))
+        H, scatters = spread @ spread.T, [each.scatter(z, differences) for each in self._comparisons]
         for _ in range(SPREAD_ROUNDS):
             across = [w * scatter(spread) for w, scatter in zip(self._weights, scatters, strict=True)]
             scattered = H @ np.hstack([np.eye(p), *across])
             spread = qr(scattered.T, mode="economic")[1].T
         return spread
 
-    def _at(self, z: Array) -> tuple[Array, Array]:
+    def _at(self, z: Array, differences: Differences = "forward") -> tuple[Array, Array]:
         """Residuals (R + p,), the prior's last, and their derivatives by z (p,)."""
-        if self._last is None or self._last[0] != z.tobytes():
-            made = [each.residuals(z) for each in self._comparisons]
+        key = z.tobytes(), differences
+        if self._last is None or self._last[0] != key:
+            made = [each.residuals(z, differences) for each in self._comparisons]
             weighted = [(w * r, w * J) for w, (r, J) in zip(self._weights, made, strict=True)]
             residuals = np.concatenate([*(r for r, _ in weighted), z])
             derivatives = np.concatenate([*(J for _, J in weighted), np.eye(len(z))])
-            self._last = z.tobytes(), residuals, derivatives
+            self._last = key, residuals, derivatives
         return self._last[1], self._last[2]
+
+
+def _around(z: Array, differences: Differences) -> Array:
+    """Coordinates (k, p): z, a step from it along each and, for central differences, one back."""
+    steps = np.eye(len(z) + 1, len(z), -1)
+    return z + STEP * (steps if differences == "forward" else np.vstack([steps, -steps[1:]]))
+
+
+def _slopes(values: Array, p: int) -> Array:
+    """Derivatives (p, ...) of values (k, ...) at coordinates `_around` others."""
+    ahead, back = values[1 : p + 1], values[p + 1 :]
+    return (ahead - back) / (2 * STEP) if len(back) else (ahead - values[0]) / STEP
