@@ -9,6 +9,7 @@ from io import StringIO
 from multiprocessing import get_context
 from pathlib import Path
 from textwrap import dedent
+from types import ModuleType
 
 import llvmlite.binding
 import numba
@@ -109,6 +110,14 @@ def test_the_hash_is_of_what_a_function_does() -> None:
     assert digest(text, a=1.0) == digest("\n\n" + text, a=1.0, b=2.0)
     assert digest(text, a=1.0) != digest(text, a=2.0)
     assert digest(text, a=np.ones(2)) != digest(text, a=np.zeros(2))
+    one, other = ((np.array([value]),) for value in (0.1234567891, 0.1234567892))
+    assert digest(text, a=one) != digest(text, a=other)
+    first, second = ModuleType("own"), ModuleType("own")
+    vars(first).update(a=1.0, b=1.0, own=second, __file__=__file__)
+    vars(second).update(a=1.0, b=2.0, own=first, __file__=__file__)
+    reading = "def f(x):\n    return x * own.{}"
+    assert digest(reading.format("a"), own=first) == digest(reading.format("a"), own=second)
+    assert digest(reading.format("b"), own=first) != digest(reading.format("b"), own=second)
     assert digest(text, a=1.0) != digest("def f(x):\n    return x + a", a=1.0)
     closure = "def g(n):\n    def f(x):\n        return x**n\n    return f\nf = g({})"
     assert digest(closure.format(2)) != digest(closure.format(3))

@@ -1,9 +1,10 @@
 """Ordinary Python functions, compiled with all that they call and kept on disk under the hash of all of it.
 
 A cache entry is found by what it was made of: the bytecode of every function involved, the constants that
-these read, and the versions of Python and Numba. So nothing goes stale when any of it changes, wherever it is
-written, and nothing is compiled twice. (Numba's own cache notices changes in the file of a function, but not
-in the functions that it calls.) The folder of the cache may be deleted at any time.
+these read, also from the user's own modules, and the versions of Python, Numba and libraries. So nothing goes
+stale when any of it changes, wherever it is written, and nothing is compiled twice. (Numba's own cache
+notices changes in the file of a function, but not in the functions that it calls.) The folder of the cache
+may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from numba import njit
 from numba.extending import is_jitted
 
 from simbias.core.cache import cache_folder
+from simbias.core.error_origin import is_users
 
 if TYPE_CHECKING:
     from hashlib import _Hash as _Digest
@@ -138,19 +140,21 @@ class Compilation:
     def _linked(self, function: Any, inline: bool) -> tuple[Callable, str]:
         """A copy of a Python function that calls compiled functions, and its hash."""
         code, digest = function.__code__, hashlib.sha256()
-        used = set(_names(code)) & set(function.__globals__)
-        linked = {name: self._value(function.__globals__[name], inline, digest) for name in sorted(used)}
+        names, known = set(_names(code)), function.__globals__
+        used = sorted(names & known.keys())
+        linked = {name: self._value(known[name], names, inline, digest) for name in used}
         cells = function.__closure__ or ()
-        closure = tuple(CellType(self._value(cell.cell_contents, inline, digest)) for cell in cells)
-        _note(digest, inline, function.__name__, *_description(code), function.__defaults__)
+        closure = tuple(CellType(self._value(cell.cell_contents, names, inline, digest)) for cell in cells)
+        _note(digest, inline, function.__name__, *_description(code))
+        self._value(function.__defaults__, names, inline, digest)
         # Compiled code is loaded with the module of each function in it: with this one, wherever that is.
         linked |= {"__builtins__": __builtins__, "__name__": __name__}
         copy = FunctionType(code, linked, function.__name__, function.__defaults__, closure)
         copy.__qualname__ = f"{function.__name__}_{digest.hexdigest()[:16]}"  # names its machine code
         return copy, digest.hexdigest()
 
-    def _value(self, value: Any, inline: bool, digest: _Digest) -> Any:
-        """The object that a name stands for in compiled code, noted in the digest."""
+    def _value(self, value: Any, names: set[str], inline: bool, digest: _Digest) -> Any:
+        """The object that a name stands for in code that reads these names, noted in the digest."""
         if isinstance(value, FunctionType) or is_jitted(value):
             hashed, value, _ = self._hashed(value, inline)
             _note(digest, hashed)
@@ -160,6 +164,13 @@ class Compilation:
             _note(digest, value.__module__, Path(wrapped.__code__.co_filename).read_bytes())
         elif isinstance(value, ModuleType):
             _note(digest, value.__name__, getattr(value, "__version__", None))
+            if is_users(getattr(value, "__file__", None) or ""):
+                for name in sorted(names & vars(value).keys()):
+                    self._value(vars(value)[name], names - {name}, inline, digest)
+        elif isinstance(value, tuple):
+            _note(digest, type(value).__name__, getattr(value, "_fields", len(value)))
+            for each in value:
+                self._value(each, names, inline, digest)
         else:
             _note(digest, value)
         return value

@@ -26,14 +26,15 @@ may branch, and is used in place of what NumPy would be traced to:
     self.kernel = Kernel(_step, np.array([time_step, mass]))
 
 Vectors come and go as tuples, parameters too. There is nothing to decorate: functions that it calls are
-compiled with it, and again when any of them changes (`simbias.simulation.compiler.compilation`). The loop
-runs it for LANES rollouts at once, in the lanes of vector registers. That takes code without branches:
-arithmetic, `abs`, `min`, `max`, `np.sqrt`, `np.floor`, and `sincos` of
-`simbias.simulation.compiler.trigonometry`. Loops over the components of a tuple are fine up to about ten;
-longer ones are to be written out (`sum_of`). What else Numba understands works too, for one rollout after the
-other, several times slower. A division by zero gives inf or nan, and a rollout whose state is not a number
-has failed. Such a function also takes arrays in place of numbers, as long as it has neither `min`, `max` nor
-branches: so the plain method can be `elementwise(_step, x, u, parameters=...)`.
+compiled with it, and again when any of them changes (`simbias.simulation.compiler.compilation`). They have to
+be imported by name: it may call `half(x)`, not `helpers.half(x)`. The loop runs it for LANES rollouts at
+once, in the lanes of vector registers. That takes code without branches: arithmetic, `abs`, `min`, `max`,
+`np.sqrt`, `np.floor`, and `sincos` of `simbias.simulation.compiler.trigonometry`. Loops over the components
+of a tuple are fine up to about ten; longer ones are to be written out (`sum_of`). What else Numba understands
+works too, for one rollout after the other, several times slower. A division by zero gives inf or nan, and a
+rollout whose state is not finite has failed. Such a function also takes arrays in place of numbers, as long
+as it has neither `min`, `max` nor branches: so the plain method can be `elementwise(_step, x, u,
+parameters=...)`.
 
     Nominal.kernel           (x, u, parameters) -> x_next               parameters: by scenario
                              (x, u, parameters, model_state) -> x_next, model_state
