@@ -22,6 +22,24 @@ EXACT = 1e-6  # deviation of what is measured without noise, in its unit
 BALANCED, ROUNDS = 1e-9, 5  # change of states in a frame, in their units, that is none; steps to a balance
 
 
+def holding(task: Task, nominal: Nominal, x: Array) -> Array:
+    """Inputs (m,) within the limits under which states x (n,) change least, the model's joints sliding."""
+    from scipy.optimize import lsq_linear  # lazily: few policies need it
+
+    nominal, limit = nominal.without_dry_friction(), input_scale(task)
+    lower, upper = task.input_bounds
+    room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences do not leave the limits
+    lower, upper = lower + room, upper - room
+    u = np.clip(np.zeros(len(limit)), lower, upper)
+    for _ in range(ROUNDS):
+        moved = nominal.step(x, u) - x
+        if not BALANCED < np.abs(moved).max() < np.inf:
+            break
+        B = linearization(nominal, x, u, limit)[1]
+        u = u + lsq_linear(B, -moved, (lower - u, upper - u)).x
+    return u
+
+
 class Observer(ABC):
     """An estimate of the state, frame by frame; in the first frame, it is what is measured."""
 
@@ -169,23 +187,11 @@ class KalmanFilter(Observer):
         return np.linalg.solve(P + V, P).T
 
     def _balance(self) -> tuple[Array, Array]:
-        """States (n,), and the inputs (m,) within the limits under which they change least."""
-        from scipy.optimize import lsq_linear  # lazily: few policies have a filter
-
-        task, nominal, limit = self._task, self._nominal.without_dry_friction(), input_scale(self._task)
+        """States (n,), and the inputs (m,) that hold them."""
+        task = self._task
         at_goal, end = task.goals == task.states, task.horizon * task.time_step
         x = np.broadcast_to(task.reference(end) if at_goal else task.start_mean, (len(task.states),))
-        lower, upper = task.input_bounds
-        room = np.minimum(STEP * limit, 0.49 * (upper - lower))  # differences do not leave the limits
-        lower, upper = lower + room, upper - room
-        u = np.clip(np.zeros(len(limit)), lower, upper)
-        for _ in range(ROUNDS):
-            moved = nominal.step(x, u) - x
-            if not BALANCED < np.abs(moved).max() < np.inf:
-                break
-            B = linearization(nominal, x, u, limit)[1]
-            u = u + lsq_linear(B, -moved, (lower - u, upper - u)).x
-        return x, u
+        return x, holding(task, self._nominal, x)
 
     def _delay(self) -> int:
         """Frames until more than half of an input acts."""

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
+from pydantic import Field
 
 from simbias.core import Nominal, Policy, Task
 from simbias.core.ranges import NonNegative, Positive
 from simbias.core.records import Array
 from simbias.policy.network import Bound, Network, Units
 from simbias.policy.networks import Kind
-from simbias.policy.observer import ObserverKind
+from simbias.policy.observer import ObserverKind, holding
 from simbias.simulation.linearization import linear_regulator, linearization
 from simbias.simulation.noise import QUIET, Variances
 
 LEVELS = (-3.0, 3.0)  # logarithm of the level, in units of the largest where the regulator is not cut off
+Hysteresis = Annotated[float, Field(ge=1, le=1e9)]
 
 
 @final
 class Switched(Policy):
     """The LQR of the nominal model where e^T S e is below a level, which is searched; elsewhere a network.
 
-    e is the error of the task's goal, which is about all states and a rest without input; S solves the
-    Riccati equation there. The regulator is left where e^T S e is above `hysteresis` times the level.
+    e is the error of the task's goal, which is about all states and a rest; S solves the Riccati equation
+    there, under the inputs that hold it. The regulator is left where e^T S e is above `hysteresis` times the
+    level.
 
     Parameters
     ----------
@@ -51,7 +54,7 @@ class Switched(Policy):
         bound: Bound = 5.0,
         observer: ObserverKind = "none",
         input_weight: Positive = 10.0,
-        hysteresis: Positive = 2.0,
+        hysteresis: Hysteresis = 2.0,
         noise: Variances = QUIET,
         latency: NonNegative = 0.0,
     ) -> None:
@@ -61,7 +64,7 @@ class Switched(Policy):
         self._swing_up = Network(
             task, nominal, kind, units, bound, observer=observer, noise=noise, latency=latency
         )
-        self._K, self._S = _regulator(task, nominal, input_weight)
+        self._K, self._S, self._holding = _regulator(task, nominal, input_weight)
         lower, upper = self._swing_up.bounds
         self.bounds = np.append(lower, LEVELS[0]), np.append(upper, LEVELS[1])
         self.n_parameters = len(lower) + 1
@@ -74,7 +77,8 @@ class Switched(Policy):
         if other._swing_up is self._swing_up:
             return self
         other.state_size = other._swing_up.state_size + 1
-        other._K, other._S = _regulator(self._task, nominal.without_dry_friction(), self._input_weight)
+        model = nominal.without_dry_friction()
+        other._K, other._S, other._holding = _regulator(self._task, model, self._input_weight)
         return other
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
@@ -85,21 +89,26 @@ class Switched(Policy):
         e = self._task.error(met, t)
         V = ((e @ self._S) * e).sum(axis=-1, keepdims=True)
         near = np.exp(theta[..., -1:]) * (1.0 + (self._hysteresis - 1.0) * on) > V
-        regulated = np.clip(-(e @ self._K.T), *self._task.input_bounds)
+        regulated = np.clip(self._holding - e @ self._K.T, *self._task.input_bounds)
         u = np.where(near, regulated, self._swing_up.ask(theta[..., :-1], met, t))
         kept = self._swing_up.keep(x, estimate, u, kept)
         return u, np.concatenate([kept, np.where(near, 1.0, 0.0)], axis=-1)
 
 
-def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array]:
-    """K (m, n) of u = -K e, and S (n, n), scaled to 1 on the largest ellipsoid where no input is cut off."""
+def _regulator(task: Task, nominal: Nominal, input_weight: float) -> tuple[Array, Array, Array]:
+    """K (m, n), S (n, n) and u_0 (m,) of u = u_0 - K e.
+
+    S is scaled to 1 on the largest ellipsoid where no input is cut off.
+    """
     end, limit = task.horizon * task.time_step, task.input_limit
     x = np.broadcast_to(task.reference(end), (len(task.states),))
-    A, B = linearization(nominal, x, np.zeros(len(limit)), limit)
+    u = holding(task, nominal, x)
+    A, B = linearization(nominal, x, u, limit)
     R = input_weight * np.diag(limit**-2.0)
     try:
         K, S = linear_regulator(A, B, np.eye(len(x)), R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(f"the nominal model has no regulator at the goal: {error}") from error
-    largest = np.min(limit**2 / np.einsum("ij,jk,ik->i", K, np.linalg.inv(S), K))
-    return K, S / largest
+    room = np.min(np.abs(np.subtract(task.input_bounds, u)), axis=0)
+    largest = np.min(room**2 / np.einsum("ij,jk,ik->i", K, np.linalg.inv(S), K))
+    return K, S / largest, u

@@ -134,6 +134,22 @@ def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: St
     np.testing.assert_allclose(turned[0], u)
 
 
+def test_the_regulator_adds_what_holds_the_robot_at_the_goal() -> None:
+    """A mass of 1 kg that is pulled by 2 N sags without."""
+
+    class Pulled(WithoutWind):
+        def step(self, x: Array, u: Array) -> Array:
+            return super().step(x, u + 2.0)
+
+    task = PointMass()
+    policy, model = Switched(task, Pulled(task)), Pulled(task)
+    x, kept, theta = np.array([0.05, 0.0]), np.zeros(policy.state_size), np.zeros(policy.n_parameters)
+    for t in range(500):
+        u, kept = policy.act(theta, x, t * task.time_step, kept)
+        x = model.step(x, u)
+    np.testing.assert_allclose(x, 0.0, atol=1e-4)
+
+
 def test_observers_know_rates_better_than_sensors(cartpole: Study, turning: Task) -> None:
     """Of a pole that falls, with measured rates that are noisy; around the turn, too."""
     rng, n = np.random.default_rng(0), 200
@@ -298,3 +314,8 @@ def test_a_regulator_bears_later_measurements() -> None:
 def test_later_than_it_can_remember_is_one_line() -> None:
     with pytest.raises(ConfigError, match=r"latency: expected at most 20 frames, 0\.08 s, got 0\.1 s"):
         board("policy.latency=0.1")
+
+
+def test_a_regulator_that_is_left_before_it_takes_over_is_one_line() -> None:
+    with one_line(r"policy\.hysteresis: .*greater than or equal to 1"):
+        board("policy.hysteresis=0.9")
