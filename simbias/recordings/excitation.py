@@ -18,7 +18,7 @@ from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
-DRAWS = 4  # models, the most probable one the first, on which a trajectory keeps the limits and is judged
+DRAWS = 4  # models, the most probable one the first, on which a trajectory keeps the limits
 HARMONICS = 20  # of each input's Fourier series, at most
 FASTEST = 5.0  # Hz
 RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
@@ -63,6 +63,8 @@ class Designer:
         self._errors = known.errors
         self._z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(DRAWS - 1))])
         self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in self._z]
+        # Along with what has been learned at the mode, another draw would seem to determine everything.
+        self._judged_at = self._z[:1] if known is model else self._z
         self._precision = np.linalg.inv(known.covariance)
         self.before = np.sqrt(np.diag(known.covariance))  # (p,)
         self._bounds = study.conditions.safety.bounds(study.task)
@@ -124,10 +126,10 @@ class Designer:
         )
 
     def _judged(self, rollouts: Sequence[Rollout]) -> Excitation:
-        """Expected deviations and information of a trajectory, averaged over its rollouts on all models."""
+        """Expected deviations and information of a trajectory: means over the models that it is judged at."""
         errors = self._errors or self._of_noise(rollouts[0])
         covariances, gains = [], []
-        for z, rollout in zip(self._z, rollouts, strict=True):
+        for z, rollout in zip(self._judged_at, rollouts, strict=False):
             windows = self._posterior.windows([rollout])
             precision = self._precision + Comparison(self.nominal, windows, errors).information(z)
             covariances.append(np.linalg.inv(precision))

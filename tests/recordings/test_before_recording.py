@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from pendulum import NOISE, QUICK, pendulum
+from pendulum import NOISE, QUICK, experiment, pendulum, truth
 
 import simbias
 from simbias.__main__ import main
@@ -14,6 +14,7 @@ from simbias.config import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified
+from simbias.recordings.assessment import prepared
 from simbias.recordings.excitation import Designer
 from simbias.recordings.noise import noise_of
 from simbias.recordings.recovery import Recovery, Take, record, recover
@@ -76,6 +77,19 @@ def test_rotors_are_asked_only_to_push() -> None:
     both = limited()
     turning = Designer(both, both.nominal, NOISE)._inputs(c, 1.0)
     np.testing.assert_allclose(np.abs(turning).max(axis=0), both.task.input_limit, rtol=1e-12)
+
+
+def test_nothing_is_promised_that_no_recording_tells(study: Study) -> None:
+    """The second link's mass: not by a first recording, nor by a stronger one after it."""
+    robot, _ = truth(study.nominal, np.random.default_rng(0))
+    recording = experiment(robot, np.random.default_rng(0), 400, 1e-3 * NOISE)
+    learned = prepared(limited()).identification.fit(study.nominal, [recording])
+    designer = Designer(prepared(limited()), learned, NOISE)
+    found = designer.rated(10 * np.sin(np.arange(500)[:, None] * np.array([0.03, 0.05])))
+    assert found is not None
+    mass = [parameter.name for parameter in designer.nominal.parameters].index("mass_2")
+    assert found.deviations[mass] == pytest.approx(designer.before[mass], rel=0.05)
+    assert found.information > 3
 
 
 @pytest.mark.slow
