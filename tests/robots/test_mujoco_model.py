@@ -226,6 +226,25 @@ def test_a_heavier_body_has_more_inertia_and_a_larger_one_hangs_farther(tmp_path
     np.testing.assert_allclose(weak.step(x, u), Mujoco(task, mjcf(tmp_path)).step(x, u / 2), rtol=1e-12)
 
 
+@pytest.mark.parametrize("body", ["cart", "pole"])
+def test_a_larger_body_does_not_depend_on_where_its_origin_is(body: str) -> None:
+    """Beside its joint and turned, or at it: the joint stays where it is on the parent."""
+    places = []
+    moved = ('pos="0.2 0 0.1" euler="0 0 90"', 0.2, "1 0 0")
+    for origin, y, axis in (('pos="0 0 0.1"', 0.0, "0 1 0"), moved):
+        model = mujoco.MjModel.from_xml_string(f"""
+          <mujoco><worldbody><body name="cart"><joint type="slide" axis="1 0 0"/><geom size="0.1"/>
+          <body name="pole" {origin}><joint pos="0 {y} 0" axis="{axis}"/><geom size="0.1" pos="0 {y} 0.3"/>
+          <body pos="0 {y} 0.6"><geom size="0.1"/></body></body></body></worldbody></mujoco>""")
+        files.put_values(model, {f"{body}.size": 1.5})
+        data = mujoco.MjData(model)
+        data.qpos[:] = 0.1, 0.7
+        mujoco.mj_forward(model, data)
+        places.append(np.concatenate([data.xanchor, data.geom_xpos]))
+    np.testing.assert_allclose(places[1], places[0], atol=1e-12)
+    assert places[0][1, 2] == pytest.approx({"cart": 0.15, "pole": 0.1}[body])
+
+
 def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
     """As a propeller, which drags as well: 3 N lift 2 kg by 1.5 m/s^2, in units of neither gear nor gain."""
     file = tmp_path / "lift.xml"

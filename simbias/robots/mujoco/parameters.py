@@ -65,15 +65,17 @@ def _put_inertia(model: Any, name: str, value: float) -> None:
 
 
 def _put_size(model: Any, name: str, value: float) -> None:
-    """Scale a body at the same mass, with the distances of all that hangs from it."""
+    """Scale a body at the same mass, with the distances of all that hangs from it; joints stay together."""
     body = model.body(name).id
     body_bounds = model.body_bvhadr[body] + np.arange(model.body_bvhnum[body])
     geoms, sites = model.geom_bodyid == body, model.site_bodyid == body
     children = (model.body_parentid == body) & (np.arange(model.nbody) != body)
+    joints = _first_joints(model) + model.body_pos
+    joints[children] *= value
     model.body_inertia[body] *= value**2
     for lengths, rows in (
         (model.body_ipos, body),
-        (model.body_pos, children),
+        (model.jnt_pos, model.jnt_bodyid == body),
         (model.site_pos, sites),
         (model.geom_pos, geoms),
         (model.geom_size, geoms),
@@ -82,6 +84,17 @@ def _put_size(model: Any, name: str, value: float) -> None:
         (model.bvh_aabb, body_bounds),
     ):
         lengths[rows] *= value
+    children[body] = True
+    model.body_pos[children] = (joints - _first_joints(model))[children]
+
+
+def _first_joints(model: Any) -> Array:
+    """Where the first joint of each body is, from the body's origin in the parent's axes (nbody, 3)."""
+    joints = np.zeros((model.nbody, 3))
+    for body in np.flatnonzero(model.body_jntnum):
+        position = model.jnt_pos[model.body_jntadr[body]]
+        mujoco().mju_rotVecQuat(joints[body], position, model.body_quat[body])
+    return joints
 
 
 def _put_gain(model: Any, name: str, value: float) -> None:
