@@ -23,6 +23,8 @@ from simbias.robots.mujoco.model import Mujoco
 
 OPTION = "identified"  # of the group `identification`
 DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
+EXCITATION = "excitation.csv"
+OPTIONAL = (EXCITATION, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not of every model
 MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
 
 
@@ -43,6 +45,8 @@ def write(
         If a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    for name in OPTIONAL:  # of the model before
+        (folder / name).unlink(missing_ok=True)
     title = f"{type(assessment.nominal).__name__}, identified from recordings"
     (folder / "report.html").write_text(report(assessment, title, excitation))
     parameters(assessment).to_csv(folder / "parameters.csv", index=False)
@@ -53,7 +57,7 @@ def write(
     option.write_text("\n".join(option_lines(assessment.identified.elsewhere(), identification)) + "\n")
     if excitation is not None:
         told = trajectory(assessment.task, excitation.rollout)
-        told.to_csv(folder / "excitation.csv", index=False, float_format="%.6g")
+        told.to_csv(folder / EXCITATION, index=False, float_format="%.6g")
     for name, text in models(assessment.identified):
         (folder / f"{name}.xml").write_text(text)
 
@@ -106,7 +110,7 @@ def models(identified: Identified) -> Iterator[tuple[str, str]]:
     values = draws(identified).to_numpy()[:MODELS]
     # Of the prior, since gains and sizes multiply what a model has.
     drawn = {f"draw_{i}": identified.with_parameters(each) for i, each in enumerate(values)}
-    for name, model in {"identified": identified.model, **drawn}.items():
+    for name, model in {OPTION: identified.model, **drawn}.items():
         mechanics = model.mechanics if isinstance(model, Rig) else model
         if isinstance(mechanics, Mujoco):
             lacks = len(model.parameters) > len(mechanics.parameters)

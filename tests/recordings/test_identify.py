@@ -212,7 +212,11 @@ def test_a_trial_begins_with_what_was_identified(
 ) -> None:
     """The written option: the same posterior, to which experiments add."""
     monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn below
+    for stale in ("excitation.csv", "identified.xml", "draw_9.xml"):
+        (tmp_path / stale).touch()
     write(assessment, None, study.config["identification"], tmp_path, tmp_path / "conf")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"report.html", "parameters.csv", "errors.csv", "draws.csv", "conf"}
     options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
     attached = simbias.load(options, tmp_path / "conf")
     first = attached.first_model().nominal
