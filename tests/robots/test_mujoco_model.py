@@ -245,6 +245,13 @@ def test_a_larger_body_does_not_depend_on_where_its_origin_is(body: str) -> None
     assert places[0][1, 2] == pytest.approx({"cart": 0.15, "pole": 0.1}[body])
 
 
+def test_factors_multiply_what_is_set_and_each_other() -> None:
+    model = mujoco.MjModel.from_xml_string(LIFT)
+    factors = {"*.mass": 1.5, "body.mass": 2.0}
+    assert files.changes(model, {"body.mass": 3.0}, factors) == {"body.mass": 9.0}
+    assert files.changes(model, {}, factors) == {"body.mass": 6.0}
+
+
 def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
     """As a propeller, which drags as well: 3 N lift 2 kg by 1.5 m/s^2, in units of neither gear nor gain."""
     file = tmp_path / "lift.xml"

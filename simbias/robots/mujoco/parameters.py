@@ -156,6 +156,8 @@ def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> Non
 def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
     """Values by name of the parameters that are set, and of those that are multiplied.
 
+    Of several values whose patterns fit a name, the last one counts; all factors that fit multiply it.
+
     Raises
     ------
     ValueError
@@ -163,7 +165,8 @@ def changes(model: Any, values: Values, factors: Factors) -> dict[str, float]:
     """
     changed = {name: value for pattern, value in values.items() for name in values_of(model, pattern)}
     for pattern, factor in factors.items():
-        changed |= {name: factor * value for name, value in values_of(model, pattern).items()}
+        for name, value in values_of(model, pattern).items():
+            changed[name] = factor * changed.get(name, value)
     return changed
 
 
