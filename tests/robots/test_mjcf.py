@@ -14,6 +14,7 @@ from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.output_feedback import OutputFeedback
+from simbias.robots.mujoco.files import source_files
 from simbias.robots.mujoco.mjcf import Mechanism
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.closed_loop import join, simulator
@@ -127,6 +128,16 @@ def test_a_model_that_never_ends_is_refused_at_once(tmp_path: Path) -> None:
     assert time.monotonic() - begin < 10.0
 
 
+def test_a_mesh_whose_path_is_stripped_is_one_of_the_files(tmp_path: Path) -> None:
+    mesh = '<visual><geometry><mesh filename="package://arm/meshes/link.stl"/></geometry></visual>'
+    for strips, files in (("true", ["arm.urdf", "link.stl"]), ("false", ["arm.urdf"])):
+        compiler = f'<mujoco><compiler strippath="{strips}"/></mujoco>'
+        text = f'<robot name="arm">{compiler}<link name="arm">{mesh}</link></robot>'
+        (tmp_path / "arm.urdf").write_text(text)
+        (tmp_path / "link.stl").touch()
+        assert [path.name for path in source_files(str(tmp_path / "arm.urdf"))] == files
+
+
 def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
     """What the engine says of a state; in rollouts as in the law."""
     sensors = {"file": file, "sites": ["m1"]}
@@ -146,6 +157,8 @@ def test_sensors_and_sites_are_outputs_and_criteria(file: str) -> None:
         ({"sensors": ["felt"]}, "sensor 'felt' measures forces or accelerations; there is up, gyro"),
         ({"sensors": ["nose"]}, "sensor 'nose' is not there"),
         ({"sites": ["tip"]}, "no site 'tip'; there is m1, m2, m3, m4"),
+        ({"sensors": ["up", "up"]}, r"up\[0\]: two things have this name"),
+        ({"sites": ["m1", "m1"]}, r"m1\[0\]: two things have this name"),
     ):
         with pytest.raises(ValueError, match=message):
             quadrotor(sensors={"file": file, **wrong})

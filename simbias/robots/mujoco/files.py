@@ -58,6 +58,7 @@ def source_files(file: str) -> list[Path]:
     """A file, and all that it names: includes, attached models, meshes, textures, height fields."""
     found: list[Path] = []
     homes, folders, names = {_path(file).parent}, {""}, {_path(file).name}
+    strips = False
     while new := [
         path
         for path in {home / folder / name for home in homes for folder in folders for name in names}
@@ -68,7 +69,9 @@ def source_files(file: str) -> list[Path]:
                 for element in ElementTree.parse(path).iter():
                     folders |= {element.attrib[name] for name in FOLDERS if name in element.attrib}
                     names |= {element.attrib[name] for name in NAMING if name in element.attrib}
+                    strips |= element.get("strippath") == "true"
                 homes.add(path.parent)
+        names |= {Path(name).name for name in names if strips}
         found += new
     return sorted(found)
 

@@ -45,23 +45,22 @@ class Sensors:
         known = {model.sensor(i).name: model.sensor(i) for i in range(model.nsensor)}
         stage = int(engine.mjtStage.mjSTAGE_VEL)  # up to which positions and velocities tell a sensor's value
         told = [name for name, sensor in known.items() if name and int(sensor.needstage[0]) <= stage]
-        sizes: dict[str, int] = {}
+        sizes: list[tuple[str, int]] = []
         self._places: list[int] = []
         for name in told if source.sensors is None else source.sensors:
             if name not in told:
                 why = "measures forces or accelerations" if name in known else "is not there"
                 raise ValueError(f"{source.file}: sensor {quote(name)} {why}; there is {', '.join(told)}")
-            first, sizes[name] = int(known[name].adr[0]), int(known[name].dim[0])
-            self._places += range(first, first + sizes[name])
+            first, size = int(known[name].adr[0]), int(known[name].dim[0])
+            sizes.append((name, size))
+            self._places += range(first, first + size)
         sites = {model.site(i).name: i for i in range(model.nsite)}
         for name in source.sites or ():
             if name not in sites:
                 raise ValueError(f"{source.file}: no site {quote(name)}; there is {', '.join(sites)}")
-            sizes[name] = 3
+            sizes.append((name, 3))
         self._sites = [sites[name] for name in source.sites or ()]
-        self.names = [
-            name if size == 1 else f"{name}[{i}]" for name, size in sizes.items() for i in range(size)
-        ]
+        self.names = [name if size == 1 else f"{name}[{i}]" for name, size in sizes for i in range(size)]
 
     def __call__(self, x: Array) -> Array:
         """Their values (..., s), in the order of `names`, at states x (..., n).
