@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
+from simbias.core.messages import words
 from simbias.core.parameters import Estimate
 from simbias.core.records import Rollout
 from simbias.learning.identification.directions import Direction, undetermined
@@ -94,12 +95,16 @@ def prepared(study: Study) -> Study:
     Raises
     ------
     ConfigError
-        If it identifies no posterior, or nothing is uncertain.
+        If it identifies no posterior, nothing is uncertain, or the model has no such parameter.
     """
     study, posterior = study.without_targets, study.identification
     if not isinstance(posterior, Posterior):
         raise ConfigError("identification", "identifies no posterior; identification=posterior does")
-    if not posterior.prior(study.nominal).parameters:
+    try:
+        known = posterior.fit(study.nominal, [])
+    except ValueError as error:
+        raise ConfigError("", words(error)) from error
+    if not known.parameters:
         raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
     return replace(study, identification=posterior.with_central_differences())
 

@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simbias.core import Nominal
+from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
@@ -24,6 +25,7 @@ FASTEST = 5.0  # Hz
 RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
 SCALES = 0.75 ** np.arange(12)  # of inputs, until all limits are kept
 RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
+NO_INPUTS = "no inputs were found that keep these limits and the task's criteria"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +73,17 @@ class Designer:
         self._noise = noise
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices, as in `assess`
-    def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation | None:
-        """The best of a number of trajectories of this duration in s; None if none keeps the limits."""
+    def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation:
+        """The best of a number of trajectories of this duration in s.
+
+        Raises
+        ------
+        ConfigError
+            If none keeps the limits, or they are shorter than a window.
+        """
+        window = self._posterior.window
+        if self._study.task.frames(seconds) < self._study.task.frames(window):
+            raise ConfigError("identification.window", f"{window:g} s are more than inputs of {seconds:g} s")
         best: tuple[float, Array, Excitation] | None = None
         shape = (len(self._study.task.inputs), 2, HARMONICS)
         for index in range(trajectories):
@@ -85,7 +96,9 @@ class Designer:
             found = self.rated(self._inputs(c, seconds))
             if found is not None and (best is None or found.information > best[0]):
                 best = found.information, c, found
-        return best[2] if best else None
+        if best is None:
+            raise ConfigError("hardware.safety", NO_INPUTS)
+        return best[2]
 
     def rated(self, inputs: Array) -> Excitation | None:
         """Inputs (T, m), scaled down until all models keep the limits; None if they never do."""

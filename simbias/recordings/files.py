@@ -30,14 +30,15 @@ MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv
 
 def write(
     assessment: Assessment,
-    excitation: Excitation | None,
+    excitation: Excitation | str,
     identification: dict[str, Any],
     folder: Path,
     configs: Path,
 ) -> None:
     """Write everything into a folder, and the option `identification=identified` into a folder of configs.
 
-    `identification` is the config that the model was identified with.
+    In place of an excitation, there may be a reason why there is none. `identification` is the config that
+    the model was identified with.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def write(
     option = configs / "identification" / f"{OPTION}.yaml"
     option.parent.mkdir(parents=True, exist_ok=True)
     option.write_text("\n".join(option_lines(assessment.identified.elsewhere(), identification)) + "\n")
-    if excitation is not None:
+    if isinstance(excitation, Excitation):
         told = trajectory(assessment.task, excitation.rollout)
         told.to_csv(folder / EXCITATION, index=False, float_format="%.6g")
     for name, text in models(assessment.identified):

@@ -12,12 +12,12 @@ from simbias.recordings.excitation import Excitation
 MOST = 5  # parts that are drawn
 
 
-def report(assessment: Assessment, title: str, excitation: Excitation | None) -> str:
+def report(assessment: Assessment, title: str, excitation: Excitation | str) -> str:
     """The report of an assessment, as HTML in one file."""
     return page(title, _parts(assessment, excitation))
 
 
-def _parts(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:
+def _parts(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
     """From the verdict to the predictions."""
     yield paragraph(words.verdict(assessment))
     yield heading("Which parameter may be trusted?")

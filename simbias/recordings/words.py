@@ -103,12 +103,12 @@ def reach_lines(assessment: Assessment) -> Iterator[str]:
             yield f"In {name}, {'; '.join(told)}. Do not rely on the 90% regions there."
 
 
-def advice(assessment: Assessment, excitation: Excitation | None) -> Iterator[str]:
+def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
     """Sentences about the trajectory to record next, and the parameters it should narrow."""
     before = np.sqrt(np.diag(assessment.identified.covariance))
     names = [finding.estimate.name for finding in assessment.findings]
-    if excitation is None:
-        yield "No trajectory was found that keeps the limits."
+    if isinstance(excitation, str):
+        yield f"No trajectory is proposed ({excitation})."
         return
     gained = excitation.gained(before)
     own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)

@@ -13,7 +13,6 @@ from simbias.core.records import Array, Rollout
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import trajectory
 from simbias.recordings.noise import noise_of
-from simbias.recordings.reading import read
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table
 from simbias.terminal.lines import say
@@ -22,7 +21,6 @@ from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 200
 LEAST, MOST = 0.01, 3600.0  # s of inputs
-NO_INPUTS = "no inputs were found that keep these limits and the task's criteria"
 
 
 def excite(request: Request, seconds: float, file: Path) -> None:
@@ -36,14 +34,12 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     if not LEAST <= seconds <= MOST:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
     console = Console(highlight=False)
-    study = request.study()
-    recordings = list(read(study, request.recordings, request.columns).rollouts.values())
+    study, given, _ = request.opened(console)
+    recordings = list(given.rollouts.values())
     with slowness_in_one_line(), console.status("looking for what tells most"):
         model = study.identification.fit(study.nominal, recordings)
         designer = Designer(study, model, _noise(study, recordings))
         found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
-    if found is None:
-        raise ConfigError("hardware.safety", NO_INPUTS)
     try:
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
     except OSError as error:
@@ -72,8 +68,7 @@ def recovery(request: Request) -> bool:
         If a recording cannot be read, or no inputs keep the limits.
     """
     console = Console(highlight=False)
-    study = request.study()
-    recordings = read(study, request.recordings, request.columns, request.held_out)
+    study, recordings, _ = request.opened(console)
     rollouts = recordings.rollouts
     with slowness_in_one_line(), console.status("") as status:
         noise = _noise(study, list(rollouts.values()))
@@ -83,8 +78,6 @@ def recovery(request: Request) -> bool:
             found = Designer(study, study.nominal, noise).design(
                 SECONDS, TRAJECTORIES, np.random.default_rng(study.seed)
             )
-            if found is None:
-                raise ConfigError("hardware.safety", NO_INPUTS)
             states = found.rollout.states
             takes, noise = [Take(states[0], found.rollout.inputs)], RELATIVE_NOISE * np.ptp(states, axis=0)
         recovered = recover(study, takes, noise, progress=status.update)

@@ -17,7 +17,7 @@ from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import OPTION, write
 from simbias.recordings.noise import noise_of
-from simbias.recordings.reading import read
+from simbias.recordings.reading import Recordings, read
 from simbias.terminal.lines import say
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
@@ -42,12 +42,20 @@ class Request(NamedTuple):
         """The folder of configs that the identified option is written to."""
         return Path(self.config_dir) if self.config_dir else self.folder / "conf"
 
-    def study(self) -> Study:
-        """The study; parameters are identified if no override says otherwise."""
+    def opened(self, console: Console) -> tuple[Study, Recordings, Recordings]:
+        """The study, its recordings and those that are held out; notes on them are printed.
+
+        Parameters are identified if no override says otherwise.
+        """
         chosen = GROUP in overridden(self.overrides)
         overrides = [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
         with preparing():
-            return prepared(build(compose(overrides, self.config_dir, self.allow)))
+            study = prepared(build(compose(overrides, self.config_dir, self.allow)))
+        recordings = read(study, self.recordings, self.columns, self.held_out)
+        held_out = read(study, self.held_out, self.columns)
+        for note in (*recordings.notes, *held_out.notes):
+            say(console, note, "yellow")
+        return study, recordings, held_out
 
     @property
     def again(self) -> list[str]:
@@ -65,11 +73,7 @@ def identify(request: Request) -> bool:
     """
     console = Console(highlight=False)
     with slowness_in_one_line():
-        study = request.study()
-        recordings = read(study, request.recordings, request.columns, request.held_out)
-        held_out = read(study, request.held_out, request.columns)
-        for note in (*recordings.notes, *held_out.notes):
-            say(console, note, "yellow")
+        study, recordings, held_out = request.opened(console)
         with console.status("") as status:
             assessment = assess(
                 study,
@@ -88,14 +92,17 @@ def identify(request: Request) -> bool:
     return assessment.better
 
 
-def next_excitation(study: Study, assessment: Assessment) -> Excitation | None:
-    """The trajectory to record next, which should tell most of the model; None if none keeps the limits."""
+def next_excitation(study: Study, assessment: Assessment) -> Excitation | str:
+    """The trajectory to record next, which should tell most of the model, or the reason why there is none."""
     rollouts = [rollout for part in assessment.parts for rollout in part.rollouts]
-    designer = Designer(study, assessment.identified, noise_of(rollouts))
-    return designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(0))
+    try:
+        designer = Designer(study, assessment.identified, noise_of(rollouts))
+        return designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(0))
+    except ConfigError as error:
+        return str(error)
 
 
-def tell(console: Console, assessment: Assessment, excitation: Excitation | None) -> None:
+def tell(console: Console, assessment: Assessment, excitation: Excitation | str) -> None:
     """Print the tables and sentences."""
     table(console, words.PARAMETER_NAMES, list(words.parameter_rows(assessment)))
     for line in words.own_lines(assessment):

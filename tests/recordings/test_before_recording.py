@@ -51,16 +51,12 @@ def test_the_limits_are_kept_on_every_draw(study: Study) -> None:
     """And more trajectories tell more."""
     designer = Designer(study, study.nominal, NOISE)
     few, found = (designer.design(1.0, count, np.random.default_rng(0)) for count in (3, 10))
-    assert few is not None
-    assert found is not None
     assert found.information >= few.information > 0
     bounds = study.conditions.safety.bounds(study.task)
     assert (np.abs(found.rollout.inputs) <= bounds.inputs).all()
     for rollout in designer._simulated(found.rollout.inputs):
         assert (np.abs(rollout.states) <= bounds.states).all()
     assert (found.deviations < 1).any()
-    impossible = limited("hardware.safety.states={vel1: 1e-6}")
-    assert Designer(impossible, impossible.nominal, NOISE).design(1.0, 3, np.random.default_rng(0)) is None
 
 
 def test_rotors_are_asked_only_to_push() -> None:
@@ -97,7 +93,6 @@ def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollo
     """Within the limits that the lab kept: posteriors of six robots are smaller, and nearer to the truth."""
     designer = Designer(study, study.nominal, NOISE)
     found = designer.design(2.0, 200, np.random.default_rng(0))
-    assert found is not None
     takes = [Take(study.task.start_mean, lab.inputs), Take(study.task.start_mean, found.rollout.inputs)]
     rng, volumes, errors = np.random.default_rng(1), [], []
     for _ in range(6):
@@ -177,6 +172,25 @@ def test_no_inputs_last_for_ever(capsys: pytest.CaptureFixture[str]) -> None:
         said = capsys.readouterr().err
         assert said.startswith("simbias: --seconds: must be from 0.01 to 3600, got ")
         assert said.count("\n") == 1
+
+
+KNOWN = "identification.known={parameters: [moon], mode: [0], spread: [[1]]}"
+REFUSED = [
+    (["identification.each=[moon]"], "identification.each: no moon; there is mass_1, "),
+    ([KNOWN], "identification.known is of moon; the nominal model's parameters are mass_1, "),
+    (["--seconds=0.05"], "identification.window: 0.1 s are more than inputs of 0.05 s\n"),
+    (["hardware.safety.states={vel1: 1e-6}"], "hardware.safety: no inputs were found that keep "),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), REFUSED)
+def test_a_bad_request_is_refused_in_one_line(
+    words: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("simbias.terminal.excite.TRAJECTORIES", 1)
+    options = ["preset=double_pendulum", "tracking=none"]
+    assert main(["excite", *options, *words]) == 2
+    assert capsys.readouterr().err.startswith(f"simbias: {said}")
 
 
 @pytest.mark.slow

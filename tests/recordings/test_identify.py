@@ -214,7 +214,7 @@ def test_a_trial_begins_with_what_was_identified(
     monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn below
     for stale in ("excitation.csv", "identified.xml", "draw_9.xml"):
         (tmp_path / stale).touch()
-    write(assessment, None, study.config["identification"], tmp_path, tmp_path / "conf")
+    write(assessment, "none", study.config["identification"], tmp_path, tmp_path / "conf")
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {"report.html", "parameters.csv", "errors.csv", "draws.csv", "conf"}
     options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
@@ -285,7 +285,7 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert assessment.ratio < 0.5
     assert list(assessment.ratios) == ["one", "<script>two"]
     assert "the identified model errs 0." in verdict(assessment)
-    text = report(assessment, "<b>title</b>", None)
+    text = report(assessment, "<b>title</b>", "none")
     assert "<script" not in text
     assert "<b>title" not in text
     assert "&lt;script&gt;two" in text
