@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 from simbias.core import HardwareError
 from simbias.core.errors import ConfigError, reason
-from simbias.core.messages import words
+from simbias.core.messages import counted, words
 from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
 from simbias.lab.signals import BAGS
+from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.assessment import OTHER_WINDOWS
 from simbias.trial.study import Study
 
 ENDS = (".csv", ".csv.gz", *BAGS)
@@ -33,12 +35,13 @@ def read(
 ) -> Recordings:
     """Recordings of files, and of all files in folders, but for those that are held out.
 
-    Without columns, those of the study's `hardware=recorded` are read, or else the task's own names.
+    Pieces between gaps are left out where they are shorter than a window of the study's posterior, if it has
+    one. Without columns, those of the study's `hardware=recorded` are read, or else the task's own names.
 
     Raises
     ------
     ConfigError
-        If there is no such file, or one cannot be read; the message is one line.
+        If there is no such file, or one cannot be read or is too short; the message is one line.
     """
     hardware = study.hardware
     if columns or not isinstance(hardware, Recorded):
@@ -48,6 +51,8 @@ def read(
             raise ConfigError("columns", words(error).removeprefix("columns ")) from error
     kept, files = _by_place(held_out), _by_place(places)
     rollouts, times, notes = dict[str, Rollout](), dict[str, Array](), list[str]()
+    posterior = study.identification
+    shortest = max(OTHER_WINDOWS) * posterior.window if isinstance(posterior, Posterior) else 0.0
     for place, file in files.items():
         name = _name(file, files.values())
         if place in kept:
@@ -58,10 +63,17 @@ def read(
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
         notes += [f"{name}: {note}" for note in recording.notes]
-        count = len(recording.pieces)
-        numbers = [""] if count == 1 else [f" ({i + 1})" for i in range(count)]
-        for number, piece, when in zip(numbers, recording.pieces, recording.times, strict=True):
-            rollouts[name + number], times[name + number] = piece, when
+        pieces = [
+            (name if len(recording.pieces) == 1 else f"{name} ({i})", piece, when)
+            for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True), start=1)
+            if piece.frames >= study.task.frames(shortest)
+        ]
+        if not pieces:
+            raise ConfigError(str(file), f"is shorter than a window of {shortest:g} s")
+        if left := len(recording.pieces) - len(pieces):
+            notes.append(f"{name}: {counted(left, 'piece')} of less than {shortest:g} s left out")
+        for name, piece, when in pieces:
+            rollouts[name], times[name] = piece, when
     return Recordings(rollouts, times, tuple(notes))
 
 

@@ -354,7 +354,7 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path) -> None:
     """However a file is named, also as one of a folder; without another one, there is nothing to fit to."""
     (folder / "lab").mkdir()
     for name in ("one", "two"):
-        write_csv(Rollout(np.zeros((9, 4)), np.zeros((8, 2))), folder / "lab" / f"{name}.csv")
+        write_csv(Rollout(np.zeros((202, 4)), np.zeros((201, 2))), folder / "lab" / f"{name}.csv")
     (folder / "again.csv").symlink_to(folder / "lab" / "two.csv")
     options = ["preset=double_pendulum", "identification=posterior", "tracking=none"]
     found = read(simbias.load(options), ["lab", "lab/../lab/one.csv"], held_out=[folder / "again.csv"])
@@ -364,13 +364,29 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path) -> None:
         simbias.identify(["lab"], options, held_out=["lab"])
 
 
+def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder: Path) -> None:
+    """A gap behind 0.02 s and one behind 0.3 s leave two pieces that hold a window of 0.2 s."""
+    write_csv(Rollout(np.zeros((401, 4)), np.zeros((400, 2))), folder / "cut.csv")
+    rows = pd.read_csv("cut.csv").drop(index=[*range(11, 21), *range(171, 191)])
+    rows.to_csv("cut.csv", index=False)
+    found = read(replace(study, hardware=None), ["cut.csv"])  # type: ignore[arg-type]
+    assert {name: piece.frames for name, piece in found.rollouts.items()} == {
+        "cut.csv (2)": 149,
+        "cut.csv (3)": 208,
+    }
+    assert "cut.csv: 1 piece of less than 0.2 s left out" in found.notes
+    rows[:100].to_csv("cut.csv", index=False)
+    with pytest.raises(ConfigError, match=r"^cut\.csv: is shorter than a window of 0\.2 s$"):
+        read(replace(study, hardware=None), ["cut.csv"])  # type: ignore[arg-type]
+
+
 def test_nothing_is_asked_of_a_tasks_targets(folder: Path) -> None:
     """They are no states of the robot, and no recording has them."""
     options = ["preset=reacher", "identification=posterior", "tracking=none"]
     task = simbias.load(options).task.without_targets
     names = ["time", *(each.name for each in (*task.states, *task.inputs))]
     pd.DataFrame(task.time_step * np.tile(np.arange(5.0)[:, None], len(names)), columns=names).to_csv("a.csv")
-    with pytest.raises(ConfigError, match=r"^a\.csv, part 1: is shorter than a window of "):
+    with pytest.raises(ConfigError, match=r"^a\.csv: is shorter than a window of "):
         simbias.identify(["a.csv"], options)
 
 
