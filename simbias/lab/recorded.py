@@ -16,6 +16,7 @@ from simbias.lab.checked_hardware import place_of
 from simbias.lab.recording import Reader
 from simbias.lab.signals import checked_columns
 
+CSV = (".csv", ".csv.gz")
 ENDS = "recording_ends"
 
 
@@ -23,8 +24,7 @@ ENDS = "recording_ends"
 class Recorded(Hardware):
     """Experiment i of a trial is recording i, again from the first one after the last.
 
-    Experiments that were allowed and not made count: after an iteration of two that ended with the first, the
-    next policy has the third recording.
+    An iteration that stops early skips the recordings of the experiments that it did not make.
 
     A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
     Between samples, states and inputs change linearly; they are read off in each frame of the task, up to its
@@ -58,22 +58,25 @@ class Recorded(Hardware):
 
     def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         """The next recording, numbered by the generator, which was spawned from the trial's."""
-        files = self.files
-        return self.rollout(files[([0, *place_of(rng)][-1]) % len(files)])
+        files, place = self.files, place_of(rng)[:2]  # a random one's is one deeper
+        return self.rollout(files[[0, *place][-1] % len(files)])
 
     @property
     def files(self) -> list[str]:
         """The recordings, in order."""
-        files = self._files or sorted(path.name for path in self._folder.glob("*.csv*"))
-        if not files:
-            raise HardwareError(f"no recording (.csv, .csv.gz) is in {self._folder}")
+        if not (files := self._named):
+            raise HardwareError(f"no recording ({', '.join(CSV)}) is in {self._folder}")
         return files
 
     @property
     def source_files(self) -> list[Path]:
         """The recordings that are there, as files."""
-        named = self._files or [path.name for path in self._folder.glob("*.csv*")]
-        return [self._folder / name for name in sorted(named) if (self._folder / name).is_file()]
+        return [path for name in sorted(self._named) if (path := self._folder / name).is_file()]
+
+    @property
+    def _named(self) -> list[str]:
+        """The files' names, or those of the folder's CSV files."""
+        return self._files or sorted(path.name for path in self._folder.glob("*") if path.name.endswith(CSV))
 
     def rollout(self, file: str) -> Rollout:
         """A recording in the task's frames, up to its horizon.

@@ -110,17 +110,17 @@ class Reader:
 
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
         """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
-        pieces: list[tuple[float, float]] = []
+        pieces, frame = [(-np.inf, np.inf)], self._task.time_step
         for signal in found.values():
-            own = self._runs(path, signal)
-            pieces = (
-                [(max(a, c), min(b, d)) for a, b in pieces for c, d in own if min(b, d) > max(a, c)]
-                if pieces
-                else own
-            )
-        pieces = [(a, b) for a, b in pieces if b - a >= self._task.time_step * (1 - 1e-9)]
+            runs = self._runs(path, signal)
+            pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
+        pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
         if not pieces:
-            raise HardwareError(f"{path}: its times do not increase")
+            longest = max(np.ptp(each.times) if len(each.times) else 0.0 for each in found.values())
+            problem = f"expected a frame of {frame:g} s at least, got {longest:.3g} s"
+            if longest >= frame:
+                problem = "its columns have no frame in common"
+            raise HardwareError(f"{path}: {problem}")
         if len(pieces) > 1:
             seconds = ", ".join(f"{b - a:.2f} s" for a, b in pieces)
             notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")

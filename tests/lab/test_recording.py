@@ -15,6 +15,7 @@ from simbias.lab.recorded import ENDS, Recorded
 from simbias.lab.recording import Reader, Recording
 from simbias.lab.table import read_table
 from simbias.lab.units import factor
+from simbias.trial.observer import Observer
 from simbias.trial.study import Study
 
 NAMES = ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
@@ -112,6 +113,20 @@ def test_gaps_and_resets_cut_it(study: Study, rollout: Rollout, tmp_path: Path) 
     study = pendulum(f"hardware.folder={tmp_path}", "hardware.columns=null")
     with pytest.raises(HardwareError, match=r"one\.csv: its times have a gap or a reset"):
         study.hardware.rollout("one.csv")  # type: ignore[attr-defined]
+
+
+def test_without_a_frame_that_all_columns_hold_it_is_refused(
+    study: Study, rollout: Rollout, tmp_path: Path
+) -> None:
+    """Torques by another clock: what is between is invented. And what is shorter than a frame."""
+    table = frame(rollout)
+    later = table[["time", "tau1", "tau2"]].assign(time=table["time"] + 1000)
+    for columns in (["tau1", "tau2"], ["tau2"], ["tau1"]):
+        apart = pd.concat([table.drop(columns=columns), later[["time", *columns]]])
+        with pytest.raises(HardwareError, match=r"one\.csv: its columns have no frame in common"):
+            read(study, apart, tmp_path)
+    with pytest.raises(HardwareError, match=r"one\.csv: expected a frame of 0\.002 s at least, got 0\.001 s"):
+        read(study, table[:2].assign(time=[0.0, 0.001]), tmp_path)
 
 
 def test_wrapped_angles_are_unwound(study: Study, tmp_path: Path) -> None:
@@ -220,6 +235,26 @@ def test_experiments_are_the_recordings_in_turn() -> None:
     start = [float(value) for value in lines[1].split(",")]
     np.testing.assert_allclose(first.states[0], start[1:5])
     np.testing.assert_allclose(first.inputs[0], start[5:])
+
+
+def test_random_experiments_are_the_first_recordings(rollout: Rollout, tmp_path: Path) -> None:
+    """The policies' have those behind. Other files than CSV are none."""
+    for count in range(3):
+        frame(rollout).assign(tau1=count).to_csv(tmp_path / f"{count}.csv", index=False)
+    for name in ("0.csv.bak", "1.csvx", "no.csv~"):
+        (tmp_path / name).touch()
+    options = ["random_experiments=2", "max_iterations=1", "experiments=1"]
+    study = pendulum(
+        *(f"hardware.folder={tmp_path}", "hardware.columns=null", "policy=output_feedback", "bias=none"),
+        *("identification=none", "optimizer.max_evaluations=2", "evaluation=nominal_start"),
+        *("method=model_based", *(f"method.{option}" for option in options)),
+    )
+    assert [path.name for path in study.hardware.source_files] == ["0.csv", "1.csv", "2.csv"]
+    made: list[float] = []
+    watching = Observer()
+    watching.experimented = lambda rollout: made.append(rollout.inputs[0, 0])  # type: ignore[method-assign]
+    list(study.run(watching))
+    assert made == [0.0, 1.0, 2.0]
 
 
 def test_between_the_lines_it_is_linear(tmp_path: Path) -> None:
