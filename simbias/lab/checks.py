@@ -28,10 +28,10 @@ def check_rollout(rollout: Any, source: str, task: Task, bounds: Bounds | None =
     n, m, T = len(task.states), len(task.inputs), task.horizon
     inputs = _array(rollout.inputs, f"{source}: inputs", (None, m))
     k = len(inputs)
-    states = _unwrapped(_array(rollout.states, f"{source}: states", (k + 1, n)), task)
+    states = unwrapped(_array(rollout.states, f"{source}: states", (k + 1, n)), task)
     measured = rollout.measured
     if measured is not None:
-        measured = _unwrapped(_array(measured, f"{source}: measured", (k + 1, n)), task)
+        measured = unwrapped(_array(measured, f"{source}: measured", (k + 1, n)), task)
     if not isinstance(rollout.sensed, bool | np.bool_):
         raise HardwareError(f"{source}: sensed: expected true or false, got {quote(rollout.sensed)}")
     if k > T:
@@ -77,8 +77,8 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
     return own
 
 
-def _unwrapped(states: Array, task: Task) -> Array:
-    """States (k+1, n) of which those that wrap do not jump by a turn: what is learned from them is smooth."""
+def unwrapped(states: Array, task: Task) -> Array:
+    """These states (k+1, n), those that wrap without jumps by a turn: what is learned from them is smooth."""
     for index in (index for index, state in enumerate(task.states) if state.wraps):
         states[:, index] = np.unwrap(states[:, index])
     return states

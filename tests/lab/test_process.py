@@ -72,6 +72,8 @@ ANSWERS = {
     "print(json.dumps(dict(states=states, inputs=inputs, cost=1)))": "cost: expected states, inputs",
     f"inputs = [['1_2']] * 101; {ANSWER}": "inputs: expected rows of 1 numbers",
     f"inputs = inputs[:50]; {ANSWER}": "expected as many rows of each, got 101",
+    f"states = inputs = []; {ANSWER}": "expected as many rows of each, got 0 states",
+    f"states[3] = [0.5]; {ANSWER}": "states: expected rows of 2 numbers, got [[0.5, 0.0], [0.5, 0.0], ",
     f"states[3] = [float('nan'), 0]; {ANSWER}": "states: row 4: expected finite numbers, got [nan, 0.0]",
     f"failure = 1; {ANSWER}": "failure: expected a name",
     f"times = [0.1 * i for i in range(101)]; {ANSWER}": "column time: expected a row at least every 0.02 s",
@@ -95,6 +97,12 @@ def test_what_is_no_trajectory_is_one_line(point_mass: Study, tmp_path: Path) ->
     for override, message in (("hardware.command=''", "command is empty"), ("seed=0", "hardware.command")):
         with pytest.raises(ConfigError, match=message):
             build(compose(["hardware=process", override]))
+
+
+def test_a_robot_may_fail_before_anything_acts(point_mass: Study, tmp_path: Path) -> None:
+    text = f"{ROWS}; failure = 'stop'; states[1:] = inputs[:] = []; {ANSWER}"
+    made = run(point_mass, program(tmp_path, text))
+    assert (made.failed_at, made.failure, made.inputs.shape) == (0, "stop", (0, 1))
 
 
 def test_an_answer_at_a_higher_rate_is_resampled_and_one_may_wait(point_mass: Study, tmp_path: Path) -> None:

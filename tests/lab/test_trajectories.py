@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from labs import Pole, lines, requested, written
 from point_mass import PointMass
 
-from simbias.core import HardwareError
+from simbias.core import HardwareError, Quantity
 from simbias.core.records import Array, Rollout
 from simbias.lab.requests.trajectory import Recording, frame, header, read, template
 from simbias.lab.safety import Safety
@@ -256,6 +256,35 @@ def test_resampling_keeps_the_integral_of_inputs_and_lines_of_states(steps: list
     exact = np.sum(held * inputs[:-1, 0])
     jitter = 0.26 * TASK.time_step * 10  # rows on time to a quarter of a frame are taken as they are
     assert abs(TASK.time_step * rollout.inputs.sum() - exact) <= jitter + 1e-9
+
+
+class Turning(Pole):
+    """Its angle is the same after a turn, and never fails."""
+
+    states = (Quantity("angle", "rad", wraps=True), Quantity("rate", "rad/s"))
+    criteria = ()
+
+    def measure(self, x: Array) -> Array:
+        return x[..., :0]
+
+
+def test_angles_that_wrap_are_unwound_before_lines_are_drawn_between_rows() -> None:
+    """An encoder within half a turn, asked for a start beyond it."""
+    request = requested(Turning(horizon=20), np.array([3.2, 7.3]))
+    times = 0.006 * np.arange(68)
+    turned = np.column_stack([3.2 + 7.3 * times, np.full(68, 7.3)])
+    read_off = np.column_stack([np.angle(np.exp(1j * turned[:, 0])), turned[:, 1]])
+    rollout = frame(Recording(times, read_off, np.zeros((68, 1))), request, "here")
+    np.testing.assert_allclose(rollout.states[:, 0], 3.2 + 7.3 * TIMES, atol=1e-12)
+    for degrees in (np.degrees(turned), np.vstack([turned[:1], np.degrees(turned[1:])])):
+        with pytest.raises(HardwareError, match="are these degrees"):
+            frame(Recording(times, degrees, np.zeros((68, 1))), request, "here")
+
+
+def test_the_last_input_is_a_mean_where_rows_end_a_little_early() -> None:
+    times = 0.004 * np.arange(100)
+    rollout = frame(Recording(times, motion(times)[0], np.full((100, 1), 3.0)), REQUEST, "here")
+    np.testing.assert_allclose(rollout.inputs, np.full((20, 1), 3.0))
 
 
 def test_what_fails_behind_the_horizon_has_lasted(tmp_path: Path) -> None:

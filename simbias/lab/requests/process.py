@@ -127,7 +127,7 @@ class Process(Hardware):
         if (given := answer.get("times")) is not None:
             rows = [[time] for time in given] if isinstance(given, list) else given
             times = _rows(rows, "times", 1)[:, 0]
-        if not len(states) == len(inputs) == len(times):
+        if not 0 < len(states) == len(inputs) == len(times):
             raise HardwareError(
                 f"expected as many rows of each, got {len(states)} states, {len(inputs)} inputs and "
                 f"{len(times)} times"
@@ -141,10 +141,10 @@ class Process(Hardware):
 def _rows(given: Any, name: str, columns: int) -> Array:
     """Rows (r, columns) of finite numbers."""
     try:
-        table = np.array(given)
+        table = np.array(given) if given != [] else np.empty((0, columns))
     except (TypeError, ValueError, OverflowError):
-        table = np.empty(0)
-    if (table.ndim == 2 and not len(table)) or table.dtype.kind not in "if":
+        table = np.array(None)
+    if table.dtype.kind not in "if":
         raise HardwareError(f"{name}: expected rows of {columns} numbers, got {quote(given)}")
     if table.ndim != 2 or table.shape[1] != columns:
         raise HardwareError(f"{name}: expected rows of {columns} numbers, got the shape {table.shape}")

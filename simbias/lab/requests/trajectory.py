@@ -12,6 +12,7 @@ import numpy as np
 from simbias.core import HardwareError, Quantity, Task
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
+from simbias.lab.checks import unwrapped
 from simbias.lab.requests.request import START_DEVIATIONS, ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
@@ -104,7 +105,8 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
     """A recording at the task's frames, up to its first failure.
 
     Rows that are more frequent are resampled: states between rows lie on straight lines, an input is the
-    mean of those that acted during the frame. Rows that are rarer, and gaps, are refused.
+    mean of those that acted during the frame. Rows that are rarer, and gaps, are refused. Angles that wrap
+    are unwound, from within half a turn of the start that was asked for.
 
     Raises
     ------
@@ -117,31 +119,40 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
     _check_start(recording.states, rows, request, source)
     _check_times(times, rows, task, source)
     _check_inputs(recording.inputs[:-1], rows, request, source)  # nothing acts after the last frame
+    measured = _unwound(recording.states, request)
     frames = np.arange(math.floor(times[-1] / task.time_step + JITTER) + 1)[: task.horizon + 1]
     wanted = frames * task.time_step
     if len(times) >= len(frames) and np.all(np.abs(times[: len(frames)] - wanted) <= JITTER * task.time_step):
-        states, inputs = recording.states[: len(frames)], recording.inputs[: len(frames) - 1]
+        states, inputs = measured[: len(frames)], recording.inputs[: len(frames) - 1]
     else:
-        states = np.stack([np.interp(wanted, times, column) for column in recording.states.T], axis=1)
+        states = np.stack([np.interp(wanted, times, column) for column in measured.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
     failure = recording.failure if within else None
     return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
 
 
+def _unwound(states: Array, request: ExperimentRequest) -> Array:
+    """States (r, n) whose angles that wrap neither jump by a turn nor begin turns away from the start."""
+    states = unwrapped(states.copy(), request.task)
+    wraps = [state.wraps for state in request.task.states]
+    turns = np.round((states[0] - request.start) / (2 * np.pi))
+    return states - np.where(wraps, 2 * np.pi * turns, 0.0)
+
+
 def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
     """Refuse a start that was not asked for, and degrees where radians were."""
-    task, start, begun = request.task, request.start, states[0]
-    reason = "; are these degrees?" if _in_degrees(begun, start, task) else "; is it another unit?"
+    task, start, got, begun = request.task, request.start, states[0], _unwound(states[:1], request)[0]
+    reason = "; are these degrees?" if _in_degrees(got, start, task) else "; is it another unit?"
     for index, quantity in enumerate(task.states):
         limit, tolerance = request.bounds.states[index], request.start_tolerance[index]
         where = f"{source}: row {rows[0]}, column {quantity.name}: expected"
         if abs(start[index]) <= limit < abs(begun[index]):
-            raise HardwareError(f"{where} at most {limit:g} {quantity.unit}, got {begun[index]:g}{reason}")
+            raise HardwareError(f"{where} at most {limit:g} {quantity.unit}, got {got[index]:g}{reason}")
         if abs(begun[index] - start[index]) > tolerance:
             raise HardwareError(
                 f"{where} the start {start[index]:g} within {tolerance:g} {quantity.unit} "
-                f"({START_DEVIATIONS:g} deviations of the task's starts), got {begun[index]:g}{reason}"
+                f"({START_DEVIATIONS:g} deviations of the task's starts), got {got[index]:g}{reason}"
             )
     failure = task.failure(begun)
     if failure and not task.failure(start):
@@ -149,7 +160,7 @@ def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest,
             f"{source}: row {rows[0]}: expected a start within the limits, got one that has failed "
             f"({task.words(failure)}){reason}"
         )
-    for index, before in ((0, start), (1, begun)):  # a template's first row is in radians
+    for index, before in ((0, start), (1, got)):  # a template's first row is in radians
         if index < len(states) and _in_degrees(states[index], before, task):
             raise HardwareError(
                 f"{source}: row {rows[index]}: expected radians, got values that are {DEGREES:.1f} times "
@@ -208,6 +219,7 @@ def _check_inputs(inputs: Array, rows: Sequence[int], request: ExperimentRequest
 
 def _means(times: Array, inputs: Array, wanted: Array) -> Array:
     """The means (k, m) of inputs that are held between times, from each wanted time to the next."""
+    wanted = np.minimum(wanted, times[-1])  # the last row may come a little early
     steps = np.diff(times)[:, None]
     sums = np.concatenate([np.zeros((1, inputs.shape[1])), np.cumsum(steps * inputs[:-1], axis=0)])
     at = np.stack([np.interp(wanted, times, column) for column in sums.T], axis=1)
