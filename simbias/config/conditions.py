@@ -41,7 +41,7 @@ def conditions(config: Any, task: Task, timeout: float | None) -> ExperimentCond
     """
     values = ExperimentConditions(timeout, **validate(split(config)[1], FIELDS, HARDWARE))
     try:
-        values.safety.bounds(task)
+        values.safety.bounds(task.without_targets)
     except ValueError as error:
         raise ConfigError(f"{HARDWARE}.safety", words(error)) from error
     return values
