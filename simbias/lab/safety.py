@@ -195,6 +195,11 @@ class SafetyLimitedPolicy(Policy):
         return self._last.record() if self._last and self._last.failure else None
 
 
+def without_limits(policy: Policy) -> Policy:
+    """The policy itself, without the limits that it is held within."""
+    return policy.policy if isinstance(policy, SafetyLimitedPolicy) else policy
+
+
 class _SafetyLimitedController(Controller):
     """A controller that raises before it gives an input beyond the limits, and at each call afterwards."""
 

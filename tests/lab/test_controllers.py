@@ -46,6 +46,18 @@ class Integral(Policy):
         return np.clip(u, *self._task.input_bounds), total
 
 
+class Halved(Integral):
+    """Half of another law, which it knows by the name that a limited policy has it by."""
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(task)
+        self.policy = Integral(task)
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        u, policy_state = self.policy.act(theta, x, t, policy_state)
+        return 0.5 * u, policy_state
+
+
 class Branching(Integral):
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         return (x[..., :1] if x[..., 0] > 0 else -x[..., :1]), policy_state
@@ -90,7 +102,9 @@ def test_the_code_is_the_policy_over_hundreds_of_frames(study: Study) -> None:
     mass = PointMass()
     own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
     zeros = ExperimentRequest(mass, SignsOfZeros(mass), np.zeros(1), mass.start_mean)
-    for request in (with_everything(study), own, zeros):
+    halved = ExperimentRequest(mass, Halved(mass), np.array([3.0]), mass.start_mean)
+    assert halved.content()["policy"]["class"] == "Halved"
+    for request in (with_everything(study), own, zeros, halved):
         assert request.why_no_code == ""
         assert {HEADER, MODULE} <= files(request).keys()
     states = 0.3 * np.random.default_rng(0).standard_normal((50, 6))

@@ -15,7 +15,7 @@ from simbias.core.digest import short_digest
 from simbias.core.records import Array
 from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
-from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy
+from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy, without_limits
 from simbias.simulation.compiler import Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
@@ -92,7 +92,7 @@ class ExperimentRequest:
         inputs = zip(_named(task.inputs), *bounds.input_bounds, bounds.input_rates, strict=True)
         return {
             "policy": {
-                "class": type(getattr(self.policy, "policy", self.policy)).__name__,
+                "class": type(without_limits(self.policy)).__name__,
                 "law": law.words,
                 **{name: np.asarray(values).tolist() for name, values in law.numbers.items()},
                 "parameters": self.theta.tolist(),

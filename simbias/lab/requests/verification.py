@@ -14,7 +14,7 @@ import numpy as np
 from simbias.core import Policy, Task
 from simbias.core.messages import brief
 from simbias.core.records import Array
-from simbias.lab.safety import Bounds, SafetyLimitedPolicy, UnsafeError
+from simbias.lab.safety import Bounds, SafetyLimitedPolicy, UnsafeError, without_limits
 
 FRAMES = 200  # of each sequence of states
 AMPLITUDES = (0.0, 0.01, 0.1, 1.0, 10.0)  # of the sequences, besides the deviation of starts
@@ -48,7 +48,7 @@ def difference(policy: Policy, task: Task, theta: Array, bounds: Bounds, header:
 
     C is tried where there is a compiler, `cc`.
     """
-    limited = SafetyLimitedPolicy(getattr(policy, "policy", policy), task, bounds)
+    limited = SafetyLimitedPolicy(without_limits(policy), task, bounds)
     sequences = _sequences(task)
     expected = [_run(limited.controller(theta, task.time_step), states, task) for states in sequences]
     names: dict[str, Any] = {}
