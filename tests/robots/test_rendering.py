@@ -137,9 +137,8 @@ def test_a_flat_robot_is_seen_from_the_side_that_it_moves_in(tmp_path: Path) -> 
         file.write_text(flat.format(axis=axis))
         task, straight = slider(file), np.array([0.3, 0.2, 0.1])
         for angle, sign in ((0.0, 1.0), (np.pi, -1.0)):
-            ends = task.points(np.array([angle, 0.0]))["arm"]
-            tip = max(ends, key=np.linalg.norm)
-            np.testing.assert_allclose(tip, sign * straight[plane], atol=1e-9)
+            middle = task.points(np.array([angle, 0.0]))["arm"].mean(axis=0)
+            np.testing.assert_allclose(middle, sign * straight[plane] / 2, atol=1e-9)
 
 
 @pytest.mark.parametrize("euler", ["0 0 0", "90 0 0", "0 90 0", "0 30 0", "20 30 40", "90 90 90"])
@@ -159,3 +158,18 @@ def test_the_outline_of_a_box_holds_all_its_corners(tmp_path: Path, euler: str) 
     assert 0.5 * (x @ np.roll(z, -1) - z @ np.roll(x, -1)) == pytest.approx(hull.volume)  # its area
     distances = np.linalg.norm(outline[:, None] - corners[hull.vertices], axis=2)
     np.testing.assert_allclose([*distances.min(axis=0), *distances.min(axis=1)], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("euler", ["90 0 0", "89 0 0", "20 30 40"])
+def test_a_wheel_is_a_disc_end_on_and_a_bar_with_round_ends_aslant(tmp_path: Path, euler: str) -> None:
+    """The convex hull of its two circles, from the side."""
+    wheel = f'<geom name="wheel" type="cylinder" size="0.1 0.02" euler="{euler}" mass="1"/>'
+    (tmp_path / "wheel.xml").write_text(re.sub('<geom name="hull".*/>', wheel, ROBOT))
+    outline = slider(tmp_path / "wheel.xml").points(np.array([0.5, 0.0]))["wheel"]
+    turn, angle = np.empty(9), np.linspace(0.0, 2 * np.pi, 1000)
+    mujoco.mju_quat2Mat(turn, mujoco.MjModel.from_xml_path(str(tmp_path / "wheel.xml")).geom("wheel").quat)
+    circle = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), np.full(1000, 0.02)], axis=1)
+    seen = np.concatenate([circle, -circle]) @ turn.reshape(3, 3).T[:, [0, 2]]
+    assert ConvexHull(outline).volume == pytest.approx(ConvexHull(seen).volume, rel=0.01)  # its area
+    np.testing.assert_allclose(np.ptp(outline, axis=0), np.ptp(seen, axis=0), rtol=0.01)
+    np.testing.assert_allclose(outline.mean(axis=0), [0.5, 0.0], atol=1e-12)

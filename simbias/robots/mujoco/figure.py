@@ -17,6 +17,7 @@ from simbias.robots.mujoco.rendering import Image, NoRendererError, Rendering
 from simbias.robots.mujoco.view import View, axes_of, solid_geoms, view_of
 
 EDGE_ON = 1e-9  # of the longest edge: what is seen of one along the line of sight
+HALF_TURN = np.linspace(-np.pi / 2, np.pi / 2, 17)  # rad, along half the edge of a disc
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,9 @@ class FigureFile:
 
 
 class Figure:
-    """Spheres are discs, capsules and cylinders are bars, boxes are their outlines; other geoms are left out.
+    """Spheres are discs, capsules and cylinders are bars, or discs end-on, boxes are their outlines.
 
-    With these, MuJoCo renders it, where it can.
+    Other geoms are left out. With these, MuJoCo renders it, where it can.
 
     Raises
     ------
@@ -91,9 +92,26 @@ class Figure:
             centre, turned = data.geom_xpos[geom], points @ data.geom_xmat[geom].reshape(3, 3).T
             if len(points) == 3:
                 placed[name] = _outline(centre[self._view], turned[:, self._view])
+            elif len(points) == 2:
+                size = model.geom_size[geom]
+                placed[name] = _bar(centre[self._view], turned[1, self._view], size[1], size[0])
             else:
                 placed[name] = (centre + turned)[:, self._view]
         return placed
+
+
+def _bar(centre: Array, half: Array, length: float, radius: float) -> Array:
+    """The ends (2, 2) of a bar about a centre (2,); seen aslant or end-on, its edge (k, 2).
+
+    Half of it, of this length, is seen as `half` (2,).
+    """
+    seen = np.hypot(*half)
+    if seen > (1 - EDGE_ON) * length:
+        return np.array([centre - half, centre + half])
+    angle, deep = np.arctan2(half[1], half[0]), np.sqrt(1 - (seen / length) ** 2)
+    edge = np.stack([seen + deep * radius * np.cos(HALF_TURN), radius * np.sin(HALF_TURN)], axis=1)
+    turn = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    return centre + np.concatenate([edge, -edge]) @ turn
 
 
 def _outline(centre: Array, halves: Array) -> Array:
