@@ -18,6 +18,8 @@ from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdi
 def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> bool:
     """Check the groups that the overrides name, or all but the hardware; tell how each check went.
 
+    No check of another group makes an experiment on the hardware.
+
     Raises
     ------
     ConfigError

@@ -9,9 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from simbias.core import Hardware, Policy
 from simbias.core.records import Array, Iteration, Rollout
+from simbias.lab.checked_hardware import DEFAULT_CONDITIONS
+from simbias.simulation.closed_loop import simulator
 from simbias.testing.expectations import ConformanceError, check, equal, expect
 from simbias.trial.observer import Observer
+from simbias.trial.policy_test import NO_TEST
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
@@ -51,17 +55,39 @@ def _optimizer_raises(study: Study) -> None:
     raise ConformanceError("minimize: expected the objective's exception, got none")
 
 
-def _shortened(study: Study) -> Study:
-    """The study, whose trials take seconds even on a model of many contacts."""
-    optimizer, budget = copy(study.optimizer), study.budget
+class _NominalHardware(Hardware):
+    """The nominal model in place of the hardware, which a check of others leaves at rest."""
+
+    def __init__(self, study: Study) -> None:
+        self._study = study.without_targets
+        self._cost = None if study.task.targets else study.cost  # with it, nothing new is compiled
+
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+        """An experiment without noise."""
+        rng.standard_normal()  # as noise would: an experiment that is recalled draws nothing
+        model = replace(self._study, policy=policy).model()
+        return simulator(model, cost=self._cost).rollout(theta, start)
+
+
+def _on_nominal_model(study: Study) -> Study:
+    """The study with short searches and the nominal model as hardware: nobody is asked, no policy tested."""
+    optimizer, budget, hardware = copy(study.optimizer), study.budget, _NominalHardware(study)
     optimizer.max_evaluations = min(EVALUATIONS, optimizer.max_evaluations)
     experiments = min(EXPERIMENTS, budget.experiments or EXPERIMENTS)
-    return replace(study, optimizer=optimizer, budget=replace(budget, experiments=experiments))
+    return replace(
+        study,
+        hardware=hardware,
+        hardware_of=lambda task: hardware,
+        conditions=DEFAULT_CONDITIONS,
+        policy_test=NO_TEST,
+        optimizer=optimizer,
+        budget=replace(budget, experiments=experiments),
+    )
 
 
-@check("method", "counted experiments, no more than it may make, recalled when a trial is started again")
+@check("method", "counted experiments, not too many, recalled when begun again (all on the nominal model)")
 def _method_counts_and_recalls(study: Study) -> None:
-    study = _shortened(study)
+    study = _on_nominal_model(study)
     made: list[Rollout] = []
     counts: list[int] = []  # after each iteration
 

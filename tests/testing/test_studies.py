@@ -93,9 +93,11 @@ class Failing(Noting):
 
 
 @pytest.mark.slow
-def test_a_method_is_checked_by_a_short_trial() -> None:
+def test_a_method_is_checked_by_a_short_trial_that_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """However long its own are: on a model of many contacts they take minutes."""
     long = ["bias=none", "optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]
-    study, evaluation = simbias.load([*POINT_MASS, "tracking=none", *long], OWN_CONF), Failing()
+    real = ["hardware.confirm=true", "policy_test.episodes=3"]
+    study, evaluation = simbias.load([*POINT_MASS, "tracking=none", *long, *real], OWN_CONF), Failing()
+    monkeypatch.setattr(study.hardware, "run", pytest.fail)
     assert problems(replace(study, evaluation=evaluation), "method") == []
     assert 0 < len(evaluation.thetas) < 1000
