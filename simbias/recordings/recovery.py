@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simbias.core.errors import ConfigError
-from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import QUANTILE, Identified
 from simbias.learning.identification.posterior import Posterior
@@ -23,7 +22,7 @@ MOSTLY = 0.7  # share of 90% intervals that have to hold the truth; chance leave
 
 
 class Recovery(NamedTuple):
-    """How a parameter came back, over robots that were drawn from the prior."""
+    """How a parameter came back, over robots that were drawn from what is known."""
 
     name: str
     unit: str
@@ -53,7 +52,7 @@ def recover(
     robots: int = ROBOTS,
     progress: Callable[[str], None] = lambda words: None,
 ) -> list[Recovery]:
-    """Draw robots from the prior, record each in all takes with white noise (n,), and identify it.
+    """Draw robots from what is known, record each in all takes with white noise (n,), and identify it.
 
     A recording ends where the robot would fail.
 
@@ -62,28 +61,31 @@ def recover(
     ConfigError
         If no robot lasts for a window.
     """
-    assert isinstance(study.identification, Posterior)
-    nominal = study.identification.prior(study.nominal)
-    prior = Identified.of_prior(nominal)
-    rng, parameters = np.random.default_rng(study.seed), nominal.parameters
+    posterior = study.identification
+    assert isinstance(posterior, Posterior)
+    prior = posterior.fit(study.nominal, [])
+    known = prior if isinstance(prior, Identified) else Identified.of_prior(prior)
+    rng, parameters = np.random.default_rng(study.seed), known.parameters
     own = np.array([parameter.of_recording for parameter in parameters], bool)
     true, modes, deviations = [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
-        z, made = prior.draw_coordinates(rng), list[tuple[Array, Rollout]]()
+        z, made = known.draw_coordinates(rng), list[tuple[Array, Rollout]]()
         for i, take in enumerate(takes):
             here = np.where(own, rng.standard_normal(len(z)), z) if i and own.any() else z
-            robot = PredictionModel(nominal.with_parameters(values_at(parameters, here)))
-            made.append((here, record(study, robot, take, noise, rng)))
+            made.append((here, record(study, PredictionModel(known.at(here)), take, noise, rng)))
         made = [(here, rollout) for here, rollout in made if rollout.frames]
-        fitted = study.identification.fit(study.nominal, [rollout for _, rollout in made])
-        if isinstance(fitted, Identified):
-            first = fitted.of_recording(0)
-            true.append(made[0][0])
-            modes.append(first.mode)
-            deviations.append(np.sqrt(np.diag(first.covariance)))
+        rollouts = [rollout for _, rollout in made]
+        if not rollouts or not len(posterior.windows(rollouts)):
+            continue
+        fitted = posterior.fit(study.nominal, rollouts)
+        assert isinstance(fitted, Identified)
+        first = fitted.of_recording(0)
+        true.append(made[0][0])
+        modes.append(first.mode)
+        deviations.append(np.sqrt(np.diag(first.covariance)))
     if not true:
-        raise ConfigError("", "no robot that was drawn from the prior lasts for a window without failing")
+        raise ConfigError("", "no robot that was drawn lasts for a window without failing")
     errors, spreads = np.abs(np.array(modes) - true), np.array(deviations)
     return [
         Recovery(

@@ -75,7 +75,7 @@ def recovery(request: Request) -> bool:
         takes = [Take(each.states[0], each.inputs, recordings.times[name]) for name, each in rollouts.items()]
         if not takes:
             status.update("looking for what tells most")
-            found = Designer(study, study.nominal, noise).design(
+            found = Designer(study, study.identification.fit(study.nominal, []), noise).design(
                 SECONDS, TRAJECTORIES, np.random.default_rng(study.seed)
             )
             states = found.rollout.states
@@ -96,7 +96,8 @@ def recovery(request: Request) -> bool:
     table(console, names, rows)
     pairs = zip(study.task.states, noise, strict=True)
     levels = ", ".join(f"{state.name} {level:.2g} {state.unit}" for state, level in pairs)
-    say(console, f"Medians over robots drawn from the prior, in its deviations; white noise of {levels}.")
+    say(console, "Medians over robots drawn from what is known, in deviations of the prior.")
+    say(console, f"White noise of {levels}.")
     return any(each.comes_back for each in recovered)
 
 

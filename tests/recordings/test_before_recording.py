@@ -1,6 +1,7 @@
 """What is said before anything is recorded: excitation, and whether parameters come back."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
-from simbias.learning.identification.identified import Identified
+from simbias.learning.identification.identified import Identified, Known
 from simbias.recordings.assessment import prepared
 from simbias.recordings.excitation import Designer
 from simbias.recordings.noise import noise_of
@@ -120,6 +121,19 @@ def test_parameters_come_back_and_intervals_tell_the_truth(study: Study, lab: Ro
     assert not Recovery("wrong", "kg", 3.0, 0.1, 0.2).comes_back  # sure, and wrong
 
 
+def test_robots_are_drawn_from_what_is_known() -> None:
+    """Far from the prior, and next to each other; one that is not recorded for a window says nothing."""
+    study = limited("nominal.uncertainty.bodies=false")
+    names = [parameter.name for parameter in study.nominal.parameters]
+    near = Known(names, [1.0] * len(names), (0.01 * np.eye(len(names))).tolist())
+    known = replace(study, identification=study.identification.with_known(near))  # type: ignore[attr-defined]
+    u = np.sin(np.arange(100)[:, None] * np.array([0.1, 0.2]))
+    for recovery in recover(known, [Take(np.zeros(4), u)], NOISE, robots=1):
+        assert recovery.error < 0.05, recovery.name
+    with pytest.raises(ConfigError, match="no robot that was drawn lasts for a window"):
+        recover(known, [Take(np.zeros(4), u[:20])], NOISE, robots=1)
+
+
 def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
     """Every fifth frame, with noise: between these times a recording is linear."""
     times = 0.01 * np.arange(101)
@@ -138,7 +152,7 @@ def test_a_robot_that_fails_is_recorded_until_then(study: Study) -> None:
     gone = Take(np.array([0.0, 0.0, 70.0, 0.0]), np.zeros((100, 2)))
     late = wild._replace(times=np.array([0.5, 0.51]))
     for none in gone, late:
-        with pytest.raises(ConfigError, match="no robot that was drawn from the prior lasts"):
+        with pytest.raises(ConfigError, match="no robot that was drawn lasts"):
             recover(limited(), [none], NOISE, robots=1)
 
 
