@@ -98,7 +98,7 @@ def push_of(name: str, pulses: Pulses, inputs: Sequence[str]) -> Push:
     amplitude, seconds = (pulses.amplitude[0], pulses.amplitude[1]), (pulses.seconds[0], pulses.seconds[1])
     for key, (least, most) in (("amplitude", amplitude), ("seconds", seconds)):
         if not 0 <= least <= most:
-            raise ValueError(f"pushes.{name}.{key} is [{least:g}, {most:g}], not from less to more")
+            raise ValueError(f"pushes.{name}.{key}: expected 0 <= least <= most, got [{least:g}, {most:g}]")
     return Push(inputs.index(name), pulses.count, amplitude, seconds)
 
 

@@ -75,7 +75,7 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
     """The names (g), times (k,) and values (k, g) of a reference's file."""
     try:
         with Path(file).open(newline="", encoding="utf-8") as stream:
-            header, *rows = csv.reader(stream)
+            header, *rows = filter(None, csv.reader(stream))
         table = np.array([[float(cell) for cell in row] for row in rows])
     except (OSError, ValueError) as error:
         raise ValueError(f"reference {quote(file)}: {error}") from error

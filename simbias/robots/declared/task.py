@@ -57,7 +57,7 @@ class Declared(Task):
         states, they know t and the error of each quantity of the goal, as `angle_error`. Without any, the
         cost decides.
     starts
-        States, of which an episode starts at one, in place of the states' means.
+        States, of which an episode starts at one, in place of the states' means. The first is the mean start.
     pushes
         By the inputs' names.
     where
@@ -163,7 +163,9 @@ class Declared(Task):
 
     def _set_drawing(self, drawing: dict[str, Part]) -> None:
         """Set what is drawn: a figure's parts, or those that are declared."""
-        self.drawing = _parts(self._figure) if self._figure else drawing
+        if self._figure:  # which knows its points itself
+            drawing = {name: Part([], thickness) for name, thickness in self._figure.thickness.items()}
+        self.drawing = drawing
         self._points = self.expressions(
             {
                 f"drawing.{name}.{index}.{axis}": expression
@@ -284,8 +286,3 @@ class Declared(Task):
             If one is not allowed; in one line that names it.
         """
         return Expressions(expressions, **self._known)
-
-
-def _parts(figure: Figure) -> dict[str, Part]:
-    """The parts of a figure, whose points it knows itself."""
-    return {name: Part([], thickness) for name, thickness in figure.thickness.items()}
