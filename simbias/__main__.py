@@ -125,7 +125,7 @@ def _of_recordings(parsed: argparse.Namespace) -> Request:
     from simbias.terminal.identify import Request
 
     def places_among(words: Sequence[str]) -> list[str]:
-        return [word for word in words if "=" not in word or os.path.exists(word)]
+        return [word for word in words if os.path.exists(word) or not ("=" in word or word.startswith("~"))]
 
     places, held_out = places_among(parsed.words), places_among(parsed.held_out)
     overrides = [word for word in (*parsed.words, *parsed.held_out) if word not in (*places, *held_out)]
