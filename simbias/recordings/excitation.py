@@ -52,6 +52,11 @@ class Designer:
         What is known so far: the nominal model, or an identified one.
     noise
         Standard deviations (n,) of measured states, for a model that no errors are known of.
+
+    Raises
+    ------
+    ConfigError
+        If an input has no limit.
     """
 
     def __init__(self, study: Study, model: Nominal, noise: Array) -> None:
@@ -70,6 +75,9 @@ class Designer:
         self._precision = np.linalg.inv(known.covariance)
         self.before = np.sqrt(np.diag(known.covariance))  # (p,)
         self._bounds = study.conditions.safety.bounds(study.task)
+        for each, limit in zip(study.task.inputs, self._bounds.inputs.tolist(), strict=True):
+            if not np.isfinite(limit):
+                raise ConfigError("hardware.safety.inputs", f"{each.name} has no limit: name one here")
         self._noise = noise
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices, as in `assess`

@@ -1,6 +1,7 @@
 """What is said before anything is recorded: excitation, and whether parameters come back."""
 
 import re
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,6 +88,15 @@ def test_nothing_is_promised_that_no_recording_tells(study: Study) -> None:
     mass = [parameter.name for parameter in designer.nominal.parameters].index("mass_2")
     assert found.deviations[mass] == pytest.approx(designer.before[mass], rel=0.05)
     assert found.information > 3
+
+
+def test_inputs_are_designed_within_limits_that_there_are() -> None:
+    """Of those that neither the task nor the lab limits, the first is named."""
+    one = limited("hardware.safety.inputs={tau1: 3}")
+    task = copy(one.task)
+    task._input_bounds = -np.full(2, np.inf), np.full(2, np.inf)  # type: ignore[attr-defined]
+    with pytest.raises(ConfigError, match=r"^hardware\.safety\.inputs: tau2 has no limit: name one here$"):
+        Designer(replace(one, task=task), one.nominal, NOISE)
 
 
 @pytest.mark.slow
