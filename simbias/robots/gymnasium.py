@@ -1,4 +1,4 @@
-"""Any environment of Gymnasium in place of the robot."""
+"""An environment of Gymnasium in place of the robot."""
 
 from __future__ import annotations
 
@@ -138,12 +138,12 @@ class _Action:
         names = [each.name for each in task.inputs]
         texts = {f"action[{i}]": text for i, text in enumerate(action or names)}
         self._expressions = Expressions(texts, names)
-        self._discrete = hasattr(space, "n")
+        self._discrete = hasattr(space, "n") and hasattr(space, "start")  # which no MultiBinary has
         if self._discrete:
             low, high, size = float(space.start), float(space.start + space.n - 1), 1
             self._low, self._high = np.array([low]), np.array([high])
         else:
-            if getattr(space, "shape", None) is None or len(space.shape) != 1:
+            if not hasattr(space, "low") or len(space.shape) != 1:
                 raise ValueError(
                     f"an action of {environment} is neither a vector nor one of several, but {space}"
                 )
@@ -221,4 +221,5 @@ def _start(own: Any, task: Task, start: Start | None, name: str) -> Any:
     if start.state and start.qpos is None and start.qvel is None and hasattr(own, "state"):
         state = expressions("state", start.state)
         return lambda x: setattr(own, "state", state(x))
-    raise ValueError(f"start: {name} cannot be set by {', '.join(k for k, v in vars(start).items() if v)}")
+    given = ", ".join(key for key, texts in vars(start).items() if texts)
+    raise ValueError(f"start: {name} cannot be set by {given or 'no expressions'}")

@@ -3,12 +3,14 @@
 from typing import Any
 
 import numpy as np
+import pytest
 from errors import one_line
+from gymnasium.spaces import Box, MultiBinary, MultiDiscrete, Space
 from mechanisms import DOUBLE, cart_pole
 
 import simbias
 from simbias.policy.output_feedback import OutputFeedback
-from simbias.robots.gymnasium import Gymnasium, Start
+from simbias.robots.gymnasium import Gymnasium, Start, _Action
 from simbias.robots.mujoco.hardware import Mujoco
 
 PENDULUM: dict[str, Any] = {
@@ -86,6 +88,7 @@ def test_what_does_not_go_with_the_task_is_one_line() -> None:
         ({"action": ["2 * torque"]}, r"at the input \[-2.0\] the action is \[-4.0\]; Pendulum-v1 takes"),
         ({"action": ["torque", "torque"]}, "an action of Pendulum-v1 has 1 numbers; 2 are given"),
         ({"start": Start(qpos=["angle"], qvel=["rate"])}, "start: Pendulum-v1 cannot be set by qpos, qvel"),
+        ({"start": Start()}, "start: Pendulum-v1 cannot be set by no expressions"),
         ({"factors": {"*.mass": 2.0}}, "Pendulum-v1 is no environment in MuJoCo"),
         ({"options": {"colour": 1}}, "'Pendulum-v1': "),
     ]
@@ -93,3 +96,9 @@ def test_what_does_not_go_with_the_task_is_one_line() -> None:
         arguments: dict[str, Any] = {"environment": "Pendulum-v1", "states": OF_PENDULUM, **changes}
         with one_line(message, ValueError):
             Gymnasium(cart_pole(**PENDULUM), **arguments)
+
+
+@pytest.mark.parametrize("space", [MultiDiscrete([2, 2]), MultiBinary(1), Box(-1, 1, (2, 2))], ids=str)
+def test_actions_that_are_neither_a_vector_nor_one_of_several_are_one_line(space: Space) -> None:
+    with one_line("an action of Any-v0 is neither a vector nor one of several, but ", ValueError):
+        _Action(space, cart_pole(**PENDULUM), None, "Any-v0")
