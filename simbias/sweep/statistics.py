@@ -24,6 +24,14 @@ def holds(episodes: str, bar: float = BAR) -> bool:
     return bool(episodes) and wilson(episodes.count("1"), len(episodes)).low > bar
 
 
+def passed(test_episodes: str, lasting_episodes: str) -> str:
+    """1 for each test episode that succeeds and lasts to its own end, 0 for each other.
+
+    Some published results do not say which last.
+    """
+    return "".join(map(min, test_episodes, lasting_episodes)) if lasting_episodes else test_episodes
+
+
 def interval(values: Sequence[float]) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean, independent of the values' order; nan for fewer than two."""
     return _interval(tuple(sorted(values))) if len(values) > 1 else (np.nan, np.nan)

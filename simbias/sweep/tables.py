@@ -13,7 +13,7 @@ import pandas as pd
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
-from simbias.sweep.statistics import holds, interval
+from simbias.sweep.statistics import holds, interval, passed
 
 BLANK = "–"  # noqa: RUF001  where there is no number
 RELIABLE = 0.9  # success rate from which a policy counts as reliable
@@ -67,7 +67,7 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     tested = [trial for trial in ended if trial["test_episodes"]]
     rates = [success_rate(trial["test_episodes"]) for trial in tested]
     reliable = [float(rate >= RELIABLE) for rate in rates]
-    holding = [holds(trial["lasting_episodes"] or trial["test_episodes"], bar) for trial in tested]
+    holding = [holds(passed(trial["test_episodes"], trial["lasting_episodes"]), bar) for trial in tested]
     tests = (_mean(seconds), _mean(rates), _mean(reliable), len(tested), sum(holding), _mean(long))
     return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *tests]
 
@@ -192,7 +192,7 @@ def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
     texts = {
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy succeeds",
         "reliable": f"share of trials where that is at least {RELIABLE:.0%}",
-        "holds": f"last policies of which the lower Wilson limit of all episodes, long ones to their end, is "
+        "holds": f"last policies of which the lower Wilson limit of successes, long ones to their end, is "
         f"above {sweep.report.bar:.0%}",
         "long_success_rate": "mean share of long test episodes that last to their end",
     }

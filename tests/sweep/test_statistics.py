@@ -17,6 +17,7 @@ from simbias.sweep.statistics import (
     holds,
     holm,
     interquartile_mean,
+    passed,
     performance_profile,
     probability_of_improvement,
     sign_test,
@@ -29,6 +30,15 @@ from simbias.sweep.tables import cells, interval, layout, legend
 def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:
     assert all(holds(text) for text in ("1" * 16, "1" * 25 + "0"))
     assert not any(holds(text) for text in ("1" * 15, "1" * 15 + "0", ""))
+
+
+def test_an_episode_that_lasts_and_misses_its_goal_is_not_passed() -> None:
+    """Nor one that succeeds and fails later; without success of the task's own, what lasts succeeds."""
+    assert passed("1100", "1010") == "1000"
+    assert passed("1100", "") == "1100"
+    sweep = expand(["+sweep=smoke", "sweep.trials=1"])
+    frame = made_up(sweep).assign(test_episodes="0" * 16, lasting_episodes="1" * 16)
+    assert cells(frame, sweep)["holding"].tolist() == [0, 0]
 
 
 def test_scores_of_cells() -> None:

@@ -22,6 +22,7 @@ from simbias.sweep.statistics import (
     holds,
     holm,
     interquartile_mean,
+    passed,
     performance_profile,
     probability_of_improvement,
     sign_test,
@@ -38,8 +39,9 @@ THRESHOLDS = np.linspace(0, 1, 101)
 class Comparison(SweepFigure):
     """Each point of an axis against all, over the cells of the other axes, by what its last policies hold.
 
-    A trial's score is the share of its test episodes that last to their end; one that raised has zero. It
-    counts as a success where its last policy holds (`simbias.sweep.statistics.holds`). Above: mean score in
+    A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
+    their end. One that raised has zero. It counts as a success where that policy holds
+    (`simbias.sweep.statistics.holds`). Above: mean score in
     each cell, and the interquartile mean over cells with its bootstrap interval. Below: performance profiles,
     and success against experiments by Kaplan and Meier's estimate.
 
@@ -76,9 +78,9 @@ class Comparison(SweepFigure):
         named = [*self._references, *self._curves]
         if self._axis not in labels or set(named) - set(labels[self._axis]):
             raise FigureError(f"no such axis or point: {self._axis}, {', '.join(named)}")
-        table = _scored(trials.table, trials.sweep.report.bar)
-        if not table["score"].any() and not table["episodes"].any():
+        if not any(trials.table["test_episodes"]):
             raise FigureError("no last policy was tested: policy_test.episodes=16 does that")
+        table = _scored(trials.table, trials.sweep.report.bar)
         others = [name for name in labels if name != self._axis]
         own = {str(name): _Method(each, others) for name, each in table.groupby(self._axis, sort=False)}
         numbers = pd.DataFrame([method.row(name) for name, method in own.items()])
@@ -92,9 +94,8 @@ class Comparison(SweepFigure):
 
 def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
     """The trials, with what their last policies hold."""
-    tests = table["lasting_episodes"].where(table["lasting_episodes"] != "", table["test_episodes"])
+    tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
     return table.assign(
-        episodes=tests.str.len(),
         score=[text.count("1") / len(text) if text else 0.0 for text in tests],
         holds=[holds(text, bar) for text in tests],
         experiments=table["experiments"].fillna(0.0),
@@ -156,7 +157,7 @@ def _caption(numbers: pd.DataFrame, bar: float) -> str:
     """The caption, from the numbers."""
     best = numbers.iloc[int(numbers["holds"].to_numpy().argmax())]
     return (
-        "Above: share of test episodes that last to their end in each cell, mean of its trials; at the right "
+        "Above: share of test episodes that succeed and last to their end, mean of each cell; at the right "
         "the interquartile mean of cells, with its 95% bootstrap interval (runs are resampled within cells; "
         "cells, where each has one run). Below: share of trials with more than so much; share of trials "
         f"whose last policy holds (lower Wilson limit above {bar:.0%}) within so many experiments; one that "
@@ -195,7 +196,7 @@ def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
     axes.set_yticks(range(len(methods)), [*methods])
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    axes.set_title("% of test episodes that last", fontsize=9)
+    axes.set_title("% of test episodes passed", fontsize=9)
 
 
 def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
@@ -224,7 +225,7 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         x = np.array([0.0, *curve.experiments, most])
         probability = np.array([0.0, *curve.probability])
         right.step(x, np.append(probability, probability[-1]), where="post", **style)
-    left.set_xlabel("test episodes that last")
+    left.set_xlabel("test episodes passed")
     left.set_ylabel("trials with more")
     left.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.set_xlabel("hardware experiments")
