@@ -14,7 +14,7 @@ from simbias.recordings.assessment import Assessment
 from simbias.recordings.findings import Finding
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
-COLUMNS = 4  # of parameters
+COLUMNS = 4  # of parameters, and of states
 SECONDS = 1.0  # of each prediction that is drawn
 DRAWN = 5  # s of a part, at most
 PRIOR = "0.75"  # grey
@@ -56,10 +56,10 @@ def _parameter(axes: Axes, finding: Finding) -> None:
 def errors(assessment: Assessment) -> Figure:
     """Root mean square errors of each state, by how far ahead."""
     task, made = assessment.task, assessment.predictions
-    figure, grid = panels(len(task.states), 1.8, len(task.states))
+    figure, (grid,) = panels(len(task.states), 1.8, COLUMNS)
     seconds = [prediction.seconds for prediction in made]
     both = np.array([prediction.rmse() for prediction in made])  # (horizons, 2, n)
-    for i, (axes, state) in enumerate(zip(grid[0], task.states, strict=True)):
+    for i, (axes, state) in enumerate(zip(grid, task.states, strict=True)):
         for values, color, marker in ((both[:, 0, i], NOMINAL, "s"), (both[:, 1, i], SIMULATION, "o")):
             shown = np.where(np.isfinite(values) & (values > 0), values, np.nan)
             axes.plot(seconds, shown, color=color, marker=marker, markersize=4)

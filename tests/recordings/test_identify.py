@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -19,7 +20,7 @@ from simbias.config import ConfigError
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.learning.identification.rig import Rig, Sensor
-from simbias.recordings import horizons
+from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import draws, models, option_lines, write
@@ -291,6 +292,13 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert "&lt;script&gt;two" in text
     assert not re.search(r"(?:src|href)=\"(?!data:)", text)
     assert text.count("<img ") == 4
+
+
+def test_errors_of_many_states_are_drawn_in_rows() -> None:
+    wrong, none = (np.ones((2, 12)),), (np.zeros((2, 12, 12)),)
+    twelve = SimpleNamespace(states=3 * cart_pole().states)
+    figure = plots.errors(SimpleNamespace(task=twelve, predictions=[Prediction(0.1, wrong, wrong, none)]))  # type: ignore[arg-type]
+    assert [len(figure.axes), figure.axes[0].get_gridspec().ncols] == [12, 4]  # type: ignore[union-attr]
 
 
 def test_draws_are_within_the_priors(assessment: Assessment) -> None:
