@@ -100,7 +100,7 @@ class BiasField(SweepFigure):
         bias = model.bias
         rng = np.random.default_rng([study.seed, HELD_OUT])
         rollouts = [
-            study.experiment(iteration.parameters, experiment_rng)
+            study.designed_on(iteration.model).experiment(iteration.parameters, experiment_rng)
             for iteration in trial.iterations
             for experiment_rng in rng.spawn(self._experiments)
         ]

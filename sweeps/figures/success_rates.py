@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,9 @@ from simbias.sweep.batches import Batch, Outcomes
 from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
 from simbias.sweep.grid import Cell
 from simbias.sweep.picture import Picture
+
+if TYPE_CHECKING:
+    from simbias.trial.run import TrialRecord
 
 COLOURS = "cividis"  # even to the colour-blind, and in grey
 PANEL, ASIDE = 3.3, 2.6  # widths of a map and of the rates beside the maps, in
@@ -83,13 +87,13 @@ class SuccessRates(SweepFigure):
         Raises
         ------
         FigureError
-            If the hardware cannot be set to a start.
+            If the hardware cannot be set to a start, or a policy is designed on its trial's model.
         """
         if not build(self._hardware).hardware.sets_start:
             hardware = self._hardware.choices["hardware"]
             raise FigureError(f"hardware {hardware} begins where it stands: it cannot start on a grid")
         return [
-            Batch.of(self._hardware, trial.iterations[-1].parameters, self._starts(), seed)
+            Batch.of(self._hardware, _last_policy(trial), self._starts(), seed)
             for row, trial in trials.in_full()
             for seed in range(
                 row["repetition"] * self._experiments, (row["repetition"] + 1) * self._experiments
@@ -179,6 +183,15 @@ class SuccessRates(SweepFigure):
             f"{CONFIDENCE:.0%} Wilson interval reaches at most {half:.2f} to either side of its middle. "
             "Right: each policy over the whole grid, with its interval."
         )
+
+
+def _last_policy(trial: TrialRecord) -> Array:
+    """The parameters of a trial's last policy, which are all that a batch of experiments is told of it."""
+    study, last = trial.study, trial.iterations[-1]
+    if study.designed_on(last.model) is not study:
+        policy = study.choices["policy"]
+        raise FigureError(f"policy {policy} is designed on its trial's model: no other hardware can run it")
+    return last.parameters
 
 
 def _of_policies(own: pd.DataFrame) -> pd.DataFrame:

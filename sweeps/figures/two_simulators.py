@@ -81,6 +81,7 @@ class TwoSimulators(SweepFigure):
 
 def _both(study: Study, iteration: Iteration) -> list[NamedRollout]:
     """A policy on the nominal model and on the hardware, from the same start."""
+    study = study.designed_on(iteration.model)
     rng, start = np.random.default_rng([study.seed, NOISE]), study.task.start_mean
     hardware = study.experiment(iteration.parameters, rng, start)
     begin = start if study.hardware.sets_start else hardware.states[0]

@@ -1,6 +1,7 @@
 """Fig. 5: what is learned, against experiments that it was not learned from."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,11 +10,14 @@ import pandas as pd
 import pytest
 
 import simbias
-from simbias.core import Hardware
+from simbias.config import compose
+from simbias.core import Hardware, Policy
 from simbias.core.records import Array, Iteration, Learning, Rollout
 from simbias.sweep.figure import FigureError, SweptTrials
 from simbias.sweep.figures.bias_field import BiasField
-from simbias.sweep.grid import expand
+from simbias.sweep.figures.success_rates import Range, SuccessRates
+from simbias.sweep.figures.two_simulators import TwoSimulators
+from simbias.sweep.grid import Cell, expand
 from simbias.sweep.picture import Picture
 from simbias.trial.study import Study
 
@@ -32,14 +36,16 @@ class Trial(NamedTuple):
 
 
 class Noting(Hardware):
-    """Hardware that notes where its experiments start."""
+    """Hardware that notes where its experiments start, and their policies."""
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
         self.starts: list[tuple[float, ...]] = []
+        self.policies: list[Policy] = []
 
-    def run(self, policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
+    def run(self, policy: Policy, theta: Array, start: Array, rng: np.random.Generator) -> Rollout:
         self.starts.append(tuple(start))
+        self.policies.append(policy)
         return self._hardware.run(policy, theta, start, rng)
 
 
@@ -73,10 +79,13 @@ def picture(trial: Trial) -> Picture:
     return picture_of(trial)
 
 
+def swept(trial: Trial) -> SweptTrials:
+    table = pd.DataFrame([{"hash": "0", "outcome": "succeeded", "repetition": 0}])
+    return SweptTrials(expand(["+sweep=fig5"]), table, lambda _: trial)
+
+
 def picture_of(trial: Trial) -> Picture:
-    table = pd.DataFrame([{"hash": "0", "outcome": "succeeded"}])
-    figure = BiasField(trial.study.task, STATES, EXPERIMENTS)
-    return figure.draw(SweptTrials(expand(["+sweep=fig5"]), table, lambda _: trial), ())
+    return BiasField(trial.study.task, STATES, EXPERIMENTS).draw(swept(trial), ())
 
 
 def test_what_is_learned_predicts_what_was_not_seen(trial: Trial, picture: Picture) -> None:
@@ -111,3 +120,17 @@ def test_what_cannot_be_drawn_is_one_line(trial: Trial) -> None:
     iterations = tuple(replace(iteration, model=None) for iteration in trial.iterations)
     with pytest.raises(FigureError, match="not searched"):
         picture_of(trial._replace(iterations=iterations))
+
+
+def test_a_policy_runs_as_it_was_designed_on_its_model(trial: Trial) -> None:
+    study, designed, last = trial.study, copy(trial.study.policy), trial.iterations[-1]
+    assert isinstance(noting := study.hardware, Noting)
+    trial = trial._replace(iterations=(replace(last, model=replace(last.model, policy=designed)),))
+    for figure in (BiasField(study.task, STATES, 1), TwoSimulators(study.task, 2)):
+        noting.policies.clear()
+        figure.draw(swept(trial), ())
+        assert noting.policies == [designed]
+    ranges = (Range(name, -0.1, 0.1, 2) for name in STATES[:2])
+    cells = [Cell((), compose([]).trial, "")]
+    with pytest.raises(FigureError, match="output_feedback is designed on its trial's model"):
+        SuccessRates(study.task, cells, *ranges, 1, "").experiments(swept(trial))
