@@ -34,11 +34,7 @@ class Excitation:
 
     rollout: Rollout  # as the most probable model predicts it
     deviations: Array  # (p,) expected of the posterior afterwards, in those of the prior
-    information: float  # nats that are gained: half the fall of the logarithm of the posterior's volume
-
-    def gained(self, before: Array) -> Array:
-        """Share (p,) by which deviations (p,) fall."""
-        return 1.0 - self.deviations / before
+    information: float  # nats that are gained: the fall of the logarithm of the posterior's volume
 
 
 class Designer:

@@ -30,7 +30,7 @@ class Reach(NamedTuple):
 
 
 def beyond(task: Task, rollouts: Sequence[Rollout], learned: Sequence[Rollout]) -> list[Reach]:
-    """States and inputs of rollouts that reach beyond those that were learned from, the farthest first."""
+    """States and inputs of rollouts that reach beyond those that were learned from, the most often first."""
     here, before = _frames(rollouts), _frames(learned)
     ranges, known = (np.quantile(each, ENDS, axis=0) for each in (here, before))
     margin = MARGIN * (known[1] - known[0])

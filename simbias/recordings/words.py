@@ -110,15 +110,16 @@ def advice(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
     if isinstance(excitation, str):
         yield f"No trajectory is proposed ({excitation})."
         return
-    gained = excitation.gained(before)
+    gained = 1.0 - excitation.deviations / before
     own = np.array([finding.prior.of_recording for finding in assessment.findings], bool)
     gained[own] = 0.0  # of no use to others
-    told = [f"{names[i]} (by {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if gained[i] > WORTH]
+    worth = gained > WORTH
+    told = [f"{names[i]} (by {100 * gained[i]:.0f}%)" for i in np.argsort(-gained) if worth[i]]
     seconds = excitation.rollout.frames * assessment.task.time_step
     if told:
         yield f"{seconds:g} s of the inputs in excitation.csv should narrow {', '.join(told)}."
     else:
         yield f"No further {seconds:g} s within the limits should narrow a parameter by {100 * WORTH:.0f}%."
-    left = [names[i] for i in np.flatnonzero(~own & (excitation.deviations > 0.5))]
+    left = [names[i] for i in np.flatnonzero(~own & ~worth & (excitation.deviations > 0.5))]
     if left:
         yield f"No input should tell {', '.join(left)}: {REMEDY}."

@@ -134,7 +134,8 @@ def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
     pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
     pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
     report = commands.add_parser("report", help="write one HTML page of a trial or a sweep", parents=[own])
-    report.add_argument("folder", type=Path, help="of a trial or a sweep, or that of all trials")
+    of_page = "of a trial or a sweep, or that of all trials: a page of each sweep"
+    report.add_argument("folder", type=Path, help=of_page)
     withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
     of_file = "of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
     withdraw.add_argument("file", type=Path, help=of_file)

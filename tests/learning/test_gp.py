@@ -20,6 +20,7 @@ from simbias.learning.bias.lscde import LeastSquaresDensity
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import exact
 from simbias.learning.covariance import Hyperparameters, stable_cholesky
+from simbias.learning.identification.delay import Delay
 from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import Plan, run_plan
 from simbias.terminal.notices import slowness_in_one_line
@@ -92,9 +93,9 @@ def test_an_input_without_a_limit_needs_a_scale() -> None:
     """Over infinity, it would be ignored."""
     task = PointMass()
     task.input_limit = np.array([np.inf])
-    for bias in GaussianProcess, LeastSquaresDensity:
-        with pytest.raises(ValueError, match=r"^force has no limit that scales it: .* bias\.input_scale$"):
-            bias(task)
+    for component in GaussianProcess, LeastSquaresDensity, Delay:
+        with pytest.raises(ValueError, match="^force has no limit that scales it: declare one, or "):
+            component(task)
     GaussianProcess(task, input_scale=[1.0, 1.0, 10.0])
 
 

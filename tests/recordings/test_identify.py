@@ -91,6 +91,12 @@ def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: A
     told = [" ".join(advice(replace(assessment, findings=[each, *others]), useless)) for each in (first, own)]
     assert [each.count(f"No input should tell {first.prior.name}, ") for each in told] == [1, 0]
     assert told[1].count(f"No input should tell {others[0].prior.name}, ") == 1
+    narrowed = 0.8 * np.sqrt(assessment.identified.covariance[0, 0])
+    assert narrowed > 0.5
+    useful = replace(useless, deviations=np.array([narrowed, *useless.deviations[1:]]))
+    (best, rest) = advice(assessment, useful)
+    assert best.endswith(f" should narrow {first.prior.name} (by 20%).")
+    assert first.prior.name not in rest
 
 
 @pytest.mark.slow

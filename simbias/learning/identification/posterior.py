@@ -68,8 +68,8 @@ class Posterior(Identification):
         directions in which collisions still make the posterior far wider than the prior, the prior takes its
         place.
     longer_windows
-        Further durations in s of predictions that count alike, as what differs little in a short while may
-        differ much in a long one; those that no experiment lasts for do not count.
+        Further durations in s of predictions, as what differs little in a short while may differ much in a
+        long one. Each window counts alike; durations that no experiment has do not count.
     differences
         That the covariance is computed from: forward ones are quicker, and published trials have them. Under
         strong motion only central ones tell what experiments do not determine.
