@@ -45,9 +45,18 @@ class SweptTrials:
         return rows
 
     def in_full(self) -> Iterator[tuple[Row, TrialRecord]]:
-        """The trials of `rows` in full, read back one by one, each with its row."""
+        """The trials of `rows` in full, read back one by one, each with its row.
+
+        Raises
+        ------
+        FigureError
+            If there is none, or one has no iteration, as its budget allowed for none.
+        """
         for row in self.rows:
-            yield row, self.load(row["hash"])
+            trial = self.load(row["hash"])
+            if not trial.iterations:
+                raise FigureError(f"trial {row['hash']} ended before an iteration did (budget)")
+            yield row, trial
 
     def cell(self, row: Row) -> str:
         """The cell of a trial, by its labels."""

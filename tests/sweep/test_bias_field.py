@@ -120,11 +120,14 @@ def test_what_cannot_be_drawn_is_one_line(trial: Trial) -> None:
     iterations = tuple(replace(iteration, model=None) for iteration in trial.iterations)
     with pytest.raises(FigureError, match="not searched"):
         picture_of(trial._replace(iterations=iterations))
+    with pytest.raises(FigureError, match="trial 0 ended before an iteration did"):
+        picture_of(trial._replace(iterations=()))
 
 
 def test_a_policy_runs_as_it_was_designed_on_its_model(trial: Trial) -> None:
     study, designed, last = trial.study, copy(trial.study.policy), trial.iterations[-1]
-    assert isinstance(noting := study.hardware, Noting)
+    noting = study.hardware
+    assert isinstance(noting, Noting)
     trial = trial._replace(iterations=(replace(last, model=replace(last.model, policy=designed)),))
     for figure in (BiasField(study.task, STATES, 1), TwoSimulators(study.task, 2)):
         noting.policies.clear()
