@@ -48,6 +48,8 @@ def run(
 ) -> DataFrame:
     """Compose a sweep and run what is missing of it; see `run_sweep`.
 
+    With `sweep.dry_run=true` nothing runs: the trials are those that are finished.
+
     Raises
     ------
     ConfigError
@@ -59,7 +61,9 @@ def run(
         raise ConfigError("sweep", "missing: +sweep=NAME names one")
     trials_engine: Engine = service(composition, "engine", Engine)
     store: Tracking = service(composition, "tracking", Tracking)
-    sweep, _ = prepare(store, variations)
+    sweep, ended = prepare(store, variations)
+    if sweep.dry_run:
+        return ended
     return run_sweep(sweep, trials_engine, store, f"simbias.run_sweep({list(overrides)!r})", observer)[0]
 
 
