@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from conftest import ROOT
+from errors import one_line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shipped import shipped
@@ -194,6 +195,16 @@ def test_exceptions_reach_the_caller_at_once() -> None:
                     minimize(make(name), objective, *BOX)
                 assert caught.value is error
                 assert len(calls) == evaluation
+
+
+def test_more_parameters_than_an_algorithm_takes_are_one_line() -> None:
+    hybrid = make("hybrid", exploration="sobol")
+    for optimizer, p, message in (
+        (make("GN_ORIG_DIRECT", max_evaluations=10), 1000, "^optimizer: GN_ORIG_DIRECT fails with 1000 para"),
+        (hybrid, 21_202, "^optimizer.exploration: sobol takes 21201 parameters at most, not 21202"),
+    ):
+        with one_line(message):
+            minimize(optimizer, lambda x: 1.0, -np.ones(p), np.ones(p), target_cost=0.5)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import nlopt
 import numpy as np
 
 from simbias.core import Optimizer
+from simbias.core.errors import ConfigError
 from simbias.core.evaluations import EVALUATION_LIMIT, Evaluations
 from simbias.core.records import Array
 from simbias.search.optimizer.lookahead import look_ahead
@@ -39,7 +40,13 @@ class Nlopt(Optimizer):
 
 
 def search_nlopt(algorithm: Algorithm, evaluations: Evaluations, rng: np.random.Generator) -> str:
-    """Search by one of NLopt's algorithms, looking ahead; why it ended, in words."""
+    """Search by one of NLopt's algorithms, looking ahead; why it ended, in words.
+
+    Raises
+    ------
+    ConfigError
+        If the algorithm cannot search among so many parameters.
+    """
     seed, start, most = int(rng.integers(1, 2**31)), evaluations.start, evaluations.remaining
 
     def search(evaluate: Callable[[Array], float]) -> str:
@@ -50,7 +57,10 @@ def search_nlopt(algorithm: Algorithm, evaluations: Evaluations, rng: np.random.
         nlopt.srand(seed)
         return _minimized(strategy, evaluate, start)
 
-    return look_ahead(search, evaluations)
+    try:
+        return look_ahead(search, evaluations)
+    except nlopt.runtime_error as error:  # of GN_ORIG_DIRECT with more than 500, depending on `most`
+        raise ConfigError("optimizer", f"{algorithm} fails with {len(start)} parameters") from error
 
 
 def _minimized(strategy: nlopt.opt, evaluate: Callable[[Array], float], start: Array) -> str:
@@ -71,19 +81,15 @@ def _minimized(strategy: nlopt.opt, evaluate: Callable[[Array], float], start: A
             return 0.0
 
     strategy.set_min_objective(guarded)
-    stopped_by = _optimized(strategy, start)
+    stopped_by = ""
+    try:
+        strategy.optimize(start)
+        result = strategy.last_optimize_result()
+        stopped_by = EVALUATION_LIMIT if result == nlopt.MAXEVAL_REACHED else f"NLopt's result {result}"
+    except nlopt.ForcedStop:
+        stopped_by = "the objective"
+    except nlopt.RoundoffLimited:
+        stopped_by = "round-off errors"
     if raised:
         raise raised.pop()  # with it, what NLopt keeps would keep all that the traceback knows
     return stopped_by
-
-
-def _optimized(strategy: nlopt.opt, start: Array) -> str:
-    """Run NLopt from a point (p,); why it ended, in words."""
-    try:
-        strategy.optimize(start)
-    except nlopt.ForcedStop:
-        return "the objective"
-    except nlopt.RoundoffLimited:
-        return "round-off errors"
-    result = strategy.last_optimize_result()
-    return EVALUATION_LIMIT if result == nlopt.MAXEVAL_REACHED else f"NLopt's result {result}"
