@@ -93,6 +93,12 @@ def test_the_declared_noise_is_the_hardwares() -> None:
     assert np.isfinite(costs(np.array([9.0, 4.0, 0.0])))
 
 
+def test_the_worst_are_the_smallest_number_that_is_their_share(study: Study) -> None:
+    """Of 100 costs 0.07 are 7, although 0.07 * 100 is more by rounding."""
+    for tail, rollouts, worst in ((0.07, 100, 7), (0.25, 8, 2), (0.26, 8, 3), (1e-12, 8, 1)):
+        assert Robust(study.task, rollouts=rollouts, aggregate="cvar", tail=tail)._worst == worst
+
+
 def test_options_change_only_what_they_name(study: Study) -> None:
     plain = objective(study, rollouts=3).scenarios
     drawn = objective(study, rollouts=3, sample_nominal=True).scenarios

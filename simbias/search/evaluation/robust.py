@@ -61,7 +61,7 @@ class Robust(Evaluation):
         self._task = task
         self.rollouts = rollouts
         self._noise = Noise(task, noise)
-        self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts)}[aggregate]
+        self._worst = {"mean": rollouts, "max": 1, "cvar": math.ceil(tail * rollouts - 1e-9) or 1}[aggregate]
         self._sample_starts = sample_starts
         self._sample_nominal = sample_nominal
         self._sample_bias = sample_bias
