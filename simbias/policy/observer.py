@@ -228,10 +228,10 @@ class KalmanFilter(Observer):
 
 
 class LookAhead(Observer):
-    """The estimate of another observer, carried on by the time in s by which measurements are late.
+    """The estimate of another observer, carried on by the latency of measurements in s.
 
-    x + (latency / dt) (f'(x, u) - x), where u is the mean of the inputs that were sent in this time: one step
-    of the nominal model as declared, however late they are.
+    x + (latency / dt) (f'(x, u) - x), f' the nominal model as declared, u the mean of the inputs that were
+    sent in this time. It is one step that is stretched, however late they are.
 
     Raises
     ------

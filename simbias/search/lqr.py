@@ -45,15 +45,17 @@ class Linear(NamedTuple):
 def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     """LQR policies (p,) of `count` models to try first: the most probable one, and draws of its parameters.
 
-    They are designed as joints stick, as those of the published trials were, once the first is asked for,
-    which a search that is replayed does not do.
+    They are designed as joints stick, as those of the published trials were. A search that is replayed asks
+    for none, and none is designed.
     """
     rngs = np.random.default_rng(SEED).spawn(max(count - 1, 0))
     models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
     policies = [theta for each in models for theta in lqr_policies(each, sticking=True)]
     if models and not policies:
-        message = f"searches begin without LQR: {type(model.policy).__name__} imitates none"
-        warnings.warn(f"{message}, or the model has none", SlowWarning, stacklevel=2)
+        reason = f"{type(model.policy).__name__} imitates none, or the model has none"
+        if model.task.targets:
+            reason = "targets ask for another one at each start"
+        warnings.warn(f"searches begin without LQR: {reason}", SlowWarning, stacklevel=2)
     yield from policies
 
 

@@ -6,7 +6,7 @@ from models import with_values
 from point_mass import PointMass, WithoutWind
 
 import simbias
-from simbias.core import Model, Nominal, Policy, SlowWarning
+from simbias.core import Model, Nominal, Policy, Quantity, SlowWarning
 from simbias.core.errors import ConfigError
 from simbias.core.parameters import values_at
 from simbias.core.records import Array
@@ -122,6 +122,10 @@ def test_what_has_no_lqr_has_no_policies_and_searches_say_so() -> None:
     with pytest.warns(SlowWarning, match="begin without LQR: Gain imitates none"):
         assert list(lqr_candidates(point_mass(policy=Gain), 3)) == []
     assert list(lqr_candidates(point_mass(policy=Gain), 0)) == []
+    to_a_target = point_mass()
+    to_a_target.task.targets = (Quantity("place", "m"),)
+    with pytest.warns(SlowWarning, match="begin without LQR: targets ask for another one at each start"):
+        assert list(lqr_candidates(to_a_target, 3)) == []
 
 
 def test_other_models_are_drawn_and_the_same_each_time() -> None:

@@ -65,7 +65,11 @@ def trajectory_candidates(
             best = min(found, key=lambda plan: plan.cost)
             yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
             return
-    raise ConfigError("method.trajectories", "the model fails whatever inputs a trajectory begins with")
+    task = models[0].task
+    limits = zip(task.inputs, *task.input_bounds, strict=True)
+    inputs = ", ".join(f"{each.name} from {least:g} to {most:g} {each.unit}" for each, least, most in limits)
+    problem = f"the model fails whatever inputs a trajectory begins with: {inputs}"
+    raise ConfigError("method.trajectories", problem)
 
 
 def _shortened(model: Model, resting: float) -> Model:
