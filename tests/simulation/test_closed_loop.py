@@ -14,7 +14,7 @@ from interpreted import assert_alike, interpreted
 from numba import get_num_threads, set_num_threads
 
 import simbias
-from simbias.core import FittedBias, Nominal, Policy, SlowWarning
+from simbias.core import NOT_A_NUMBER, FittedBias, Nominal, Policy, SlowWarning
 from simbias.core.records import Array, Disturbance, Transitions
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import SimulatorSequence, join, simulator
@@ -109,6 +109,17 @@ def test_falls_agree_and_bad_starts_fail_at_once(study: Study) -> None:
         assert loop.rollouts(np.empty((0, 5)), np.empty((0, 6))) == []
         costs, frames = loop.costs(study.cost, np.empty((0, 5)), np.empty((0, 6)))
         assert costs.shape == frames.shape == (0,)
+
+
+def test_a_state_that_is_not_finite_fails_though_no_criterion_reads_it() -> None:
+    """The pole's rate; a criterion that is violated besides goes before."""
+    study = simbias.load(["preset=cartpole", "bias=none", "tracking=none"])
+    thetas, starts = np.zeros((2, 4)), np.array([[0.0, 0.1, 0.0, np.inf], [0.0, 0.3, 0.0, np.inf]])
+    loops = study.simulator(), PlainSimulator([study.model()], [None])
+    for loop in loops:
+        with interpreted():
+            made = loop.rollouts(thetas, starts)
+        assert [(each.failed_at, each.failure) for each in made] == [(0, NOT_A_NUMBER), (0, "falls")]
 
 
 def test_noise_acts_where_it_belongs(one_step: Study) -> None:

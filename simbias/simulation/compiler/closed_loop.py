@@ -142,9 +142,9 @@ def compile_closed_loop(c: Composition) -> Any:
 
 def _advanced(c: Composition) -> list[str]:
     """From the state to the input that acts; a rollout that ends is not stepped any further."""
-    judge = [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
-    if not c.criteria:  # else what is no number violates one
-        judge = [f"failed = -1 if abs({sum_of([f'x_[{i}]' for i in range(c.n)])}) < inf else 0"]
+    total = sum_of([f"x_[{i}]" for i in range(c.n)])
+    judge = [f"failed = -1 if abs({total}) < inf else {c.criteria}"]  # criteria need not read all states
+    judge += [f"failed = failed if measures[{i}] <= limit[{i}] else {i}" for i in reversed(range(c.criteria))]
     seen, force = "x_", "u"
     if c.noisy:
         seen = tuple_of("x_[{0}] + disturbance[{1}, lane]", c.n, c.m)
@@ -156,7 +156,6 @@ def _advanced(c: Composition) -> list[str]:
     return [
         f"x_ = {tuple_of('x[{}, lane]', c.n)}",
         "measures = measure(x_, measure_data)",
-        "failed = -1",
         *judge,
         "stop = (failed >= 0) | (frame[lane] >= horizon)",
         f"u, policy_state_next = control({given})",
