@@ -11,7 +11,6 @@ from threadpoolctl import threadpool_limits
 from simbias.core import Nominal, Task
 from simbias.core.errors import ConfigError
 from simbias.core.messages import words
-from simbias.core.parameters import Estimate
 from simbias.core.records import Rollout
 from simbias.learning.identification.directions import Direction, undetermined
 from simbias.learning.identification.identified import Identified
@@ -38,19 +37,6 @@ class Assessment:
     models: Sequence[Identified]  # (parts, then held out) that were not fitted to the part
     findings: Sequence[Finding]
     predictions: Sequence[Prediction]
-
-    @property
-    def own(self) -> dict[str, list[Estimate]]:
-        """Of each recording by name, what it has of its own."""
-        fits = {name: self.identified.of_recording(i) for i, name in enumerate(self.recordings)}
-        return {
-            name: [
-                estimate
-                for parameter, estimate in zip(fit.parameters, fit.estimates, strict=True)
-                if parameter.of_recording
-            ]
-            for name, fit in fits.items()
-        }
 
     @property
     def judged(self) -> list[Part]:

@@ -18,6 +18,7 @@ from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.rig import Rig
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.excitation import Excitation
+from simbias.recordings.findings import at_bound
 from simbias.recordings.report import report
 from simbias.robots.mujoco.model import Mujoco
 
@@ -72,7 +73,7 @@ def parameters(assessment: Assessment) -> pd.DataFrame:
             "prior_low": finding.prior_interval[0],
             "prior_high": finding.prior_interval[1],
             "shrinkage": finding.shrinkage,
-            "at_bound": finding.at_bound,
+            "at_bound": at_bound(finding.prior, finding.estimate.value),
             "correlated_with": " ".join(finding.partners),
             "trusted": finding.trusted,
             "doubts": "; ".join(finding.doubts),

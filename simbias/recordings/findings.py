@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from simbias.core.parameters import Estimate, Parameter
-from simbias.core.records import Array
 from simbias.learning.identification.identified import QUANTILE, Identified
 
 CORRELATED = 0.9
@@ -40,17 +39,13 @@ class Finding:
         low, high = self.prior.at(np.array([-QUANTILE, QUANTILE])).tolist()
         return low, high
 
-    @property
-    def at_bound(self) -> bool:
-        """Whether the most probable value lies at an end of the prior."""
-        return at_bound(self.prior, self.estimate.value)
-
 
 def findings(
     fitted: Identified, by_part: Sequence[Identified], by_window: Sequence[Identified]
 ) -> list[Finding]:
     """A finding for each parameter, with its doubts."""
-    deviations, R = np.sqrt(np.diag(fitted.covariance)), correlations(fitted)
+    deviations = np.sqrt(np.diag(fitted.covariance))
+    R = fitted.covariance / np.outer(deviations, deviations)
     names = [parameter.name for parameter in fitted.parameters]
     found = []
     for i, (parameter, estimate) in enumerate(zip(fitted.parameters, fitted.estimates, strict=True)):
@@ -71,12 +66,6 @@ def findings(
         alone = tuple(each.estimates[i] for each in by_part)
         found.append(Finding(parameter, estimate, shrinkage, partners, alone, tuple(filter(None, doubts))))
     return found
-
-
-def correlations(fitted: Identified) -> Array:
-    """Correlations (p, p) of the coordinates."""
-    deviations = np.sqrt(np.diag(fitted.covariance))
-    return fitted.covariance / np.outer(deviations, deviations)
 
 
 def at_bound(parameter: Parameter, value: float) -> bool:

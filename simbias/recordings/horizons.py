@@ -173,7 +173,7 @@ def regions(spreads: Array, known: Array, known_spreads: Array) -> Array:
     moments = known.T @ known / len(known)
     independent = len(known) / len(SHIFTS)
     share = min(1.0, np.ceil(REGION * (independent + 1)) / independent)
-    limit = np.quantile(_sizes(known, known_spreads + COMMON * moments), share)
+    limit = np.quantile(sizes(known, known_spreads + COMMON * moments), share)
     return limit / _normal_limit(known.shape[1]) * (spreads + COMMON * moments)
 
 
@@ -188,14 +188,7 @@ def of_change(changes: Array) -> Array:
 
 def inside(wrong: Array, covariances: Array) -> Flags:
     """Which errors (w, n) lie in the 90% regions of their covariances (w, n, n)."""
-    return _sizes(wrong, covariances) <= _normal_limit(wrong.shape[1])
-
-
-def surprises(wrong: Array, covariances: Array) -> Array:
-    """Negative log-densities (w,) in nats of errors (w, n) that are normal with covariances (w, n, n)."""
-    _, correlations, scale = _whitened(wrong, covariances)
-    volume = 0.5 * np.linalg.slogdet(correlations)[1] + np.sum(np.log(scale), axis=1)
-    return 0.5 * _sizes(wrong, covariances) + volume + 0.5 * wrong.shape[1] * np.log(2 * np.pi)
+    return sizes(wrong, covariances) <= _normal_limit(wrong.shape[1])
 
 
 def overall(made: Sequence[Prediction], part: int | None = None) -> float:
@@ -219,20 +212,12 @@ def _rmse(wrong: Array) -> Array:
     return np.sqrt(np.mean(wrong**2, axis=0)) if len(wrong) else np.zeros(wrong.shape[1])
 
 
-def _sizes(wrong: Array, covariances: Array) -> Array:
+def sizes(wrong: Array, covariances: Array) -> Array:
     """Squared sizes (w,) of errors (w, n) in terms of covariances (w, n, n)."""
-    scaled, correlations, _ = _whitened(wrong, covariances)
-    return np.einsum("wi,wij,wj->w", scaled, np.linalg.pinv(correlations, hermitian=True), scaled)
-
-
-def _whitened(wrong: Array, covariances: Array) -> tuple[Array, Array, Array]:
-    """Errors (w, n) in standard deviations, correlations (w, n, n), and standard deviations (w, n)."""
     scale = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)) + np.finfo(float).tiny
-    return (
-        np.clip(wrong, -LARGEST_ERROR, LARGEST_ERROR) / scale,
-        covariances / (scale[:, :, None] * scale[:, None, :]),
-        scale,
-    )
+    scaled = np.clip(wrong, -LARGEST_ERROR, LARGEST_ERROR) / scale
+    correlations = covariances / (scale[:, :, None] * scale[:, None, :])
+    return np.einsum("wi,wij,wj->w", scaled, np.linalg.pinv(correlations, hermitian=True), scaled)
 
 
 def _normal_limit(n: int) -> float:

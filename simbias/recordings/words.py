@@ -58,8 +58,13 @@ def parameter_rows(assessment: Assessment) -> Iterator[Sequence[str]]:
 
 def own_lines(assessment: Assessment) -> Iterator[str]:
     """A line for each recording that has something of its own, as zeros or a load."""
-    for name, estimates in assessment.own.items():
-        told = [f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}" for e in estimates]
+    for i, name in enumerate(assessment.recordings):
+        fit = assessment.identified.of_recording(i)
+        told = [
+            f"{e.name} {e.value:.4g} ({e.low:.4g} .. {e.high:.4g}) {e.unit}"
+            for parameter, e in zip(fit.parameters, fit.estimates, strict=True)
+            if parameter.of_recording
+        ]
         if told:
             yield f"{name}: {', '.join(told)}"
 

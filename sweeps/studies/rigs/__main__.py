@@ -41,7 +41,7 @@ from ways import OF_SEVERAL, WAYS, fit, lab, of_lab, timed
 from simbias.core import Nominal
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
-from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, surprises
+from simbias.recordings.horizons import HORIZONS, errors, inside, ratio, sizes
 
 COMPARED = (0.1, 0.5)  # s
 BEGINNING = 0.2  # share of a recording that tells its zeros
@@ -67,6 +67,12 @@ def rows(rig: Rig, ways: Sequence[str], zeros: bool) -> Iterator[dict[str, Any]]
             if way == "identified" and isinstance(found.model, Identified) and rig.has_zeros and zeros:
                 yield from rows_with_zeros(rig, case, found.model.known, left)
         print(number, name, file=sys.stderr, flush=True)
+
+
+def surprises(wrong: Array, covariances: Array) -> Array:
+    """Negative log-densities (w,) in nats of errors (w, n) that are normal with covariances (w, n, n)."""
+    volumes = 0.5 * np.linalg.slogdet(2 * np.pi * covariances)[1]
+    return 0.5 * sizes(wrong, covariances) + volumes
 
 
 def rows_with_zeros(
