@@ -246,6 +246,6 @@ class Evaluations:
 
 
 def _check_finite(point: Array, cost: float) -> None:
-    """Refuse a cost that is no number: by it nothing can be ranked."""
+    """Refuse a cost that is not finite: by it nothing can be ranked."""
     if not math.isfinite(cost):
         raise ValueError(f"the cost is {cost} at the point {point.tolist()}")

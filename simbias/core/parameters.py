@@ -14,7 +14,7 @@ import numpy as np
 from simbias.core.records import Array
 
 LARGEST = 100.0  # exponent: a search for the mode may come by where a parameter would overflow
-FARTHEST = 37.0  # coordinate of a half-normal: beyond, its tail is no number, and the parameter infinite
+FARTHEST = 37.0  # coordinate of a half-normal: beyond, its tail underflows, and the parameter is infinite
 
 Prior = Literal["normal", "log_normal", "half_normal", "uniform"]
 

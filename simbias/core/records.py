@@ -24,7 +24,7 @@ class Rollout:
 
     states: Array  # (k+1, n) recorded states x_0 .. x_k; k = T, or the failing frame
     inputs: Array  # (k, m) commanded inputs u_0 .. u_{k-1}
-    failed_at: int | None = None  # t_fail of Eq. 8: the frame whose state failed
+    failed_at: int | None = None  # t_fail of Eq. 8: the frame that failed, or after which an engine blew up
     failure: str | None = None  # name of the criterion of Section IV-C that failed
     cost: float = math.nan  # Z of Eq. 8; nan until a cost has judged the rollout
     measured: Array | None = None  # (k+1, n) what the sensors said; None where nothing was sensed

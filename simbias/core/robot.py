@@ -14,7 +14,7 @@ from simbias.core.policy import Policy
 from simbias.core.records import Array, Indices, Rollout
 
 RATE = "/s"  # what the units of rates end with
-NOT_A_NUMBER = "not_a_number"  # the failure of a state that violates no criterion
+NOT_A_NUMBER = "not_a_number"  # the failure of a state that is not finite and violates no criterion
 
 
 class HardwareError(RuntimeError):
@@ -87,7 +87,7 @@ def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indice
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:
-    """The name of a violated criterion, or of a state that is no number and violates none."""
+    """The name of a violated criterion, or of a state that is not finite and violates none."""
     return criteria[index].name if index < len(criteria) else NOT_A_NUMBER
 
 
@@ -161,7 +161,7 @@ class Task(ABC):
     def violated(self, x: Array) -> Indices:
         """Index (...) of the first criterion that each state x (..., n) violates, -1 where it violates none.
 
-        What is not a number violates: it has the index after all criteria where it violates none of them.
+        What is not finite violates: it has the index after all criteria where it violates none of them.
         """
         within = self.measure(x) <= np.array([criterion.limit for criterion in self.criteria])
         within = np.concatenate([within, np.isfinite(x).all(axis=-1, keepdims=True)], axis=-1)

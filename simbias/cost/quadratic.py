@@ -11,7 +11,7 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
 
-LARGEST = 1e100  # of a peak: in a frame, a simulated state may grow until its square is no number any more
+LARGEST = 1e100  # of a peak: in a frame, a simulated state may grow until its square is not finite
 
 
 class Quadratic(Cost):

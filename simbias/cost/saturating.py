@@ -46,7 +46,7 @@ class Saturating(Cost):
         self._task, self._failure_weight = task, failure_weight
         w = weights_of("widths", widths, task.goals)
         if not w.any():
-            raise ValueError("widths: one has to be more than 0 at least")
+            raise ValueError("widths: at least one must be above 0")
         if w[w > 0].min() < LEAST:
             raise ValueError(f"widths: those above 0 have to be {LEAST:g} at least, got {w[w > 0].min():g}")
         self._W = np.divide(0.5, w**2, out=np.zeros_like(w), where=w > 0)  # (g,)

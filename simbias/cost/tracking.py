@@ -11,7 +11,7 @@ from simbias.core.ranges import Positive
 from simbias.core.records import Array, Indices
 from simbias.cost.weights import Weights, weights_of
 
-LARGEST = 1e100  # of a sum: in a frame, a simulated state may grow until its square is no number any more
+LARGEST = 1e100  # of a sum: in a frame, a simulated state may grow until its square is not finite
 
 
 @final
@@ -49,7 +49,7 @@ class Tracking(Cost):
 
     @property
     def goal_weights(self) -> GoalWeights:  # type: ignore[override]
-        """R and Q over time, P at the end, of Z times the horizon."""
+        """R and Q over time, P at the end, of Z times the horizon in s."""
         seconds = self.horizon * self.time_step
         return GoalWeights(self._R, self._Q, self.time_step * self._R + seconds * self._P)
 

@@ -45,7 +45,7 @@ def experiment(
     Raises
     ------
     HardwareError
-        If the policy asks for what is no number.
+        If the policy asks for what is not finite.
     """
     states = [robot.state()]
     measured = [robot.reading() + noise.sensors[0]]

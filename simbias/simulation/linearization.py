@@ -10,7 +10,9 @@ from scipy.linalg import solve_discrete_are
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array
 
-STEP = 0.1  # of states, and of inputs over their limits, for differences: friction is steeper near rest
+# Of differences: of states in their units, of inputs over their limits. It is coarse, as friction is steeper
+# near rest; so a robot that moves by less than 0.1 m declares its states in mm.
+STEP = 0.1
 
 
 def input_scale(task: Task) -> Array:

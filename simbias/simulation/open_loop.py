@@ -32,8 +32,9 @@ SOME = 5  # frames that tell whether a model remembers states
 class Windows:
     """Recorded experiments, cut into w windows of `window` frames, and these into J chunks of `chunk` frames.
 
-    Windows are counted from the end, where those who fall are the fastest. What is left over at the beginning
-    is no window: it only fills the state of models that have one.
+    Windows are counted from the end, so that the last frames, where a falling robot is fastest, are always
+    within one. What is left over at the beginning is no window: it only fills the state of models that have
+    one.
     """
 
     states: Array  # (F, n), of all experiments

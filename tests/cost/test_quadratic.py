@@ -205,7 +205,7 @@ def test_what_it_does_not_know_is_refused() -> None:
     task = declared(goal=GOAL)
     for widths, words in (
         ({"torque": 1.0}, "nothing is called torque"),
-        ({}, "one has to be more than 0"),
+        ({}, "at least one must be above 0"),
         ({task.goals[0].name: 1e-300}, "those above 0 have to be 1e-09 at least"),
     ):
         with pytest.raises(ValueError, match=f"widths: {words}"):
@@ -214,7 +214,7 @@ def test_what_it_does_not_know_is_refused() -> None:
         Declared(task, 1.0, 1.0, running="power")
 
 
-def test_what_is_no_number_costs_a_finite_number(study: Study) -> None:
+def test_what_is_not_finite_costs_a_finite_number(study: Study) -> None:
     """As of a model that explodes within a frame; totals leave it out."""
     moving = declared(goal=GOAL)
     pairs = ((study.task, [study.cost]), (moving, costs(moving)))

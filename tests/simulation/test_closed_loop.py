@@ -96,7 +96,7 @@ def test_stable_rollouts_agree(study: Study) -> None:
 
 
 def test_falls_agree_and_bad_starts_fail_at_once(study: Study) -> None:
-    """What is no number fails; where nothing is to run, as screening leaves it, there is no rollout."""
+    """What is not finite fails; where nothing is to run, as screening leaves it, there is no rollout."""
     loops = both(study, ZeroBias(6))
     fast, slow = (loop.rollout(np.zeros(5), study.task.start_mean) for loop in loops)
     assert fast.failed_at == slow.failed_at == len(fast.inputs) == len(fast.states) - 1

@@ -190,7 +190,7 @@ WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
     (lambda x, u: x + sum(np.sin(x + u + i) for i in range(MOST)), f"it takes more than {MOST} operations"),
     (lambda x, u: x + np.random.default_rng().normal(size=3), "it gives other numbers when it is asked"),
     (lambda x, u: {}["mass"], "KeyError: 'mass'"),
-    (lambda x, u: x / (u - u), "it gives what is no number at most states"),
+    (lambda x, u: x / (u - u), "it gives what is not finite at most states"),
     (lambda x, u: x[..., :2], r"of one row it gives the shape \(1, 2\), not \(1, 3\)"),
     (lambda x, u: np.frexp(x)[0], "np.frexp of values is not known"),
     (lambda x, u: x.astype(int), "it makes whole numbers or conditions"),

@@ -16,7 +16,7 @@ FRAMES = 100  # over which a policy with a state is held against its kernel
 
 
 def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequence[Any]]) -> None:
-    """Raise unless the method gives the same vectors, twice, and most of them are numbers."""
+    """Raise unless the method gives these vectors, the same ones twice, and most of them are finite."""
     first, again = (method(*(each.copy() for each in arguments)) for _ in range(2))
     if len(made) == 1:
         first, again = (first,), (again,)
@@ -28,7 +28,7 @@ def compare(method: Callable, arguments: Sequence[Array], made: Sequence[Sequenc
         if expected.shape != traced.shape:
             raise TraceError(f"of {ROWS} rows it gives the shape {expected.shape}, not {traced.shape}")
         if not np.isfinite(expected).all(axis=1).sum() >= ROWS // 2:
-            raise TraceError("it gives what is no number at most states near the start")
+            raise TraceError("it gives what is not finite at most states near the start")
         _expect_equal(traced, expected)
 
 

@@ -72,7 +72,7 @@ frame[lane] += 0 if stop else 1
 ended += running[lane] if stop else 0"""
 
 
-REDUCTIONS = {  # what is no number is left out
+REDUCTIONS = {  # nan is left out
     "sum": "{0} + ({1} if {1} == {1} else 0.0)",
     "max": "max({0}, {1})",
 }

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hashlib import _Hash as _Digest
 
 # A product and a sum may become one instruction. Nothing may assume that numbers are finite: a rollout that
-# blows up ends because its state is not a number.
+# blows up ends because its state is not finite.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 # Of functions that only compiled code calls: entry points for Python take up to a third of compiling.
 NOT_FROM_PYTHON: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}

@@ -78,7 +78,7 @@ class Expressions:
 
     def __call__(self, x: Array) -> Array:
         """Their values (..., k) at x (..., n)."""
-        with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
+        with np.errstate(all="ignore"):  # what overflows is not finite, and has failed
             known = [x[..., index] for index in range(x.shape[-1])]
             for value in self._where:
                 known.append(value(known))

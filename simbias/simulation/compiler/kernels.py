@@ -65,7 +65,7 @@ def elementwise(function: Callable, *vectors: Array, parameters: Array) -> Array
     """A function of numbers, for vectors with any leading axes (..., n): all rows at once."""
     if all(vector.ndim == 1 for vector in vectors):  # as a robot's control loop asks
         return _of_numbers(function, vectors, parameters)
-    with np.errstate(all="ignore"):  # what overflows is not a number, and has failed
+    with np.errstate(all="ignore"):  # what overflows is not finite, and has failed
         columns = function(*map(_columns, vectors), tuple(parameters))
     shape = (*np.broadcast_shapes(*(np.shape(column) for column in columns)), len(columns))
     rows = np.empty_like(vectors[0], np.float64, shape=shape)
