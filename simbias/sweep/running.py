@@ -144,8 +144,8 @@ def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, 
     """Trials with their results, as they end."""
     trials = state.missing
     plans = [state.plan(trial, trials_engine.shares_disk) for trial in trials]
-    cells = {trial.cell.identity: trial for trial in trials}
-    code = partial(packed, [trial.composition for trial in cells.values()])
+    cells = {trial.cell.composition.group_hash: trial.cell.composition for trial in trials}
+    code = partial(packed, list(cells.values()))
     with closing(trials_engine.run(run_plan, plans, code)) as ended:
         for index, result in ended:
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
@@ -161,9 +161,9 @@ def changed_trials(sweep: Sweep, store: Tracking) -> str:
         folder = TrialFolder(store.folder / trial.hash)
         if folder.ended:
             finished += 1
-            if trial.cell.identity not in studies:
-                studies[trial.cell.identity] = build(trial.composition)
-            if modules := changed_code(folder.description(), studies[trial.cell.identity]):
+            if (cell := trial.cell.composition.group_hash) not in studies:
+                studies[cell] = build(trial.composition)
+            if modules := changed_code(folder.description(), studies[cell]):
                 found.append(modules)
     if not found:
         return ""

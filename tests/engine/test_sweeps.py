@@ -48,8 +48,8 @@ from simbias.core.files import ConfigFile
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
 
 class Heavier(PymunkBongoboard):
-    def __init__(self, task, file: ConfigFile) -> None:
-        super().__init__(task, inertia_error=FACTOR * float(Path(file).read_text()))
+    def __init__(self, task, file: ConfigFile, other: ConfigFile) -> None:
+        super().__init__(task, inertia_error=FACTOR * float(Path(file).read_text() + Path(other).read_text()))
 """
 
 
@@ -75,14 +75,16 @@ def cluster(folder: Path) -> Iterator[str]:
 def test_own_components_and_their_files_reach_workers_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """TLS; modules beside the folder of configs, one that another imports, and a relative file in it.
+    """TLS; modules beside the folder of configs, one that another imports, and files in and beside it.
 
-    Folders of trials travel, of one that was stopped and of one that was not begun.
+    Folders of trials travel, of one that was stopped and of one that was not begun, of cells of one seed.
     """
     here, there = tmp_path / "here", tmp_path / "there"
-    conf = write_sweep(here, "mine", "sweep: {trials: 2, axes: {}, figures: {}}")
-    write(conf, {"hardware/heavier.yaml": "_target_: heavier.Heavier\nfile: gap.txt\n", "gap.txt": "0.1"})
-    write(here, {"heavier.py": HEAVIER, "my_gaps.py": "FACTOR = 2"})
+    grid = "axes: {hardware.other: [one.txt, two.txt]}, common_seeds: [hardware.other]"
+    conf = write_sweep(here, "mine", f"sweep: {{trials: 1, {grid}, figures: {{}}}}")
+    heavier = "_target_: heavier.Heavier\nfile: gap.txt\nother: one.txt\n"
+    write(conf, {"hardware/heavier.yaml": heavier, "gap.txt": "0.1"})
+    write(here, {"heavier.py": HEAVIER, "my_gaps.py": "FACTOR = 2", "one.txt": "1", "two.txt": "2"})
     monkeypatch.syspath_prepend(here)
     monkeypatch.chdir(here)
     sweep = ["+sweep=mine", "hardware=heavier", *QUICK, *FOLDERS, "cost.max_cost=1e-3"]

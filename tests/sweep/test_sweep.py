@@ -170,8 +170,9 @@ def test_own_components_are_swept(folder: Path) -> None:
         conf, {"components.yaml": "allow: [point_mass]\n", "nominal/walled.yaml": "_target_: walled.Walled\n"}
     )
     write(folder, {"walled.py": IN_NUMPY})
-    write_sweep(folder, "wind", "sweep: {trials: 2, figures: {}, axes: {hardware.wind: [1.0, 2.0]}}")
-    own = [*(option for option in POINT_MASS if not option.startswith("nominal=")), "nominal=walled"]
+    axes = "{hardware.wind: [1.0, 2.0], nominal: [walled, point_mass]}"
+    write_sweep(folder, "wind", f"sweep: {{trials: 1, figures: {{}}, axes: {axes}, common_seeds: [nominal]}}")
+    own = [option for option in POINT_MASS if not option.startswith("nominal=")]
     quick = ["bias=none", "optimizer.max_evaluations=10", "method.max_iterations=1", *FOLDERS]
     command = ["--config-dir", "conf", "+sweep=wind", *own, *quick, "engine=sequential"]
     status, _, err = run(*command, folder=folder)
@@ -180,7 +181,8 @@ def test_own_components_are_swept(folder: Path) -> None:
     assert slow.startswith("simbias: simulated in NumPy, up to 500 times slower")
     assert "Walled.step (walled.py:6: " in slow
     assert len(trial_by_trial(folder)) == 4
-    assert len(table(folder).splitlines()) == 3
+    assert len(table(folder).splitlines()) == 5
+    assert run(*command, folder=folder)[2] == ""  # no code has changed since
 
 
 def test_live_view_fills() -> None:
