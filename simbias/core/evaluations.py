@@ -30,12 +30,12 @@ class SearchEnded(Exception):  # noqa: N818 (no error, as StopIteration is none)
 
 @dataclass(kw_only=True, eq=False)
 class Budget:
-    """When a search ends.
+    """When a search ends: each of its stages, where the objective has a first one.
 
     Parameters
     ----------
     max_evaluations
-        N_in; the search never makes more.
+        N_in, of each stage; it never makes more.
     relative_tolerance
         epsilon: the search ends when the best cost Z improves by less than epsilon |Z| (Section V), once Z is
         below the target.
@@ -237,12 +237,14 @@ class Evaluations:
         return part.start
 
     def optimum(self, stopped_by: str) -> Optimum:
-        """The best point evaluated, at least one has been; a search that failed is said to have failed."""
-        assert self._best_point is not None
+        """The best point evaluated, at least the start; a search that failed is said to have failed."""
+        if self._best_point is None:  # a generation was ranked afresh, or is more than the budget allows
+            with suppress(SearchEnded):
+                self.judge(self.start, self._objective(self.start))
         if not self.below_target and self.target_cost < np.inf:
             stopped_by = f"{stopped_by}, with no cost below {self.target_cost:g}"
         flat = self.count > 1 and self._worst_cost == self.best_cost
-        return Optimum(self._best_point, self.best_cost, self.count, stopped_by, flat)
+        return Optimum(self.start, self.best_cost, self.count, stopped_by, flat)
 
 
 def _check_finite(point: Array, cost: float) -> None:

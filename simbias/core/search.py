@@ -65,7 +65,7 @@ class Cost(ABC):
         raise NotImplementedError(f"{type(self).__name__} has no `of_totals`")
 
     def of(self, rollout: Rollout) -> float:
-        """Z of a rollout: finite. A frame that ends in what is not finite fails; terms of nan are left out."""
+        """Z of a rollout: finite. A frame that ends in what is not finite fails; nan terms are left out."""
         t = self.time_step * np.arange(1, rollout.frames + 1)
         with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may grow beyond all numbers
             terms = self.terms(rollout.states[1:], rollout.inputs, t)

@@ -156,6 +156,19 @@ def test_few_guesses_are_wrong(name: str, waste: float) -> None:
     assert len(objective.calls) < optimum.evaluations / 5
 
 
+def test_a_search_that_ends_before_it_has_judged_a_point_gives_its_start() -> None:
+    """As one whose generations meet scenarios of their own: its means are what is judged."""
+
+    class Fresh(Counting):
+        fresh = True
+
+    for limit, options, reason in ((3, {}, EVALUATION_LIMIT), (1000, {"max_seconds": 1e-9}, TIME_LIMIT)):
+        optimum = searched("cma", objective := Fresh(), limit, 0, **options)
+        np.testing.assert_array_equal(optimum.parameters, np.full(3, 0.25))
+        assert (optimum.cost, optimum.stopped_by) == (objective.cost(optimum.parameters), reason)
+        assert optimum.evaluations == sum(objective.calls)
+
+
 def test_a_search_that_changes_its_mind_is_noticed() -> None:
     rng = np.random.default_rng(0)
 
