@@ -7,28 +7,46 @@ import numpy as np
 from simbias.core import Hardware
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
-from simbias.lab.checked_hardware import CheckedHardware
+from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.trial.study import Study
 
 SCREENING = 2  # rollouts after which a policy that failed in all of them is not tried any further
 
 
-class CostOnHardware:
-    """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
-
-    The hardware is a simulator: it is run as often as a search asks.
+def check_simulator(hardware: Hardware, key: str = "method") -> None:
+    """Refuse a hardware that is a person's, a program's or a recording.
 
     Raises
     ------
     ConfigError
-        If the hardware is a person's, a program's or a recording.
+        Naming the key.
+    """
+    if type(hardware).__module__.startswith("simbias.lab"):
+        problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
+        raise ConfigError(key, problem)
+
+
+class CostOnHardware:
+    """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
+
+    The hardware is a simulator: it is run as often as a search asks, under the conditions that are given.
+
+    Raises
+    ------
+    ConfigError
+        As of `check_simulator`.
     """
 
-    def __init__(self, study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int) -> None:
-        if type(hardware).__module__.startswith("simbias.lab"):
-            problem = f"searches on the hardware itself, but {type(hardware).__name__} is no simulator"
-            raise ConfigError("method", problem)
-        self._study, self._hardware = study, CheckedHardware(hardware, study.task)
+    def __init__(
+        self,
+        study: Study,
+        hardware: Hardware,
+        rng: np.random.Generator,
+        rollouts: int,
+        conditions: ExperimentConditions = DEFAULT_CONDITIONS,
+    ) -> None:
+        check_simulator(hardware)
+        self._study, self._hardware = study, CheckedHardware(hardware, study.task, conditions)
         self._scenarios = [
             (study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)
         ]

@@ -25,6 +25,7 @@ from simbias.core import (
     Simulator,
     Task,
 )
+from simbias.core.errors import ConfigError
 from simbias.core.records import Array, Iteration, Rollout, Selection, Transitions
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
@@ -211,8 +212,12 @@ class Study:
         """The trial that asks and is told; nobody is asked whether an experiment may be made."""
         unasked = ExperimentConditions(safety=self.conditions.safety)
 
+        def none(task: Task) -> Hardware:
+            raise ConfigError("method", "searches on the hardware itself, which study.ask() leaves alone")
+
         def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
-            return replace(self, hardware=hardware, conditions=unasked).over(record).run()
+            asked = replace(self, hardware=hardware, hardware_of=none, conditions=unasked)
+            return asked.over(record).run()
 
         return AskTell(self.task.without_targets, run)
 

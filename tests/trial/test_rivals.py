@@ -6,14 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hardware import counted
 from point_mass import InTheWind
 
 import simbias
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
+from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.requests.process import Process
+from simbias.lab.safety import Safety
 from simbias.learning.bias.gp import GaussianProcess
+from simbias.search.evaluation.robust import Robust
 from simbias.testing.conformance import verdicts
+from simbias.trial.folder import OUTCOME, TrialFolder
 from simbias.trial.hardware_cost import CostOnHardware
 from simbias.trial.method import Method
 from simbias.trial.methods.cost_residual import CostResidual
@@ -59,8 +64,25 @@ def test_ideal_holds_what_the_model_does_not(point_mass: Study) -> None:
     record = run_trial(replace(point_mass, method=Ideal(rollouts=2)))
     assert (record.outcome, record.summary.experiments) == (Outcome.SUCCEEDED, 2)
     assert record.iterations[0].parameters[2] == pytest.approx(-2.0, abs=0.7)  # the wind, balanced
+
+
+def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
+    """Nor one that is asked for by `study.ask()`, or held by limits, which the search keeps."""
+    ideal = replace(point_mass, method=Ideal(rollouts=1))
+    real = replace(ideal, hardware=Process(point_mass.task, "true"))
     with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, but Process is no sim"):
-        CostOnHardware(point_mass, Process(point_mass.task, "true"), np.random.default_rng(0), 2)
+        run_trial(real)
+    middle = MultiFidelity(lambda config: real.hardware, {"command": "true"})
+    with pytest.raises(ConfigError, match=r"^method\.middle: searches .*, but Process is no simulator"):
+        run_trial(replace(point_mass, method=middle))
+    with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, which study.ask\(\)"):
+        ideal.ask()
+    refusing = ExperimentConditions(confirm=True, ask=lambda *_: False)
+    watched, log = counted(replace(ideal, conditions=refusing))
+    assert (run_trial(watched).outcome, log) == (Outcome.WAITING, [])
+    limited = ExperimentConditions(safety=Safety(states={"position": 0.1}))
+    cost = CostOnHardware(point_mass, point_mass.hardware, np.random.default_rng(0), 1, limited)
+    assert cost(np.zeros(3)) > point_mass.cost.max_cost + 9  # it fails where it starts
 
 
 def test_one_shot_learns_once(point_mass: Study) -> None:
@@ -79,6 +101,24 @@ def test_a_residual_on_the_cost_leaves_policies_that_are_refuted(point_mass: Stu
     costs = [iteration.hardware_cost for iteration in record.iterations]
     assert len({tuple(iteration.parameters) for iteration in record.iterations}) == len(costs) > 1
     assert min(costs) < 0.8 * costs[0]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
+def test_a_residual_on_the_cost_is_resumed_in_the_same_fresh_scenarios(
+    point_mass: Study, tmp_path: Path
+) -> None:
+    optimizer = simbias.load(["optimizer=cma", "optimizer.max_evaluations=40", "tracking=none"]).optimizer
+    fresh = Robust(point_mass.task, 2, {"force_variance": 4.0}, fresh=True)
+    method = CostResidual(max_iterations=2)
+    study = replace(point_mass, method=method, evaluation=fresh, optimizer=optimizer)
+    whole = run_trial(study, tmp_path)
+    first, *others = (i for i, file in enumerate(TrialFolder(tmp_path).steps()) if "iteration" in file.name)
+    assert others
+    for file in (*TrialFolder(tmp_path).steps()[first + 1 :], tmp_path / OUTCOME):
+        file.unlink()
+    for one, other in zip(run_trial(study, tmp_path).iterations, whole.iterations, strict=True):
+        np.testing.assert_array_equal(one.parameters, other.parameters)
 
 
 def test_the_model_is_exact_along_an_experiment(point_mass: Study) -> None:
@@ -113,7 +153,8 @@ def test_simulators_of_rising_fidelity_end_at_the_top(point_mass: Study) -> None
     assert only.succeeded
     assert len(only.experiments) == 2  # of the hardware
     assert only.parameters[2] == pytest.approx(-1.8, abs=0.7)
-    assert not np.array_equal(only.parameters, only.search.optimum.parameters)
+    np.testing.assert_array_equal(only.search.optimum.parameters, only.parameters)
+    assert only.search.predicted_cost == only.search.optimum.cost  # of this policy, in the middle
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 
@@ -51,13 +52,13 @@ class CostResidual(Method):
         """Yield a record of every iteration."""
         scenario_rng, search_rng, hardware_rng = rng.spawn(3)
         model, made = study.first_model(), 0
-        predicted = study.evaluation.objective(model, study.cost, scenario_rng)
         lower, upper = study.policy.bounds
         hyper = Hyperparameters(upper - lower, np.full(len(lower), self.length_scale), 1.0, NOISE, 0.0)
         tried, residuals = np.empty((0, len(lower))), np.empty((0, 1))
         for index in range(self.max_iterations):
             clock = Stopwatch()
-            with clock("search"):
+            with clock("search"):  # the same scenarios, also the fresh ones: a replayed search draws none
+                predicted = study.evaluation.objective(model, study.cost, deepcopy(scenario_rng))
                 residual = exact(hyper, Transitions(tried, residuals))
                 cost = Mapped(predicted, partial(_corrected, residual))
                 candidates = lqr_candidates(model, self.lqr_candidates)

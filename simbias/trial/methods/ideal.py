@@ -10,7 +10,7 @@ import numpy as np
 from simbias.core.ranges import Count
 from simbias.core.records import Iteration, Search
 from simbias.search.lqr import lqr_policies
-from simbias.trial.hardware_cost import CostOnHardware
+from simbias.trial.hardware_cost import CostOnHardware, check_simulator
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record
@@ -36,18 +36,17 @@ class Ideal(Method):
     experiments: Count = 2
     rollouts: Count = 8
 
-    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
-        """Yield the record of the only iteration.
+    def check(self, study: Study) -> None:
+        """Refuse a hardware that is no simulator."""
+        check_simulator(study.hardware)
 
-        Raises
-        ------
-        ConfigError
-            If the hardware is no simulator.
-        """
+    def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
+        """Yield the record of the only iteration; errors as of `check`."""
         scenario_rng, search_rng, hardware_rng = rng.spawn(3)
         clock, model = Stopwatch(), study.first_model()
         with clock("search"):
-            cost = CostOnHardware(study, study.hardware_of(study.task), scenario_rng, self.rollouts)
+            hardware, conditions = study.hardware_of(study.task), study.conditions
+            cost = CostOnHardware(study, hardware, scenario_rng, self.rollouts, conditions)
             box, candidates = study.policy.bounds, lqr_policies(model)
             optimum = study.optimizer.minimize(cost, *box, search_rng, study.cost.max_cost, candidates)
         found, theta = Search(optimum, optimum.cost), optimum.parameters

@@ -10,8 +10,8 @@ import numpy as np
 
 from simbias.core import Hardware
 from simbias.core.ranges import Count
-from simbias.core.records import Iteration, Learning, Rollout
-from simbias.trial.hardware_cost import CostOnHardware
+from simbias.core.records import Iteration, Learning, Rollout, Search
+from simbias.trial.hardware_cost import CostOnHardware, check_simulator
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.steps import Stopwatch, experiment, iteration_record, learn, search
@@ -53,6 +53,11 @@ class MultiFidelity(Method):
     def __post_init__(self) -> None:
         self._middle = None if self.middle is None else self.hardware_from(self.middle)
 
+    def check(self, study: Study) -> None:
+        """Refuse what is no simulator in the middle."""
+        if self._middle is not None:
+            check_simulator(self._middle, "method.middle")
+
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:
         """Yield a record of every iteration, each of which ends on the hardware."""
         search_rng, middle_rng, hardware_rng = rng.spawn(3)
@@ -68,8 +73,9 @@ class MultiFidelity(Method):
                     scenario_rng, own_rng = middle_rng.spawn(2)
                     cost = CostOnHardware(study, middle, scenario_rng, self.rollouts)
                     box, target = study.policy.bounds, study.cost.max_cost
-                    theta = study.optimizer.minimize(cost, *box, own_rng, target, [theta]).parameters
-                    observer.designed(theta, model)
+                    optimum = study.optimizer.minimize(cost, *box, own_rng, target, [theta])
+                    found, theta = Search(optimum, optimum.cost), optimum.parameters
+                    observer.designed(theta, model, found)
                     middle = None  # it has said what it knows
             with clock("experiments"):
                 rollouts = experiment(study, model, theta, hardware_rng, observer, self.experiments, 1)
