@@ -48,8 +48,9 @@ class Hyperparameters:
 
 def correlation(a: Array, b: Array) -> Array:
     """exp(-|a - b|^2 / 2) (k, l) of the rows of a (k, r) and b (l, r)."""
-    squared = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2 * a @ b.T
-    return np.exp(-0.5 * np.maximum(squared, 0.0))
+    with np.errstate(over="ignore", invalid="ignore"):  # a simulated state may grow beyond all numbers
+        squared = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2 * a @ b.T
+        return np.exp(-0.5 * np.maximum(squared, 0.0))
 
 
 def hyperparameters(

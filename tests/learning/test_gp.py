@@ -19,7 +19,7 @@ from simbias.learning.bias.inducing import Inducing, choose
 from simbias.learning.bias.lscde import LeastSquaresDensity
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.bias.posterior import exact
-from simbias.learning.covariance import Hyperparameters, stable_cholesky
+from simbias.learning.covariance import Hyperparameters, correlation, stable_cholesky
 from simbias.learning.identification.delay import Delay
 from simbias.simulation.compiler import LANES, compile_closed_loop
 from simbias.sweep.worker import Plan, run_plan
@@ -171,6 +171,14 @@ def test_repeated_points_need_jitter_and_get_it() -> None:
         np.testing.assert_allclose(L @ L.T, K, atol=1e-6 * size)
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         stable_cholesky(-np.eye(3))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_state_beyond_all_numbers_is_far_from_all_others_without_a_word() -> None:
+    """A simulated one may grow so far before it fails."""
+    far, near = np.array([[1e200, 0.0]]), np.ones((1, 2))
+    assert correlation(far, near) == 0.0
+    assert np.isnan(correlation(np.inf * near, near))
 
 
 def test_warming_up_compiles_what_a_search_needs_once_something_is_learned(study: Study) -> None:
