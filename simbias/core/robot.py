@@ -71,6 +71,28 @@ def wrapped(differences: Array, quantities: Sequence[Quantity]) -> Array:
     return differences - 2 * np.pi * wraps * np.floor((differences + np.pi) / (2 * np.pi))
 
 
+def by_quantity(
+    values: Mapping[str, float],
+    quantities: Sequence[Quantity],
+    default: float,
+    refusal: str,
+    suffix: str = "",
+) -> Array:
+    """The value (k,) of each of k quantities: by its own name or else by its kind, and a suffix.
+
+    Raises
+    ------
+    ValueError
+        If a name is of none of them: the refusal, that name, and those that there are.
+    """
+    names = [[name + suffix for name in quantity.names] for quantity in quantities]
+    known = dict.fromkeys(name for own in names for name in own)
+    for name in values:
+        if name not in known:
+            raise ValueError(f"{refusal} {name}; there is {', '.join(known)}")
+    return np.array([next((values[name] for name in own if name in values), default) for own in names])
+
+
 def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indices]:
     """Places (n / 2,) of rates, and of what they are the rates of, in the same order.
 

@@ -9,6 +9,7 @@ import numpy as np
 from simbias.core import Quantity
 from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
+from simbias.core.robot import by_quantity
 
 Weights = list[NonNegative] | dict[str, NonNegative]  # one for each quantity, or by name or kind
 
@@ -19,9 +20,4 @@ def weights_of(name: str, weights: Weights, quantities: Sequence[Quantity]) -> A
         if len(weights) != len(quantities):
             raise ValueError(f"{name} has {len(weights)} values; the task has {len(quantities)}")
         return np.array(weights)
-    known = dict.fromkeys(name for quantity in quantities for name in quantity.names)
-    for key in weights:
-        if key not in known:
-            raise ValueError(f"{name}: nothing is called {key}; there is {', '.join(known)}")
-    own = [[weights[key] for key in quantity.names if key in weights] for quantity in quantities]
-    return np.array([values[0] if values else 0.0 for values in own])
+    return by_quantity(weights, quantities, 0.0, f"{name}: nothing is called")

@@ -11,6 +11,7 @@ import numpy as np
 from simbias.core import Controller, HardwareError, Law, Policy, Quantity, Task
 from simbias.core.ranges import Positive
 from simbias.core.records import Array, Rollout
+from simbias.core.robot import by_quantity
 
 ROUNDING = 1e-12  # relative, of a limit that a controller holds itself
 RECORDED_ROUNDING = 1e-6  # relative, of a limit in what was recorded with a few digits
@@ -50,11 +51,15 @@ class Safety:
         ValueError
             If a limit names no quantity of the task.
         """
-        inputs = _by_quantity("inputs", self.inputs, task.inputs)
+
+        def arranged(key: str, values: Mapping[str, float] | None, quantities: Sequence[Quantity]) -> Array:
+            return by_quantity(values or {}, quantities, np.inf, f"{key}: nothing is called")
+
+        inputs = arranged("inputs", self.inputs, task.inputs)
         return Bounds(
             (np.fmax(-inputs, task.input_bounds[0]), np.fmin(inputs, task.input_bounds[1])),
-            _by_quantity("input_rates", self.input_rates, task.inputs),
-            _by_quantity("states", self.states, task.states),
+            arranged("input_rates", self.input_rates, task.inputs),
+            arranged("states", self.states, task.states),
             self.criteria,
         )
 
@@ -75,18 +80,6 @@ class Bounds:
     def inputs(self) -> Array:
         """Largest size (m,) of each input."""
         return np.maximum(*np.abs(self.input_bounds))
-
-
-def _by_quantity(key: str, limits: Mapping[str, float] | None, quantities: Sequence[Quantity]) -> Array:
-    """The limit of each quantity, by its name or its kind."""
-    limits = limits or {}
-    known = {name for quantity in quantities for name in quantity.names}
-    unknown = sorted(set(limits) - known)
-    if unknown:
-        raise ValueError(f"{key} names no quantity of the task: {', '.join(unknown)}; it has {sorted(known)}")
-    return np.array(
-        [next((limits[name] for name in quantity.names if name in limits), np.inf) for quantity in quantities]
-    )
 
 
 class UnsafeError(Exception):

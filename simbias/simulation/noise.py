@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import AfterValidator
 
-from simbias.core import Push, Quantity, Task
+from simbias.core import Push, Task
 from simbias.core.ranges import Variance
 from simbias.core.records import Array, Disturbance
-
-SUFFIX = "_variance"
+from simbias.core.robot import by_quantity
 
 
 def without_zeros(values: dict[str, float]) -> dict[str, float]:
@@ -43,17 +41,11 @@ class Noise:
 
     def __init__(self, task: Task, variances: Variances) -> None:
         states = task.without_targets.states
-        known = {name for quantity in (*task.inputs, *states) for name in quantity.names}
-        for key in variances:
-            if not (key.endswith(SUFFIX) and key.removesuffix(SUFFIX) in known):
-                raise ValueError(
-                    f"no noise is called {key}; there is {', '.join(n + SUFFIX for n in sorted(known))}"
-                )
+        known = by_quantity(variances, (*task.inputs, *states), 0.0, "no noise is called", "_variance")
         self._horizon, self._pushes = task.horizon, task.pushes
         self._times = task.time_step * np.arange(task.horizon)[:, None]  # (T, 1)
-        self.input_variance = _variances(task.inputs, variances)  # (m,)
-        self.sensor_variance = np.zeros(len(task.states))  # (n,)
-        self.sensor_variance[: len(states)] = _variances(states, variances)
+        self.input_variance = known[: len(task.inputs)]  # (m,)
+        self.sensor_variance = np.append(known[len(task.inputs) :], np.zeros(len(task.targets)))  # (n,)
 
     @property
     def is_silent(self) -> bool:
@@ -79,11 +71,3 @@ class Noise:
         height = rng.uniform(*push.amplitude, push.pulses) * rng.choice([-1.0, 1.0], push.pulses)
         width = rng.uniform(*push.seconds, push.pulses)
         return (height * np.exp(-0.5 * ((self._times - middle) / width) ** 2)).sum(axis=1)
-
-
-def _variances(quantities: Sequence[Quantity], variances: Variances) -> Array:
-    """The variance of each quantity: its own, or else its kind's."""
-    own = [
-        [variances[n + SUFFIX] for n in quantity.names if n + SUFFIX in variances] for quantity in quantities
-    ]
-    return np.array([values[0] if values else 0.0 for values in own])
