@@ -14,7 +14,7 @@ from simbias.mlflow.pages import NOTE
 from simbias.mlflow.runs import RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
 from simbias.sweep.folder import FIGURES, SweepFolder
-from simbias.sweep.state import DONE, INTERRUPTED, RUNNING
+from simbias.sweep.state import DONE, INTERRUPTED, RUNNING, WAITS
 from simbias.trial.disk import LOCK, is_locked, require_file
 from simbias.trial.folder import TrialFolder
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 TABLE = "table.json"  # among the artifacts
-STATUS = {RUNNING: "RUNNING", DONE: "FINISHED", INTERRUPTED: "KILLED"}
+STATUS = {RUNNING: "RUNNING", DONE: "FINISHED", INTERRUPTED: "KILLED", WAITS: "SCHEDULED"}
 
 
 class SweepRun(RunExport):

@@ -105,6 +105,8 @@ def run_sweep(
 ) -> tuple[DataFrame, str]:
     """Run the trials that have not ended, and make the figures; `again` is the command that resumes.
 
+    Figures are made once no trial waits for the result of an experiment.
+
     Returns the trials, as `simbias.sweep.results` describes them, and how a person looks at them.
 
     Raises
@@ -132,7 +134,8 @@ def run_sweep(
                             observer.ended(trial, result)
                 finally:
                     observer.all_ended()
-                make_figures(sweep, trials_engine, state, observer, interruption)
+                if not state.waits:
+                    make_figures(sweep, trials_engine, state, observer, interruption)
         except BaseException as error:
             state.close(error)
             raise

@@ -30,7 +30,9 @@ from simbias.trial.summary import Outcome, TrialSummary
 
 DAMAGED = "simbias: %s; the trial is run again"
 MIXED = "simbias: trials of this sweep are from %d platforms, so their last bits may differ: %s"
-RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"  # first words on a sweep
+# First words on a sweep.
+RUNNING, DONE, INTERRUPTED = "**Running**", "**Done**", "**Interrupted**"
+WAITS = "**Waiting** for hardware experiments"
 MARKER = ".shared_"  # prefix of a file that only workers on the same disk see
 STATE_SECONDS = 5.0  # the sweep's state is at most so old while trials end,
 STATE_SHARE = 0.02  # unless it would take more than this of the time
@@ -96,6 +98,11 @@ class SweepState:
         ended = set(self.finished["hash"])
         return [trial for trial in self._sweep.trials if trial.hash not in ended]
 
+    @property
+    def waits(self) -> bool:
+        """Whether, now that none runs any more, a trial waits for the result of an experiment."""
+        return len(self._rows) < len(self._sweep.trials)
+
     def plan(self, trial: Trial, shares_disk: bool) -> Plan:
         """A trial as a worker needs it."""
         folder = self._store.trial_folder(trial.hash)
@@ -158,12 +165,20 @@ class SweepState:
     def close(self, error: BaseException | None = None) -> None:
         """Write how the sweep ended; the error says why it ended early."""
         try:
-            self._write(_verdict(error, "error" in set(self.results()["outcome"])), final=True)
+            self._write(self._verdict(error), final=True)
         except Exception:
             if error is None:
                 raise  # else what ended the sweep, as a full disk, may well end this too
         finally:
             self._marker.unlink(missing_ok=True)
+
+    def _verdict(self, error: BaseException | None) -> str:
+        """First words on a sweep that ended."""
+        if error is not None:
+            interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
+            return INTERRUPTED if interrupted else "**Ended early** by an error"
+        raised = "error" in set(self.results()["outcome"])
+        return WAITS if self.waits else "**Ended**, some trials with an error" if raised else DONE
 
     def _write(self, verdict: str, final: bool = False) -> None:
         """Write how far the sweep is, and export it."""
@@ -209,11 +224,3 @@ def _description(sweep: Sweep, again: str) -> dict[str, Any]:
         },
         **provenance(),
     }
-
-
-def _verdict(error: BaseException | None, raised: bool) -> str:
-    """First words on a sweep that ended."""
-    if error is None:
-        return "**Ended**, some trials with an error" if raised else DONE
-    interrupted = isinstance(error, KeyboardInterrupt | SystemExit)
-    return INTERRUPTED if interrupted else "**Ended early** by an error"

@@ -231,8 +231,12 @@ def test_a_finished_sweep_started_again_adds_nothing_to_its_store(folder: Path, 
 
 
 def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
-    write_sweep(folder, "mine", "sweep: {trials: 1, axes: {bias: [none, gp]}}")
+    """Figures wait, too: of trials that have not ended there may be none."""
+    figures = "{costs: {_target_: simbias.sweep.figures.costs.Costs}}"
+    write_sweep(folder, "mine", f"sweep: {{trials: 1, axes: {{bias: [none, gp]}}, figures: {figures}}}")
     command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "hardware=manual", "engine=sequential", store]
     for _ in range(2):
         assert main(command) == 3
-        assert [run.info.status for run in runs(folder)[1]] == ["SCHEDULED"] * 2
+        parents, trials = runs(folder)
+        assert [run.info.status for run in (*parents, *trials)] == ["SCHEDULED"] * 3
+    assert state(folder)["verdict"].startswith("**Waiting**")
