@@ -86,6 +86,13 @@ def test_presets_combine() -> None:
 
 
 @pytest.mark.slow
+def test_hardware_that_declares_no_noise_is_taken_for_quiet() -> None:
+    """As a person, in presets whose filter or identification asks for the hardware's noise."""
+    filtering = compose(["preset=acrobot_trajectory", "hardware=manual", "~hardware.delay"]).config
+    identifying = compose(["preset=ball_in_cup", "hardware=manual"]).config
+    assert filtering["policy"]["noise"] == identifying["identification"]["noise"] == {}
+
+
 def test_yaml_keys_are_the_constructors_arguments() -> None:
     """Every value a person may change stands in the YAML, to be seen."""
     for group, option in COMPONENTS:
