@@ -11,9 +11,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from simbias.core import Model
 from simbias.core.messages import counted
-from simbias.core.records import Iteration, Learning, Search
+from simbias.core.records import Iteration, Learning
 from simbias.trial import diagnostics
 from simbias.trial.study import Study
 
@@ -199,28 +198,16 @@ def metrics(iteration: Iteration) -> dict[str, float]:
         "experiments/failed": sum(rollout.failed_at is not None for rollout in experiments),
         "experiments/frames_min": min((rollout.frames for rollout in experiments), default=0),
         "experiments/succeeded": iteration.succeeded,
-        **(_search_metrics(iteration.search) if iteration.search else {}),
-        **(_model_metrics(iteration.model) if iteration.model else {}),
-        **(_learning_metrics(iteration.learning) if iteration.learning else {}),
-        **{f"seconds/{phase}": seconds for phase, seconds in iteration.seconds.items()},
     }
+    if (search := iteration.search) is not None:
+        numbers |= {"cost/predicted": search.predicted_cost, "search/evaluations": search.optimum.evaluations}
+    if (model := iteration.model) is not None:
+        numbers |= {f"bias/{name}": value for name, value in model.bias.diagnostics.items()}
+        numbers |= {f"identification/{name}": value for name, value in model.nominal.diagnostics.items()}
+    if iteration.learning is not None:
+        numbers |= _learning_metrics(iteration.learning)
+    numbers |= {f"seconds/{phase}": seconds for phase, seconds in iteration.seconds.items()}
     return {name: float(value) for name, value in numbers.items()}
-
-
-def _search_metrics(search: Search) -> dict[str, float]:
-    """A policy search in numbers."""
-    return {
-        "cost/predicted": search.predicted_cost,
-        "search/evaluations": search.optimum.evaluations,
-    }
-
-
-def _model_metrics(model: Model) -> dict[str, float]:
-    """The diagnostics of a policy's model, in numbers."""
-    return {
-        **{f"bias/{name}": value for name, value in model.bias.diagnostics.items()},
-        **{f"identification/{name}": value for name, value in model.nominal.diagnostics.items()},
-    }
 
 
 def _learning_metrics(learning: Learning) -> dict[str, float]:
