@@ -17,12 +17,12 @@ from simbias.core import FittedBias, Kernel, Nominal
 from simbias.core.records import Array, Indices, Rollout
 from simbias.simulation.compiler import (
     Function,
-    Points,
     compile_open_loop,
     constant,
     in_threads,
     of_bias,
     of_nominal,
+    points_among,
 )
 
 SOME = 5  # frames that tell whether a model remembers states
@@ -117,7 +117,7 @@ def predict(models: Sequence[PredictionModel], windows: Windows, bias: FittedBia
     """Means (k, w, J, n) over each chunk as each of k models predicts it; they share the bias."""
     if not len(windows):
         return np.zeros((len(models), *windows.means.shape))
-    n, points = windows.states.shape[1], Points.among(windows.states, windows.inputs)
+    n, points = windows.states.shape[1], partial(points_among, windows.states, windows.inputs)
     kernels = [of_nominal(model.nominal, points).kernel for model in models]
     correct = constant(np.zeros(n)) if bias is None else of_bias(bias, points).kernel
     if correct is None or any(each is None or each.function is not kernels[0].function for each in kernels):

@@ -14,6 +14,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from simbias.core import FittedBias, Nominal, Simulator, SlowWarning
 from simbias.core.records import Array, Disturbance, Transitions
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import join, simulator
-from simbias.simulation.compiler import Points, of_nominal
+from simbias.simulation.compiler import of_nominal, points_of
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.simulation.open_loop import corrections
 from simbias.trial.study import Study
@@ -147,7 +148,7 @@ def tracing(robot: str) -> float:
     """Seconds to trace and check a model that is like one traced before."""
     options, written = TWINS[robot]
     study = simbias.load([*options, "tracking=none"])
-    points, seconds = Points.of(study.task), []
+    points, seconds = partial(points_of, study.task), []
     for _ in range(ROUNDS):
         model = written(study)
         start = time.process_time()

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from simbias.learning.bias.none import ZeroBias
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
-from simbias.simulation.compiler import Points
+from simbias.simulation.compiler import points_of
 from simbias.simulation.compiler.symbolic_arrays import Symbols
 from simbias.simulation.compiler.symbols import MOST, TraceError
 from simbias.simulation.compiler.tracing import _knows_foreign_code, of_bias, of_nominal, of_policy
@@ -29,8 +30,7 @@ from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
 
 RNG = np.random.default_rng(0)
-POINTS = Points(lambda: (RNG.normal(size=(32, 3)), RNG.normal(size=(32, 3))))
-OTHERS = Points(lambda: (RNG.normal(size=(50, 3)), RNG.normal(size=(50, 3))))
+OTHERS = RNG.normal(size=(50, 3)), RNG.normal(size=(50, 3))  # than those of `points`
 VALUES = np.array([10.5, 6.8, 0.81, 0.0, 1.0, 9.81])
 
 
@@ -49,11 +49,16 @@ def cartpole() -> Study:
     return simbias.load(["preset=cartpole", "task.horizon=100", "bias=none", "tracking=none"])
 
 
-def expect_the_same(kernel: Kernel, step: Callable[[Array, Array], Array], points: Points = OTHERS) -> None:
+def points() -> tuple[Array, Array]:
+    """States and inputs at which a kernel is checked."""
+    return RNG.normal(size=(32, 3)), RNG.normal(size=(32, 3))
+
+
+def expect_the_same(kernel: Kernel, step: Callable[[Array, Array], Array]) -> None:
     """The traced text in Python, at other states than those at which it was checked."""
     with np.errstate(all="ignore"):
-        columns = kernel.function(tuple(points.x.T), tuple(points.u.T), tuple(kernel.parameters))
-        expected = step(points.x, points.u)
+        columns = kernel.function(*(tuple(each.T) for each in OTHERS), tuple(kernel.parameters))
+        expected = step(*OTHERS)
     for index, column in enumerate(columns):
         np.testing.assert_allclose(np.broadcast_to(column, 50), expected[:, index], rtol=1e-9, atol=1e-12)
 
@@ -116,7 +121,7 @@ OPERATIONS: list[Callable[[Array, Array], Array]] = [
 
 def test_every_operation_is_traced() -> None:
     for operation in OPERATIONS:
-        part = of_nominal(Stepping(operation), POINTS)
+        part = of_nominal(Stepping(operation), points)
         assert part.kernel, part.why_not
         expect_the_same(part.kernel, operation)
 
@@ -140,14 +145,14 @@ def test_programs_of_them_are_traced(program: list[tuple[int, int, int]]) -> Non
             values.append(np.tanh(made))
         return values[-1]
 
-    part = of_nominal(Stepping(step), POINTS)
+    part = of_nominal(Stepping(step), points)
     assert part.kernel, part.why_not
     expect_the_same(part.kernel, step)
 
 
 def test_numbers_change_no_operation(cartpole: Study) -> None:
     """Neither 0 nor 1, nor what is equal; so scenarios run in lockstep, and each loop is compiled once."""
-    points = Points.of(cartpole.task)
+    points = partial(points_of, cartpole.task)
     values = [VALUES, np.ones(6), np.array([1.0, 0.5, 0.5, 0.0, 0.0, 0.0])]
     models = [CartPole(cartpole.task, each) for each in values]
     kernels = [of_nominal(model, points).kernel for model in models]
@@ -200,14 +205,14 @@ WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
 
 def test_what_only_numpy_can_run_says_why() -> None:
     for step, why in WHY:
-        part = of_nominal(Stepping(step), POINTS)
+        part = of_nominal(Stepping(step), points)
         assert part.kernel is None, why
         assert re.match(rf"Stepping.step \(test_tracing.py:\d+: {why}", part.why_not), part.why_not
 
 
 def test_what_a_model_remembers_of_the_attempt_is_forgotten() -> None:
     model = Counting()
-    assert "it gives other numbers when it is asked again" in of_nominal(model, POINTS).why_not
+    assert "it gives other numbers when it is asked again" in of_nominal(model, points).why_not
     assert model.calls == 0
 
 
@@ -232,7 +237,7 @@ def test_memory_of_an_array_goes_to_no_other_code() -> None:
                 asked.append(way)
         return x + u
 
-    of_nominal(Stepping(step), POINTS)
+    of_nominal(Stepping(step), points)
     assert asked
 
 
@@ -246,12 +251,12 @@ def test_modules_that_know_ctypes_are_left_alone(monkeypatch: pytest.MonkeyPatch
     def identified() -> Nominal:
         return Identified(Engine(lambda x, u: x + u), np.zeros(0), np.zeros((0, 0)), {})
 
-    assert of_nominal(identified(), POINTS).kernel is not None
+    assert of_nominal(identified(), points).kernel is not None
     for value in (ctypes, ctypes.CDLL, ctypes.CDLL(None), ctypes.CDLL(None).abs, ctypes.POINTER):
         monkeypatch.setitem(globals(), "library", value)
         _knows_foreign_code.cache_clear()
-        assert of_nominal(identified(), POINTS).kernel is None, value
-    part = of_nominal(Engine(lambda x, u: x + u), POINTS)
+        assert of_nominal(identified(), points).kernel is None, value
+    part = of_nominal(Engine(lambda x, u: x + u), points)
     _knows_foreign_code.cache_clear()
     assert "its module calls code by ctypes" in part.why_not
 
@@ -269,7 +274,7 @@ class Remembers(Nominal):
 
 
 def test_models_and_policies_with_memory_are_traced() -> None:
-    part = of_nominal(Remembers(), POINTS)
+    part = of_nominal(Remembers(), points)
     assert part.kernel, part.why_not
     made, kept = part.kernel.function(
         (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), tuple(part.kernel.parameters), (0.0, 1.0, 0.0)
@@ -291,7 +296,7 @@ class Corrects(FittedBias):
 
 def test_a_bias_of_ones_own_is_traced() -> None:
     bias = Corrects()
-    part = of_bias(bias, POINTS)
+    part = of_bias(bias, points)
     assert part.kernel, part.why_not
     expect_the_same(part.kernel, bias.correction)
 
@@ -310,7 +315,7 @@ class Later(Feedback):
 def test_what_thetas_alone_decide_is_computed_once(cartpole: Study) -> None:
     """The exponentials of the gains are not in the loop."""
     for policy in (Feedback, Later):
-        part = of_policy(policy(cartpole.task), cartpole.task, Points.of(cartpole.task))
+        part = of_policy(policy(cartpole.task), cartpole.task, partial(points_of, cartpole.task))
         assert part.kernel, part.why_not
         thetas = RNG.normal(size=(5, 4))
         gains = np.sign(thetas) * np.expm1(np.abs(thetas))

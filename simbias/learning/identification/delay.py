@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -15,7 +16,7 @@ from simbias.core.records import Array, Rollout, Transitions
 from simbias.learning.covariance import hyperparameters
 from simbias.learning.likelihood import Learning, evidence
 from simbias.simulation.actuator import Actuator, Actuators, taps_of
-from simbias.simulation.compiler import Points, of_nominal
+from simbias.simulation.compiler import of_nominal, points_of
 
 STEPS = 2  # candidate delays in each frame
 MOST = 24  # candidates beside no delay: each likelihood takes up to a second
@@ -103,7 +104,7 @@ class Late(Nominal):
         if nominal.state_size:
             raise ValueError("identification=delay: the nominal model has lag and delay of its own")
         self._nominal, self.parameters = nominal, nominal.parameters
-        mechanics = of_nominal(nominal, Points.of(self._task)).kernel
+        mechanics = of_nominal(nominal, partial(points_of, self._task)).kernel
         self.kernel = None if mechanics is None else self._actuators.before(mechanics)
 
     def step(self, x: Array, u: Array) -> Array:

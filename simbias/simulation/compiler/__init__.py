@@ -24,7 +24,7 @@ from simbias.simulation.compiler.kernels import LANES, elementwise
 from simbias.simulation.compiler.lanes import broadcast, cosine_of_turns, everywhere, exp, fma, load, store
 from simbias.simulation.compiler.loop import Function, constant
 from simbias.simulation.compiler.open_loop import compile_open_loop
-from simbias.simulation.compiler.points import Points
+from simbias.simulation.compiler.points import points_among, points_of
 from simbias.simulation.compiler.tables import scheduled
 from simbias.simulation.compiler.text import sum_of
 from simbias.simulation.compiler.threads import in_threads

@@ -15,7 +15,7 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from simbias.core.error_origin import is_users
 from simbias.core.messages import with_type
 from simbias.core.records import Array
 from simbias.simulation.compiler.agreement import compare, compare_frames, rows
-from simbias.simulation.compiler.points import ROWS, Points
+from simbias.simulation.compiler.points import ROWS, Points, points_of
 from simbias.simulation.compiler.symbolic_arrays import array, row, symbols_in
 from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace, TraceError
 from simbias.simulation.compiler.tables import Lookup, scheduled
@@ -42,7 +42,8 @@ class KernelOrReason(NamedTuple):
 
 def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReason, KernelOrReason]:
     """The parts of a closed loop: measures, policy, nominal model, bias."""
-    task, points, of_robot = model.task, Points.of(model.task), Points.of(model.task.without_targets)
+    task = model.task
+    points, of_robot = (partial(points_of, each) for each in (task, task.without_targets))
     return (
         of_measure(task, points),
         of_policy(model.policy, task, points),
@@ -53,7 +54,7 @@ def parts_of(model: Model) -> tuple[KernelOrReason, KernelOrReason, KernelOrReas
 
 def of_measure(task: Task, points: Points) -> KernelOrReason:
     """The task's measures."""
-    return _once(task, "measure", lambda: _traced(task, "measure", {"x": points.x}, [len(task.criteria)]))
+    return _once(task, "measure", lambda: _traced(task, "measure", {"x": points()[0]}, [len(task.criteria)]))
 
 
 def of_cost(cost: Cost, task: Task) -> KernelOrReason:
@@ -62,8 +63,8 @@ def of_cost(cost: Cost, task: Task) -> KernelOrReason:
         return KernelOrReason(None, f"{type(cost).__name__} says no `reductions`, or has its own `of`")
 
     def find() -> KernelOrReason:
-        points, t = Points.of(task), task.time_step * np.arange(1.0, ROWS + 1)
-        return _traced(cost, "terms", {"x": points.x, "u": points.u, "t": t}, [len(cost.reductions)])
+        (x, u), t = points_of(task), task.time_step * np.arange(1.0, ROWS + 1)
+        return _traced(cost, "terms", {"x": x, "u": u, "t": t}, [len(cost.reductions)])
 
     return _once(cost, "terms", find)
 
@@ -76,7 +77,8 @@ def of_nominal(nominal: Nominal, points: Points) -> KernelOrReason:
     method = "advance" if s else "step"
 
     def find() -> KernelOrReason:
-        vectors, sizes = {"x": points.x, "u": points.u}, [points.x.shape[1]]
+        x, u = points()
+        vectors, sizes = {"x": x, "u": u}, [x.shape[1]]
         if s:
             vectors["model_state"] = np.random.default_rng(1).standard_normal((ROWS, s))
             sizes.append(s)
@@ -91,7 +93,8 @@ def of_bias(bias: FittedBias, points: Points) -> KernelOrReason:
         return KernelOrReason(bias.kernel)
 
     def find() -> KernelOrReason:
-        return _traced(bias, "correction", {"x": points.x, "u": points.u}, [points.x.shape[1]])
+        x, u = points()
+        return _traced(bias, "correction", {"x": x, "u": u}, [x.shape[1]])
 
     return _once(bias, "correction", find)
 
@@ -165,7 +168,7 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
         )
 
     def check(subject: Callable, traced: PolicyKernel) -> None:
-        rng = np.random.default_rng(2)
+        rng, (near, _) = np.random.default_rng(2), points()
         lower, upper = (np.clip(bound, -1e3, 1e3) for bound in policy.bounds)
         thetas, state = rng.uniform(lower, upper, (ROWS, p)), rng.standard_normal((ROWS, s))
         parameters, constants = traced.parameters(thetas), tuple(traced.constants)
@@ -178,11 +181,11 @@ def of_policy(policy: Policy, task: Task, points: Points) -> KernelOrReason:
             t = share * task.horizon * task.time_step
             compare(
                 lambda theta, x, state, t=t: subject(theta, x, t, state),
-                [thetas, points.x, state],
-                made(points.x, t, state),
+                [thetas, near, state],
+                made(near, t, state),
             )
         if s:  # states that no random numbers are
-            compare_frames(lambda x, t, state: subject(thetas, x, t, state), made, points.x, s)
+            compare_frames(lambda x, t, state: subject(thetas, x, t, state), made, near, s)
 
     return _once(policy, "act", lambda: _part(policy, "act", trace, check))
 
