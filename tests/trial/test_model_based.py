@@ -188,6 +188,8 @@ def test_a_search_may_begin_with_the_last_policy_or_with_that_of_a_file(
     file.unlink()
     again = read_trial(begun, tmp_path / "trial").iterations[0]
     np.testing.assert_array_equal(again.parameters, made.parameters)
+    file.write_text('{"parameters": [1, 2.5, 0]}')  # by hand
+    method.check(study)
     for parameters in ([0.0], "none", [*first.parameters[1:].tolist(), "0"]):
         file.write_text(json.dumps({"parameters": parameters}))
         with pytest.raises(ConfigError, match=r"method\.first_policy: .*policy\.json"):

@@ -173,9 +173,9 @@ class ModelBased(Method):
         if self.first_policy is None:
             return
         theta, p = read_json(Path(self.first_policy)).get("parameters"), study.policy.n_parameters
-        if not isinstance(theta, list) or [type(each) for each in theta] != p * [float]:
+        if not isinstance(theta, list) or [type(each) in (int, float) for each in theta] != p * [True]:
             raise ConfigError("method.first_policy", f"{self.first_policy} has no `parameters`: {p} numbers")
-        yield np.array(theta)
+        yield np.array(theta, dtype=np.float64)
 
 
 def _check_random_inputs(task: Task) -> None:
