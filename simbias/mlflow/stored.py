@@ -25,7 +25,7 @@ def trial_folder(run_id: str, uri: str) -> Iterator[Path]:
     """
     file = database(uri)
     if file is not None and not file.exists():
-        raise ConfigError("tracking.uri", f"{redact(uri, uri)}: no such store")
+        raise ConfigError(run_id, f"no such folder, and for a run no such store as {redact(uri, uri)}")
     with tempfile.TemporaryDirectory() as folder:
         with reaching(uri):
             _download(run_id, uri, folder)
@@ -40,7 +40,7 @@ def _download(run_id: str, uri: str, folder: str) -> None:
     try:
         tags = client.get_run(run_id).data.tags
     except MlflowException as error:
-        if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+        if error.error_code not in ("RESOURCE_DOES_NOT_EXIST", "INVALID_PARAMETER_VALUE"):
             raise
         raise ConfigError(run_id, f"no such run in {redact(uri, uri)}, and no such folder") from error
     if "sweep" in tags:

@@ -247,12 +247,13 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
     foreign = client.create_run(experiment_id).info.run_id
     sweep = client.create_run(experiment_id, tags={"hash": "abc", "sweep": "mine"}).info.run_id
     lost = client.create_run(experiment_id, tags={"hash": "abc"}).info.run_id
-    said = ("no such run in sqlite:", "is no run of simbias", "is a sweep", "its files are not in the store")
-    for name, message in zip(("0" * 32, foreign, sweep, lost), said, strict=True):
+    missing = "no such run in sqlite:.*, and no such folder"
+    said = (missing, missing, "is no run of simbias", "is a sweep", "its files are not in the store")
+    for name, message in zip(("0" * 32, "trials/none", foreign, sweep, lost), said, strict=True):
         with pytest.raises(ConfigError, match=f"^{name}: {message}"):
             simbias.load_trial(name, uri(folder))
-    with pytest.raises(ConfigError, match=r"^tracking\.uri: .*no such store"):
-        simbias.load_trial("0" * 32, uri(folder, "none.db"))
+    with pytest.raises(ConfigError, match=r"^trials/none: no such folder, .* no such store as sqlite:"):
+        simbias.load_trial("trials/none", uri(folder, "none.db"))
     assert not (folder / "none.db").exists()
 
 
