@@ -70,7 +70,8 @@ def run(
 def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
     """The sweep, and the trials that are finished.
 
-    The components of every cell could be built. Where trials are to be run, the simulation is compiled.
+    The components of every cell could be built, and its method works with them. Where trials are to be run,
+    the simulation is compiled.
 
     Raises
     ------
@@ -85,6 +86,7 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
     for cell in sweep.cells:
         try:
             study = build(cell.composition)
+            study.method.check(study)
         except ConfigError as error:
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error

@@ -20,9 +20,10 @@ def rehearse(study: Study) -> None:
     Raises
     ------
     ConfigError
-        If one breaks its contract or raises: one line with component, method, expected and got. Or if an
-        experiment is so short that it tells nothing.
+        If one breaks its contract or raises: one line with component, method, expected and got. Or if the
+        method cannot work with a component, or an experiment is so short that it tells nothing.
     """
+    study.method.check(study)
     task = study.task
     if (seconds := task.horizon * task.time_step) < LEAST_SECONDS:
         problem = (

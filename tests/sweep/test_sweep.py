@@ -135,6 +135,7 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         "sweep.axes.bias": ["+sweep=smoke", "+sweep.axes.bias.d=[1, -1]"],
         "bias.d: must be greater than 0": ["+sweep=smoke", "+sweep.axes.x={keys: bias.d, values: [1, -1]}"],
         "engine.n_jobs: must be greater than 0": ["+sweep=smoke", "engine.n_jobs=0"],
+        "method: searches on": ["+sweep={trials: 1, axes: {}}", "method=ideal", "hardware=manual"],
         "engine=nosuch": ["+sweep=smoke", "engine=nosuch"],
         "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
         "sweep.figures.fig4.columns: ": ["+sweep=fig4", "sweep.figures.fig4.columns=0"],

@@ -67,6 +67,7 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
         (["bias.d=abc"], "bias.d"),
         (["optimizer=unknown"], "optimizer=unknown"),
         (["chekc"], "chekc"),
+        (["preview", "method=ideal", "hardware=manual"], "method: searches on the hardware itself"),
         (["report", "x" * 5000], "File name too long"),
         (["identify", "x" * 5000], "File name too long"),
         (["identify", "x.csv", "--columns", "[" * 3000], "--columns: "),
