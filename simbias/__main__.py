@@ -16,6 +16,7 @@ from simbias import __version__, load_trial
 from simbias.config import Composition, ConfigError, Variations
 from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
 from simbias.core.interruption import Interruption
+from simbias.core.messages import words
 from simbias.terminal.arguments import RUN, parse
 
 if TYPE_CHECKING:
@@ -38,27 +39,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ConfigError as error:
-        print(f"simbias: {error}{_trace_of_own_code(error)}", file=sys.stderr)
+        print(f"simbias: {error}{_trace_of_own_code(error.__cause__)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("simbias: interrupted", file=sys.stderr)
         return INTERRUPTED
     except OSError as error:
-        if error.filename is None:
-            raise
-        print(f"simbias: {ConfigError(str(error.filename), str(error.strerror))}", file=sys.stderr)
+        said = ConfigError(str(error.filename or ""), error.strerror or words(error))
+        print(f"simbias: {said}{_trace_of_own_code(error)}", file=sys.stderr)
         return BAD_INPUT
 
 
-def _trace_of_own_code(error: ConfigError) -> str:
+def _trace_of_own_code(error: BaseException | None) -> str:
     """The place of the traceback of an error from the user's own code."""
     from simbias.core.error_origin import has_own_code
     from simbias.core.messages import with_trace
     from simbias.terminal.lines import temporary_traceback
 
-    if error.__cause__ is None or not has_own_code(error.__cause__):
+    if error is None or not has_own_code(error):
         return ""
-    file = temporary_traceback(with_trace(error.__cause__))
+    file = temporary_traceback(with_trace(error))
     return f" (traceback in {file})" if file else ""
 
 

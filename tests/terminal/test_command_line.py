@@ -8,13 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from conftest import OWN_CONF, POINT_MASS, PYTHONPATH, ROOT
 from omegaconf import OmegaConf
 from sweeping import run, start
 
-from simbias.__main__ import main
+from simbias.__main__ import COMMANDS, main
 from simbias.config import compose
 from simbias.terminal.arguments import EXAMPLES, parse
 
@@ -78,6 +79,14 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
         assert err.startswith("simbias: ")
         assert said in err
     assert not list(tmp_path.iterdir())
+
+
+def test_an_error_of_the_system_is_one_line_without_a_file_too(
+    line: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for error, said in ((OSError(28, "No space left"), "No space left"), (TimeoutError(), "TimeoutError")):
+        monkeypatch.setitem(COMMANDS, "new", Mock(side_effect=error))  # type: ignore[arg-type]
+        assert line("new", "x") == (2, "", f"simbias: {said}\n")
 
 
 @pytest.mark.usefixtures("uncompiled")
