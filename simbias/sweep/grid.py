@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -113,8 +114,10 @@ class Sweep:
 
     @property
     def hash(self) -> str:
-        """Identity of a sweep whose cells and trials may grow: its name and what all trials share."""
-        return short_digest(f"{self.name} {self.base.trial.hash}".encode())
+        """Identity of a sweep whose points and trials may grow: names, suite's split, what trials share."""
+        split = self.base.config["sweep"].get("suite", {}).get("split")
+        axes = [axis.name for axis in self.axes]
+        return short_digest(json.dumps([self.name, axes, split, self.base.trial.hash]).encode())
 
 
 def trial_seed(cell: str, base_seed: int, repetition: int) -> int:

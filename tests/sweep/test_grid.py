@@ -80,7 +80,15 @@ def test_identity_knows_neither_jobs_nor_store_nor_number_of_trials() -> None:
     assert one.hash == other.hash
     assert identities(one).items() <= identities(other).items()
     assert expand(["+sweep=smoke", "bias.d=2"]).hash != one.hash
+    assert expand(["+sweep=smoke", "sweep.axes={hardware.inertia_error: [0.1]}"]).hash == one.hash
     assert not identities(one).items() & identities(expand(["+sweep=smoke", "seed=1"])).items()
+
+
+@pytest.mark.slow
+def test_other_axes_and_the_suites_other_split_are_another_sweep() -> None:
+    grids = [[f"+sweep.axes={{{axis}}}", "+sweep.trials=1"] for axis in ("bias: [none]", "bias.d: [2.0]")]
+    splits = [["+sweep=suite", f"sweep.suite.split={split}"] for split in ("development", "test")]
+    assert len({expand(overrides).hash for overrides in grids + splits}) == 4
 
 
 @pytest.mark.slow
