@@ -147,7 +147,11 @@ def test_labels_of_others_are_drawn_in_silence(tmp_path: Path) -> None:
         axes.set(xlabel=label, title=label)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for name in ("a.png", "a.svg", "again.svg"):
+        for name in ("a.png", "a.svg", "again.SVG", "a.pdf", "again.pdf"):
             style.save(figure, tmp_path / name)
-    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "again.svg").read_bytes()
+    for name, again, head in (("a.svg", "again.SVG", b"<?xml"), ("a.pdf", "again.pdf", b"%PDF")):
+        assert (tmp_path / name).read_bytes() == (tmp_path / again).read_bytes()
+        assert (tmp_path / name).read_bytes().startswith(head)
     assert "<b>" not in (tmp_path / "a.svg").read_text()
+    with pytest.raises(ValueError, match=r"a\.jpg: a figure is saved as \.png, \.svg or \.pdf"):
+        style.save(figure, "a.jpg")

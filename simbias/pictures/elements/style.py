@@ -33,6 +33,7 @@ LINE_OF_TEXT = 0.13  # of the height of axes, at most
 
 DOTS_PER_INCH = 120
 PUBLISHED_DOTS_PER_INCH = 200  # twice what a screen shows
+DATES = {".svg": "Date", ".pdf": "CreationDate"}  # in their metadata, by the end of a file's name
 
 
 class SeriesStyle(NamedTuple):
@@ -132,14 +133,23 @@ def plain(axes: Axes, grid: Literal["x", "y", "both"] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG or, if the path ends so, as SVG; the same figure gives the same file."""
-    if Path(path).suffix == ".svg":
+    """Write a figure as PNG, SVG or PDF, by the path's end; the same figure gives the same file.
+
+    Raises
+    ------
+    ValueError
+        If the path ends otherwise.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".png":
+        render(figure, PUBLISHED_DOTS_PER_INCH).save(path, "PNG", optimize=True)
+    elif suffix in DATES:
         from matplotlib import rc_context
 
         with rc_context({"svg.hashsalt": "simbias"}), _silence():
-            figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
+            figure.savefig(path, format=suffix[1:], facecolor="white", metadata={DATES[suffix]: None})
     else:
-        render(figure, PUBLISHED_DOTS_PER_INCH).save(path, "PNG", optimize=True)
+        raise ValueError(f"{path}: a figure is saved as .png, .svg or .pdf")
 
 
 def png(figure: Figure) -> bytes:
