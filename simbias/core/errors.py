@@ -24,5 +24,5 @@ def reason(error: Exception) -> str:
     if isinstance(error, RecursionError):
         return "a defaults list that leads back to itself, or values nested too deeply"
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.strerror}: {error.filename}"
+        return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
     return words(error)
