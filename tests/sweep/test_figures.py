@@ -1,6 +1,7 @@
 """Figures of trials that are made up: their numbers, each series told from all others, nothing cut off."""
 
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -70,6 +71,8 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
     assert "most hold by ideal: 3 (44% to 100%)" in picture.caption
     FigureCanvasAgg(picture.figure).draw()
+    alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
+    pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
     with pytest.raises(FigureError, match=r"policy_test\.episodes=16"):
         Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
     with pytest.raises(FigureError, match="no such axis or point: method, LQX"):

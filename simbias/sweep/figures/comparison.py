@@ -105,12 +105,10 @@ def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
 class _Method:
     """The trials of a method: scores (r, c) of as many repetitions as all of its cells have."""
 
-    def __init__(self, trials: pd.DataFrame, others: Sequence[str]) -> None:
+    def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
         self.trials = trials.set_index([*others, "repetition"])
-        cells = {
-            " ".join(map(str, name)): own["score"].to_numpy()
-            for name, own in trials.groupby(list(others), sort=False)
-        }
+        grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
+        cells = {" ".join(map(str, name)): own["score"].to_numpy() for name, own in grouped}
         repetitions = min(map(len, cells.values()))
         self.cells = [*cells]
         self.scores: Array = np.array([cell[:repetitions] for cell in cells.values()]).T
