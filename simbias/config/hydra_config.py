@@ -99,10 +99,12 @@ def in_one_line(error: Exception) -> ConfigError:
     from hydra.errors import MissingConfigException, OverrideParseException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-    if isinstance(error, MissingConfigException) and error.options is not None:
+    in_a_list = str(error).startswith("In 'config'")  # of presets, of which Hydra tells no options
+    if isinstance(error, MissingConfigException) and (error.options is not None or in_a_list):
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
         choice = f"{group}={option}"
-        return unknown([choice], choice, f"no such option; {group} has {', '.join(error.options)}")
+        there = f"; {group} has {', '.join(error.options)}" if error.options else ""
+        return unknown([choice], choice, f"no such option{there}")
     cause = error.__cause__
     if isinstance(cause, ConfigAttributeError | ConfigKeyError):
         return _no_such_key(str(error).split("'")[1])

@@ -29,6 +29,7 @@ BAD = {  # by override: its key, and what is said of it
     "bias.dd=1": ("bias.dd", "no such key"),
     "bias.length_scale=[1,2]": ("bias", "length_scale has 2 values; the task has 7"),
     "optimizer=unknown": ("optimizer=unknown", "no such option; optimizer has "),
+    "preset=[cartpole,unknown]": ("preset=unknown", "no such option"),
     "nosuch=1": ("nosuch", "no such key"),
     "+nosuch=1": ("nosuch", "no such group"),
     "~bias": ("bias", "missing"),
