@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 Row = Mapping[Any, Any]  # of a table of trials
 
 
+UNTESTED = "no last policy was tested: policy_test.episodes=20 does, if they ended in tracking.trials=FOLDER"
+
+
 class FigureError(RuntimeError):
     """A figure cannot be drawn from what there is."""
 
@@ -67,6 +70,7 @@ class SweepFigure(ABC):
     """A figure of a sweep, drawn once all trials have ended."""
 
     reads_trials = True  # in full, from their folders; else only their table
+    reads_tests = False  # of the trials' last policies
 
     def experiments(self, trials: SweptTrials) -> Sequence[Batch]:
         """Hardware experiments that it needs besides those of the trials; none, if not said otherwise."""

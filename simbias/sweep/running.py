@@ -79,9 +79,7 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
         If anything is bad about the sweep or one of its cells; nothing has run then.
     """
     sweep = expanded(variations)
-    for name, figure in sweep.figures.items():
-        if store.folder is None and figure.reads_trials:
-            raise ConfigError("tracking", f"none keeps no trials, which sweep.figures.{name} reads")
+    tested = False  # whether any cell's last policies are
     studies: dict[tuple[str, ...], Study] = {}
     for cell in sweep.cells:
         try:
@@ -90,7 +88,14 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
         except ConfigError as error:
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
+        tested |= study.policy_test.episodes > 0
         studies.setdefault(tuple(sorted(cell.composition.choices.values())), study)
+    for name, figure in sweep.figures.items():
+        if store.folder is None and figure.reads_trials:
+            raise ConfigError("tracking", f"none keeps no trials, which sweep.figures.{name} reads")
+        if figure.reads_tests and not tested:
+            problem = f"0, but sweep.figures.{name} is of tests of the last policies"
+            raise ConfigError("policy_test.episodes", problem)
     ended = finished(sweep, store)
     if len(ended) < len(sweep.trials) and not sweep.dry_run:
         for study in studies.values():  # compiled here once, workers find it in the cache

@@ -73,7 +73,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     FigureCanvasAgg(picture.figure).draw()
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
-    with pytest.raises(FigureError, match=r"policy_test\.episodes=16"):
+    with pytest.raises(FigureError, match=r"policy_test\.episodes=20 .* in tracking\.trials=FOLDER"):
         Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
     with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
         Comparison("method", ["LQX"]).draw(made_up({"LQI": ["1"] * 3}), ())

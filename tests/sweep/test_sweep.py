@@ -137,6 +137,7 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         "engine.n_jobs: must be greater than 0": ["+sweep=smoke", "engine.n_jobs=0"],
         "method: searches on": ["+sweep={trials: 1, axes: {}}", "method=ideal", "hardware=manual"],
         "engine=nosuch": ["+sweep=smoke", "engine=nosuch"],
+        "policy_test.episodes: 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],
         "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
         "sweep.figures.fig4.columns: ": ["+sweep=fig4", "sweep.figures.fig4.columns=0"],
         "sweep.figures.fig4.colour: ": ["+sweep=fig4", "+sweep.figures.fig4.colour=red"],

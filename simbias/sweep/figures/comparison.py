@@ -16,7 +16,7 @@ from simbias.core.proportions import wilson
 from simbias.core.records import Array
 from simbias.pictures.elements.style import SIMULATION, plain, series_style
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.figure import UNTESTED, FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
 from simbias.sweep.statistics import (
     holds,
@@ -57,6 +57,7 @@ class Comparison(SweepFigure):
     """
 
     reads_trials = False
+    reads_tests = True
 
     def __init__(
         self,
@@ -79,7 +80,7 @@ class Comparison(SweepFigure):
         if self._axis not in labels or set(named) - set(labels[self._axis]):
             raise FigureError(f"no such axis or point: {self._axis}, {', '.join(named)}")
         if not any(trials.table["test_episodes"]):
-            raise FigureError("no last policy was tested: policy_test.episodes=16 does that")
+            raise FigureError(UNTESTED)
         table = _scored(trials.table, trials.sweep.report.bar)
         others = [name for name in labels if name != self._axis]
         own = {str(name): _Method(each, others) for name, each in table.groupby(self._axis, sort=False)}

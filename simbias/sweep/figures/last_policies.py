@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from simbias.core.records import Array
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.figure import UNTESTED, FigureError, SweepFigure, SweptTrials
 from simbias.sweep.picture import Picture
 from simbias.sweep.tables import RELIABLE, share, success_rate
 
@@ -30,6 +30,7 @@ class LastPolicies(SweepFigure):
     """
 
     reads_trials = False
+    reads_tests = True
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each trial.
@@ -41,7 +42,7 @@ class LastPolicies(SweepFigure):
         """
         rows = [row for row in trials.rows if row.get("test_episodes")]
         if not rows:
-            raise FigureError("no last policy was tested: policy_test.episodes=20 does that")
+            raise FigureError(UNTESTED)
         numbers = pd.DataFrame(
             {
                 "cell": [trials.cell(row) for row in rows],
