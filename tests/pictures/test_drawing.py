@@ -3,11 +3,13 @@
 import importlib
 import sys
 import warnings
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from figures import texts
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 
@@ -17,6 +19,8 @@ from simbias.pictures import drawing_of, snapshots
 from simbias.pictures.elements import style
 from simbias.pictures.elements.drawing import NoPictureError, share_view
 from simbias.pictures.elements.style import png
+from simbias.pictures.trial import animation
+from simbias.pictures.trial.comparison import NamedRollout
 from simbias.robots.bongoboard.task_drawing import draw, move
 from simbias.trial.study import Study
 
@@ -136,6 +140,29 @@ def test_a_drawing_of_ones_own(of_point_mass: tuple[Study, list[Iteration]]) -> 
     with pytest.raises(NoPictureError, match="nothing draws PointMass"):
         snapshots(study.task, rollouts, [0.0])
     assert len(snapshots(study.task, rollouts, [0.0, 1.0], draw_mass).axes) == 2
+
+
+def test_an_animation_shows_all_scenes_and_all_places_of_lines(
+    of_point_mass: tuple[Study, list[Iteration]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[Axes] = []
+
+    def draw_rod(axes, task, state, *, color="0.4", muted=False):
+        shown.append(axes)
+        return {"rod": axes.plot([0.0, state[0]], [0.0, 1.0])[0]}
+
+    def move_rod(artists, task, state, *, muted=False):
+        artists["rod"].set_xdata([0.0, state[0]])
+
+    monkeypatch.setattr(animation, "drawing_of", lambda task: draw_rod)
+    monkeypatch.setattr(animation, "movement_of", lambda task: move_rod)
+    moving = Rollout(np.linspace([0.0, 0.0], [5.0, 0.0], 4), np.zeros((3, 1)))
+    animation.animate(of_point_mass[0].task, 4 * [NamedRollout("four", moving)], "", BytesIO())
+    for axes in shown:
+        box, (left, right) = axes.get_position(), axes.get_xlim()
+        assert left < 0.0 < 5.0 < right
+        assert -1e-9 < box.x0 < box.x1 < 1 + 1e-9
+    assert len(shown) == 4
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 from PIL import Image
@@ -32,7 +33,7 @@ from simbias.pictures.trial.comparison import (
 )
 from simbias.trial.study import Study
 
-WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture and of each drawing
+WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture at least and of each drawing
 HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings
 PICTURE_SECONDS = 0.1  # GIF knows hundredths of a second
 LAST = 1500  # ms for which the last picture stays
@@ -107,17 +108,19 @@ def _lay_out(figure: Figure, task: Task, scenes: Sequence[Scene], move: Movement
     for axes, rollout, artists, _ in scenes:
         for frame in np.linspace(0, rollout.frames, VIEW_FRAMES).round().astype(int):
             move(artists, task, rollout.states[frame])
-            for patch in artists.values():
-                if isinstance(patch, Patch):
-                    axes.update_datalim(patch.get_patch_transform().transform(patch.get_path().vertices))
+            for artist in artists.values():
+                if isinstance(artist, Patch):
+                    axes.update_datalim(artist.get_patch_transform().transform(artist.get_path().vertices))
+                elif isinstance(artist, Line2D):
+                    axes.update_datalim(artist.get_xydata())
     share_view([scene.axes for scene in scenes])
     (left, right), (bottom, top) = scenes[0].axes.get_xlim(), scenes[0].axes.get_ylim()
     height = EACH * (top - bottom) / (right - left)
-    total = HEAD + height + FOOT
-    figure.set_size_inches(WIDTH, total)
+    total, width = HEAD + height + FOOT, max(WIDTH, EACH * len(scenes))
+    figure.set_size_inches(width, total)
     for i, scene in enumerate(scenes):
-        at = WIDTH / 2 + (i - len(scenes) / 2) * EACH
-        scene.axes.set_position((at / WIDTH, FOOT / total, EACH / WIDTH, height / total))
+        at = width / 2 + (i - len(scenes) / 2) * EACH
+        scene.axes.set_position((at / width, FOOT / total, EACH / width, height / total))
 
 
 def _pictures(
