@@ -11,6 +11,7 @@ import webbrowser
 
 from simbias.core.errors import ConfigError
 from simbias.core.interruption import Interruption
+from simbias.core.messages import redact
 from simbias.mlflow.store import is_server
 
 HOST, PORT = "127.0.0.1", 5000
@@ -25,15 +26,15 @@ def show(uri: str, page: str, port: int | None = None) -> None:
     Raises
     ------
     ConfigError
-        If MLflow's server does not start.
+        If the port is taken, or MLflow's server does not start.
     """
     if is_server(uri):
-        _open(f"{uri.rstrip('/')}/{page}")
+        _open(f"{uri.rstrip('/')}/{page}", uri)
         return
-    port = port or _free_port()
+    port = _free_port(port)
     command = [sys.executable, "-m", "mlflow", "ui", "--workers", "1", "--host", HOST, "--port", str(port)]
-    command += ["--backend-store-uri", uri]
-    environment, nowhere = SPARING | os.environ, subprocess.DEVNULL
+    # In the environment, as all users see a command line; the address may have a password.
+    environment, nowhere = SPARING | os.environ | {"MLFLOW_BACKEND_STORE_URI": uri}, subprocess.DEVNULL
     with Interruption(), subprocess.Popen(command, env=environment, stdout=nowhere, stderr=nowhere) as server:
         try:
             _wait_for(server, port)
@@ -43,12 +44,13 @@ def show(uri: str, page: str, port: int | None = None) -> None:
             server.terminate()
 
 
-def _free_port() -> int:
-    """MLflow's own port, or another one if that is taken."""
-    with socket.socket() as probe:
-        taken = probe.connect_ex((HOST, PORT)) == 0
-    if not taken:
-        return PORT
+def _free_port(asked: int | None) -> int:
+    """The port that is asked for or, if none is, MLflow's own, or another one if that is taken."""
+    port = asked or PORT
+    if not _answers(port):
+        return port
+    if asked:
+        raise ConfigError("--port", f"{port} is taken; without it, one that is free is found")
     with socket.create_server((HOST, 0)) as free:
         return int(free.getsockname()[1])
 
@@ -57,15 +59,20 @@ def _wait_for(server: subprocess.Popen[bytes], port: int) -> None:
     """Wait until the server answers."""
     end = time.monotonic() + SECONDS
     while time.monotonic() < end and server.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex((HOST, port)) == 0:
-                return
+        if _answers(port):
+            return
         time.sleep(0.1)
     raise ConfigError("ui", f"MLflow's server does not start at port {port}; --port takes another")
 
 
-def _open(address: str) -> None:
-    """Show a page in the browser, if there is one, and its address."""
-    print(f"{address}  (Ctrl-C ends)", flush=True)
+def _answers(port: int) -> bool:
+    """Whether something on this machine listens at a port."""
+    with socket.socket() as probe:
+        return probe.connect_ex((HOST, port)) == 0
+
+
+def _open(address: str, uri: str = "") -> None:
+    """Show a page in the browser, if there is one, and its address without the login of its store."""
+    print(f"{redact(address, uri)}  (Ctrl-C ends)", flush=True)
     if sys.platform != "linux" or any(map(os.environ.get, DISPLAYS)):
         webbrowser.open(address)

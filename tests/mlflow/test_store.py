@@ -19,7 +19,7 @@ from processes import wait_for
 
 from simbias.config import ConfigError
 from simbias.core.messages import redact
-from simbias.mlflow import store
+from simbias.mlflow import store, ui
 from simbias.mlflow.tracking import Mlflow
 
 pytestmark = pytest.mark.slow
@@ -164,3 +164,22 @@ def test_no_password_is_shown() -> None:
         assert "host" in said
         assert secret not in said
         assert "%73e" not in said
+
+
+def test_a_servers_page_is_opened_and_its_address_shown_without_a_password(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    ui.show("https://me:secret12@a.b", "#/x")
+    assert opened == ["https://me:secret12@a.b/#/x"]
+    assert capsys.readouterr().out == "https://a.b/#/x  (Ctrl-C ends)\n"
+
+
+def test_a_port_that_is_taken_is_named() -> None:
+    """In place of what another program shows there."""
+    with socket.create_server((ui.HOST, 0)) as other:
+        port = other.getsockname()[1]
+        with one_line(f"^--port: {port} is taken; "):
+            ui.show("sqlite:///mlflow.db", "", port)
