@@ -93,11 +93,12 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
         ]
         return swept(sweep, [*rows, raised])
 
-    starts = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "1111"]}
+    starts = {"slope 0.02 rad": ["1111", "1100"], "slope 0.05 rad": ["0000", "111111"]}
     picture = LastPolicies().draw(made_up(starts), ())
     assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
-    for words in ("of 4 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells"):
+    shown = "of 4 to 6 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells"
+    for words in ("experiments until success, without it all", *shown):
         assert words in picture.caption
     with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
         LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())

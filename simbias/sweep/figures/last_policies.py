@@ -53,18 +53,21 @@ class LastPolicies(SweepFigure):
             }
         )
         cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
-        return Picture(_figure(numbers, cells), numbers, _caption(numbers, len(rows[0]["test_episodes"])))
+        counts = sorted({len(row["test_episodes"]) for row in rows})
+        episodes = " to ".join(map(str, dict.fromkeys((counts[0], counts[-1]))))
+        return Picture(_figure(numbers, cells), numbers, _caption(numbers, episodes))
 
 
-def _caption(numbers: pd.DataFrame, episodes: int) -> str:
+def _caption(numbers: pd.DataFrame, episodes: str) -> str:
     """The caption, from the numbers."""
     enough = numbers["success_rate"] >= RELIABLE
     solved = enough.groupby(numbers["cell"]).mean() >= RELIABLE
     return (
-        "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments that a trial "
-        f"made. Right: the share of {episodes} test episodes in which its last policy succeeds. "
-        f"{share(enough.sum(), len(numbers))} trials end with a policy that holds at least {RELIABLE:.0%} of "
-        f"them (dashed); nine in ten trials do in {solved.sum()} of {len(solved)} cells."
+        "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments until success, "
+        "without it all that a trial may make. Right: the share of "
+        f"{episodes} test episodes in which its last policy succeeds. {share(enough.sum(), len(numbers))} "
+        f"trials end with a policy that succeeds in at least {RELIABLE:.0%} of them (dashed); nine in ten "
+        f"trials do in {solved.sum()} of {len(solved)} cells."
     )
 
 
