@@ -62,6 +62,8 @@ def read_axis(name: str, spec: Any) -> Axis:
         raise ConfigError(where, "has no keys")
     one = isinstance(checked["keys"], str)
     written = [re.sub(r"^\++", "+", key) for key in ([checked["keys"]] if one else checked["keys"])]
+    if len({key.lstrip("+") for key in written}) != len(written):
+        raise ConfigError(where, f"names a key twice: {', '.join(written)}")
     values = [(value,) if one else _tuple(value, len(written), where) for value in checked["values"]]
     labels = tuple(map(label, checked.get("labels", map(join, values))))
     if len(labels) != len(values):

@@ -64,7 +64,10 @@ def run(
     sweep, ended = prepare(store, variations)
     if sweep.dry_run:
         return ended
-    return run_sweep(sweep, trials_engine, store, f"simbias.run_sweep({list(overrides)!r})", observer)[0]
+    own = {"config_dir": config_dir and str(config_dir), "allow": list(allow)}
+    named = "".join(f", {name}={value!r}" for name, value in own.items() if value)
+    again = f"simbias.run_sweep({list(overrides)!r}{named})"
+    return run_sweep(sweep, trials_engine, store, again, observer)[0]
 
 
 def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:

@@ -123,6 +123,7 @@ def test_bad_sweep() -> None:
 def test_bad_axis() -> None:
     for message, spec in {
         "has no keys": {"keys": [], "values": [[]]},
+        "names a key twice: x, +x": {"keys": ["x", "+x"], "values": [[1, 2]]},
         "must be a list of values, got 'gp'": "gp",
         "has a name or label with letters that cannot be printed": {
             "keys": "x", "values": ["gp"], "labels": ["a\tb"]

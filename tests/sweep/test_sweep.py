@@ -92,6 +92,14 @@ def test_a_notebook_adds_trials_without_a_terminal(folder: Path, capsys: pytest.
         simbias.run_sweep(["bias=none"])
 
 
+def test_the_command_that_resumes_names_folders_and_modules_of_ones_own(folder: Path) -> None:
+    conf = write_sweep(folder, "mine", "sweep: {trials: 1, axes: {}, figures: {}}")
+    command = [["+sweep=mine", *QUICK, *FOLDERS, "engine=sequential"], "conf", None, ["json"]]
+    simbias.run_sweep(*command)
+    told = json.loads((sweep_folder(folder) / "sweep.json").read_text())["command"]
+    assert told == f"simbias.run_sweep({command[0]!r}, config_dir='{conf.name}', allow=['json'])"
+
+
 def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def told() -> tuple[list[str], str]:
         """How far each cell is, and what is said of the sweep."""
