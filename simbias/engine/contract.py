@@ -32,5 +32,6 @@ class Engine(ABC):
 
         `function` is one of a module's and raises nothing. A task whose worker died runs again; one whose
         workers die each time yields a WorkerLostError. Tasks can be pickled. `code` packs the user's own code
-        and files, for workers that share no disk; empty if there is none. Closing it stops the workers.
+        and files, for workers that share no disk; empty if there is none. Closing the generator stops the
+        workers.
         """

@@ -100,7 +100,7 @@ class Sweep:
     dry_run: bool
     report: Report
     figures: Mapping[str, SweepFigure]  # by the name of their files
-    figures_to: str | None  # folder for the files, beside the store
+    figures_to: str | None  # folder, in the working folder, to which the files are also copied
 
     @cached_property
     def trials(self) -> tuple[Trial, ...]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class FigureObserver:
-    """Hears of what happens while the figures of a sweep are made; one that only hears of it says nothing."""
+    """Follows the making of a sweep's figures; this one does nothing."""
 
     @contextmanager
     def working(self, words: str, total: int, done: int) -> Iterator[Callable[[], None]]:

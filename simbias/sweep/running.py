@@ -53,7 +53,7 @@ def run(
     Raises
     ------
     ConfigError
-        If anything is bad about the sweep; nothing has run then.
+        If anything is bad about the sweep, before anything runs; or if the store or a cluster cannot be used.
     """
     variations = Variations(overrides, config_dir, allow)
     composition = variations.composition({})
@@ -79,7 +79,7 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
     Raises
     ------
     ConfigError
-        If anything is bad about the sweep or one of its cells; nothing has run then.
+        If anything is bad about the sweep or one of its cells.
     """
     sweep = expanded(variations)
     tested = False  # whether any cell's last policies are

@@ -194,7 +194,7 @@ def dry_run(sweep: Sweep, finished: DataFrame, engine: Engine) -> None:
     print(plain(arrange(sweep, ["done"], lambda labels: [f"{ended[labels]}/{sweep.repetitions}"])))
     n_jobs = getattr(engine, "n_jobs", 1)
     seconds = seconds_left(sweep, finished, n_jobs)
-    how_long = "how long the others take, no finished trial tells yet"
+    how_long = "no trial has finished yet to estimate the rest"
     if seconds is not None:
         how_long = f"by their times the others may take {duration(seconds)} on {counted(n_jobs, 'job')}"
     print(f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; {how_long}.")

@@ -110,7 +110,7 @@ def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) 
 
     cells, said = told()
     assert cells == ["0/2", "0/2"]
-    assert said.startswith("smoke: 0 of 4 trials are finished; how long the others take, no finished trial")
+    assert said == "smoke: 0 of 4 trials are finished; no trial has finished yet to estimate the rest."
     assert simbias.run_sweep([*SMOKE, "sweep.dry_run=true"]).empty
     assert not list(folder.iterdir())
     assert main([*SMOKE, "sweep.trials=1", NO_FIGURES]) == 0

@@ -43,7 +43,8 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
     At the left, by iteration: the prediction that the policy was chosen by, each hardware experiment's cost,
     and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
     At the right, these pairs, numbered by iteration; what lies above the diagonal is dearer than simulated.
-    Z_max parts what works from what fails; shaded is what works in simulation and fails on hardware.
+    Z_max parts what works from what fails, unless the task itself says what succeeds; shaded is what is below
+    it in simulation and above it on hardware.
 
     Raises
     ------
