@@ -30,7 +30,7 @@ class SearchEnded(Exception):  # noqa: N818 (no error, as StopIteration is none)
 
 @dataclass(kw_only=True, eq=False)
 class Budget:
-    """When a search ends: each of its stages, where the objective has a first one.
+    """When a search, or each stage of one that has two, ends.
 
     Parameters
     ----------
@@ -165,6 +165,7 @@ class Evaluations:
         costs = self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
         for point, cost in zip(points, costs, strict=True):
             _check_finite(point, cost)
+        self._worst_cost = max(self._worst_cost, *costs)
         return costs
 
     def inside(self, point: Array) -> Array:

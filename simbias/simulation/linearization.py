@@ -10,8 +10,8 @@ from scipy.linalg import solve_discrete_are
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array
 
-# Of differences: of states in their units, of inputs over their limits. It is coarse, as friction is steeper
-# near rest; so a robot that moves by less than 0.1 m declares its states in mm.
+# Of differences: of states in their units, of inputs over their limits. It is coarse, so that friction, which
+# is steep near rest, is not mistaken for damping.
 STEP = 0.1
 
 

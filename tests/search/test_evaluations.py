@@ -167,6 +167,7 @@ def test_a_search_that_ends_before_it_has_judged_a_point_gives_its_start() -> No
         np.testing.assert_array_equal(optimum.parameters, np.full(3, 0.25))
         assert (optimum.cost, optimum.stopped_by) == (objective.cost(optimum.parameters), reason)
         assert optimum.evaluations == sum(objective.calls)
+        assert not optimum.flat
 
 
 def test_a_search_that_changes_its_mind_is_noticed() -> None:

@@ -164,7 +164,8 @@ class Compilation:
             _note(digest, value.__module__, Path(wrapped.__code__.co_filename).read_bytes())
         elif isinstance(value, ModuleType):
             _note(digest, value.__name__, getattr(value, "__version__", None))
-            if is_users(getattr(value, "__file__", None) or ""):
+            where = getattr(value, "__file__", None) or next(iter(getattr(value, "__path__", ())), "")
+            if is_users(where):
                 for name in sorted(names & vars(value).keys()):
                     self._value(vars(value)[name], names - {name}, inline, digest)
         elif isinstance(value, tuple):
