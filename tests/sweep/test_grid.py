@@ -159,5 +159,12 @@ def test_an_axis_may_add_a_key() -> None:
         expand(["+sweep=fig6", "preset=cartpole", noise, "+hardware.noise.force_variance=0.1"])
 
 
+def test_a_dry_run_needs_no_plus(conf: Path) -> None:
+    """Whether the sweep's file names it or not."""
+    values = [f"sweep.axes.{axis}.values=[0.1]" for axis in ("torque", "error")]
+    for dry in ([], ["sweep.dry_run=true"]):
+        assert expand(["+sweep=mine", *values, *dry], conf).dry_run == bool(dry)
+
+
 def test_shipped_sweeps_are_the_files() -> None:
     assert sweeps() == sorted(file.stem for file in (ROOT / "sweeps").glob("*.yaml"))
