@@ -46,22 +46,26 @@ def write(
     OSError
         If a file cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in OPTIONAL:  # of the model before
-        (folder / name).unlink(missing_ok=True)
     title = f"{type(assessment.nominal).__name__}, identified from recordings"
-    (folder / "report.html").write_text(report(assessment, title, excitation))
-    parameters(assessment).to_csv(folder / "parameters.csv", index=False)
-    errors(assessment).to_csv(folder / "errors.csv", index=False)
-    draws(assessment.identified).to_csv(folder / "draws.csv", index=False)
-    option = configs / "identification" / f"{OPTION}.yaml"
-    option.parent.mkdir(parents=True, exist_ok=True)
-    option.write_text("\n".join(option_lines(assessment.identified.elsewhere(), identification)) + "\n")
+    texts = {  # all of them before any is written: the nominal model may be read from one of these files
+        "report.html": report(assessment, title, excitation),
+        "parameters.csv": parameters(assessment).to_csv(index=False),
+        "errors.csv": errors(assessment).to_csv(index=False),
+        "draws.csv": draws(assessment.identified).to_csv(index=False),
+    }
     if isinstance(excitation, Excitation):
         told = trajectory(assessment.task, excitation.rollout)
-        told.to_csv(folder / EXCITATION, index=False, float_format="%.6g")
-    for name, text in models(assessment.identified):
-        (folder / f"{name}.xml").write_text(text)
+        texts[EXCITATION] = told.to_csv(index=False, float_format="%.6g")
+    texts |= {f"{name}.xml": text for name, text in models(assessment.identified)}
+    lines = list(option_lines(assessment.identified.elsewhere(), identification))
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    option = configs / "identification" / f"{OPTION}.yaml"
+    option.parent.mkdir(parents=True, exist_ok=True)
+    option.write_text("\n".join(lines) + "\n")
+    for name in set(OPTIONAL) - set(texts):  # of the model before
+        (folder / name).unlink(missing_ok=True)
 
 
 def parameters(assessment: Assessment) -> pd.DataFrame:
