@@ -15,6 +15,8 @@ from simbias.core.proportions import CONFIDENCE, Interval, wilson
 from simbias.core.records import Array, Flags
 
 BAR = 0.8  # share of starts of which a policy has to be known to hold more
+TAIL = 50.0 * (1.0 - CONFIDENCE)
+TAILS = TAIL, 100.0 - TAIL  # percentiles of a bootstrap distribution
 RESAMPLES = 10_000
 AT_ONCE = 1_000_000  # numbers drawn, so that a large cell takes no more memory than a small one
 
@@ -43,14 +45,8 @@ def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
     rng, means = np.random.default_rng(0), np.empty(RESAMPLES)
     for some in np.array_split(means, 1 + RESAMPLES * len(sample) // AT_ONCE):
         some[:] = rng.choice(np.array(sample, dtype=np.float64), (len(some), len(sample))).mean(axis=1)
-    low, high = np.percentile(means, _tails())
+    low, high = np.percentile(means, TAILS)
     return float(low), float(high)
-
-
-def _tails() -> list[float]:
-    """The two percentiles of a bootstrap distribution."""
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    return [tail, 100.0 - tail]
 
 
 def interquartile_mean(scores: Array) -> float:
@@ -82,7 +78,7 @@ def stratified_bootstrap(statistic: Callable[..., float], *scores: Array, resamp
     rng = np.random.default_rng(0)
     drawn = _runs if any(len(each) > 1 for each in scores) else _cells
     values = [statistic(*drawn(scores, rng)) for _ in range(resamples)]
-    return Interval(*map(float, np.percentile(values, _tails())))
+    return Interval(*map(float, np.percentile(values, TAILS)))
 
 
 def _runs(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:

@@ -98,7 +98,7 @@ def arrange(
     down = [axis for axis in sweep.axes if axis is not aside]
     head = [name for axis in down for name in _heads(axis)]
     for label in aside.labels if aside else ("",):
-        head += [f"{_column_head(aside, label)}: {measure}" if aside else measure for measure in measures]
+        head += [f"{column_head(aside, label)}: {measure}" if aside else measure for measure in measures]
     body = []
     for point in itertools.product(*(range(len(axis.labels)) for axis in down)):
         line = [text for axis, index in zip(down, point, strict=True) for text in axis.texts[index]]
@@ -112,11 +112,15 @@ def arrange(
 
 def _heads(axis: Axis) -> list[str]:
     """Heads of an axis' columns: its name, or its keys without their groups, in words."""
-    names = axis.keys if len(axis.texts[0]) > 1 else [axis.name]
-    return [name.split(".")[-1].replace("_", " ") for name in names]
+    return [*map(in_words, axis.keys if len(axis.texts[0]) > 1 else [axis.name])]
 
 
-def _column_head(axis: Axis, label: str) -> str:
+def in_words(key: str) -> str:
+    """A key without its group, as it is read."""
+    return key.split(".")[-1].replace("_", " ")
+
+
+def column_head(axis: Axis, label: str) -> str:
     """A label at the head of columns; a number says of what."""
     return f"{'/'.join(_heads(axis))} {label}" if axis.numeric else label
 

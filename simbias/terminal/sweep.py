@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
+from statistics import mean
 
 from pandas import DataFrame
 from rich.console import Console, Group
@@ -20,7 +21,6 @@ from rich.text import Text
 
 from simbias.core.messages import brief, counted
 from simbias.engine.contract import Engine
-from simbias.sweep.estimate import seconds_left
 from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
@@ -198,3 +198,18 @@ def dry_run(sweep: Sweep, finished: DataFrame, engine: Engine) -> None:
     if seconds is not None:
         how_long = f"by their times the others may take {duration(seconds)} on {counted(n_jobs, 'job')}"
     print(f"{sweep.name}: {len(done)} of {len(sweep.trials)} trials are finished; {how_long}.")
+
+
+def seconds_left(sweep: Sweep, finished: DataFrame, n_jobs: int) -> float | None:
+    """Seconds that the missing trials may take, by those that are finished; None if none is.
+
+    A trial is taken to last as long as those of its cell or, where none of them is finished, of all cells.
+    """
+    if finished.empty:
+        return None
+    seconds: dict[tuple[str, ...], list[float]] = {}
+    for row in finished.to_dict("records"):
+        seconds.setdefault(tuple(row[axis.name] for axis in sweep.axes), []).append(row["seconds"])
+    overall, done = list(finished["seconds"]), set(finished["hash"])
+    missing = (trial for trial in sweep.trials if trial.hash not in done)
+    return sum(mean(seconds.get(trial.cell.labels, overall)) for trial in missing) / n_jobs

@@ -18,8 +18,7 @@ from simbias.core.ranges import Count
 from simbias.core.records import Array, Selection, Transitions
 from simbias.pictures.elements.style import HARDWARE, SMALL, label, plain, symbol
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
-from simbias.sweep.picture import Picture
+from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
 
 if TYPE_CHECKING:
     from simbias.trial.run import TrialRecord

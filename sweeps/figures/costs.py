@@ -17,8 +17,7 @@ from simbias.core.records import Iteration
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, literal, plain, shade_beyond, whole_numbers
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import SweepFigure, SweptTrials
-from simbias.sweep.picture import Picture
+from simbias.sweep.figure import Picture, SweepFigure, SweptTrials
 
 WIDTH, HEIGHT = 3.6, 3.3  # of a panel, in
 MOST_IN_A_ROW, LINE = 4, 40  # panels; characters of a panel's title

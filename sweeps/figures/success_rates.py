@@ -19,9 +19,8 @@ from simbias.core.ranges import Coordinate, Count
 from simbias.core.records import Array
 from simbias.pictures.elements.style import HARDWARE, SIMULATION, SMALL, label, literal, plain
 from simbias.sweep.batches import Batch, Outcomes
-from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.grid import Cell
-from simbias.sweep.picture import Picture
 
 if TYPE_CHECKING:
     from simbias.trial.run import TrialRecord

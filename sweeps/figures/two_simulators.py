@@ -24,8 +24,7 @@ from simbias.pictures.trial.comparison import (
 )
 from simbias.pictures.trial.snapshots import draw_rows
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import SweepFigure, SweptTrials
-from simbias.sweep.picture import Picture
+from simbias.sweep.figure import Picture, SweepFigure, SweptTrials
 from simbias.trial.study import Study
 
 WIDTH, HEIGHT = 1.35, 3.3  # in, of a snapshot; of a policy's two rows

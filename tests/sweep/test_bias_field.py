@@ -13,12 +13,11 @@ import simbias
 from simbias.config import compose
 from simbias.core import Hardware, Policy
 from simbias.core.records import Array, Iteration, Learning, Rollout
-from simbias.sweep.figure import FigureError, SweptTrials
+from simbias.sweep.figure import FigureError, Picture, SweptTrials
 from simbias.sweep.figures.bias_field import BiasField
 from simbias.sweep.figures.success_rates import Range, SuccessRates
 from simbias.sweep.figures.two_simulators import TwoSimulators
 from simbias.sweep.grid import Cell, expand
-from simbias.sweep.picture import Picture
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow

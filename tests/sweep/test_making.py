@@ -18,12 +18,11 @@ from simbias.engine.sequential import Sequential
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.robots.bongoboard.pymunk import PymunkBongoboard
 from simbias.sweep.batches import Batch, Outcomes
-from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
+from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.figures.success_rates import Range, SuccessRates
 from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import expand
 from simbias.sweep.making import FigureObserver, make_figures
-from simbias.sweep.picture import Picture
 from simbias.trial.study import Study
 
 FALLING = np.array([8.118, 4.731, -6.740, -1.024, -4.0])

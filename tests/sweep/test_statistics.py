@@ -11,7 +11,6 @@ from scipy.stats import mannwhitneyu
 
 from simbias.core import markdown
 from simbias.sweep import results
-from simbias.sweep.estimate import seconds_left
 from simbias.sweep.grid import Sweep, expand
 from simbias.sweep.statistics import (
     holds,
@@ -25,6 +24,7 @@ from simbias.sweep.statistics import (
     success_curve,
 )
 from simbias.sweep.tables import cells, interval, layout, legend
+from simbias.terminal.sweep import seconds_left
 
 
 def test_sixteen_of_sixteen_hold_and_fifteen_do_not() -> None:

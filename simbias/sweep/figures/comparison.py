@@ -16,8 +16,7 @@ from simbias.core.proportions import wilson
 from simbias.core.records import Array
 from simbias.pictures.elements.style import SIMULATION, plain, series_style
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import UNTESTED, FigureError, SweepFigure, SweptTrials
-from simbias.sweep.picture import Picture
+from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.statistics import (
     holds,
     holm,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -14,9 +13,8 @@ from simbias.core.proportions import CONFIDENCE
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import FigureError, SweepFigure, SweptTrials
-from simbias.sweep.picture import Picture
-from simbias.sweep.tables import cells
+from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
+from simbias.sweep.tables import cells, column_head, in_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from simbias.sweep.axes import Axis
     from simbias.sweep.grid import Sweep
 
-NUMBER = r"[-+]?\.?\d[-+.e\d]*"
 HEIGHT = 3.9  # in, without the legend
 PAPER_ASIDE = 0.12  # of the distance between two points of the axis
 
@@ -78,7 +75,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         for axis, label in zip(others, labels, strict=True):
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
-        _curve(axes, own, offset, index, ", ".join(map(_series, others, labels)))
+        _curve(axes, own, offset, index, literal(", ".join(map(column_head, others, labels))))
     _label(axes, along)
     axes.set_ylim(bottom=0)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
@@ -86,16 +83,6 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     if len(curves) > 1 or bool(table["paper"].notna().any()):
         legend(figure, _ours_first(axes))
     return figure
-
-
-def _series(axis: Axis, label: str) -> str:
-    """A label that says what it is: a bare number gets the name of its key."""
-    return f"{_words(axis.keys[0])} {label}" if re.fullmatch(NUMBER, label) else literal(label)
-
-
-def _words(key: str) -> str:
-    """A key without its group, as it is read."""
-    return key.split(".")[-1].replace("_", " ")
 
 
 def _ours_first(axes: Axes) -> dict[str, Artist]:
@@ -125,6 +112,6 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) 
 def _label(axes: Axes, along: Axis) -> None:
     """Ticks: the points of the axis, a line for each of its keys."""
     axes.set_xticks(range(len(along.labels)), [literal(label).replace("/", "\n") for label in along.labels])
-    keys = [_words(key) for key in along.keys]
+    keys = [*map(in_words, along.keys)]
     axes.set_xlabel(keys[0] if len(keys) == 1 else "from above: " + ", ".join(keys))
     plain(axes, "y")

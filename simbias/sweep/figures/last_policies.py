@@ -13,8 +13,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from simbias.core.records import Array
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import UNTESTED, FigureError, SweepFigure, SweptTrials
-from simbias.sweep.picture import Picture
+from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.tables import RELIABLE, share, success_rate
 
 ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
