@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from simbias.core import Quantity
+from simbias.core import Quantity, Task
 from simbias.core.records import Array
 from simbias.lab.safety import Bounds
 from simbias.pictures.elements.layout import headline, legend, panels
@@ -22,19 +23,34 @@ from simbias.trial.study import Study
 HEIGHT = 1.5  # in, of a panel
 
 
-def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
-    """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
-    task, expected = study.task, prediction.expected
-    figure, (grid,) = panels(len(task.states) + len(task.inputs), HEIGHT)
-    empty, limited = iter(grid), False
+class Series(NamedTuple):
+    """A state or an input over time, as predicted."""
+
+    quantity: Quantity
+    expected: Array  # (T,)
+    low: Array  # (T,) of the band
+    high: Array
+    limits: Sequence[float]  # below and above
+
+
+def predicted(task: Task, prediction: Prediction, bounds: Bounds) -> Iterator[Series]:
+    """Every state and input."""
+    expected = prediction.expected
     for quantities, values, band, limits in (
         (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states)),
         (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds),
     ):
         for index, quantity in enumerate(quantities):
             low, high = (edge[:, index] for edge in band)
-            edges = [limit[index] for limit in limits]
-            limited |= _draw(next(empty), quantity, task.time_step, values[:, index], low, high, edges)
+            yield Series(quantity, values[:, index], low, high, [limit[index] for limit in limits])
+
+
+def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
+    """Every state and input over time in s; dotted, the limits at which the experiment is aborted."""
+    task, limited = study.task, False
+    figure, (grid,) = panels(len(task.states) + len(task.inputs), HEIGHT)
+    for axes, series in zip(grid, predicted(task, prediction, bounds), strict=True):
+        limited |= _draw(axes, task.time_step, series)
     fail = len(prediction.failures)
     headline(grid[0], "the next experiment, as predicted")
     entries: dict[str, Artist] = {
@@ -49,16 +65,9 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     return figure
 
 
-def _draw(
-    axes: Axes,
-    quantity: Quantity,
-    time_step: float,
-    values: Array,
-    low: Array,
-    high: Array,
-    limits: Sequence[float],
-) -> bool:
-    """A quantity over time, its band from low to high, and its limits; whether one of them is near."""
+def _draw(axes: Axes, time_step: float, series: Series) -> bool:
+    """A quantity over time, its band, and its limits; whether one of them is near."""
+    quantity, values, low, high, limits = series
     axes.fill_between(time_step * np.arange(len(low)), low, high, color=SIMULATION, alpha=0.2, linewidth=0.0)
     axes.plot(time_step * np.arange(len(values)), values, color=SIMULATION, linewidth=1.0)
     bottom, top = axes.get_ylim()

@@ -17,6 +17,7 @@ from simbias.core import Policy, Waiting
 from simbias.core.records import Array
 from simbias.lab.safety import Bounds
 from simbias.pictures.elements.style import save
+from simbias.pictures.preview import predicted
 from simbias.pictures.preview import preview as picture
 from simbias.terminal.lines import say
 from simbias.terminal.notices import preparing, slowness_in_one_line
@@ -71,18 +72,11 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     """A prediction in a table: where each quantity goes, in what is expected and in the band."""
     task, expected = study.task, prediction.expected
     yield f"{'':>16}  {'start':>9}  {'predicted':>21}  {'band':>21}  {'limit':>9}"
-    for quantities, values, band, limits in (
-        (task.states, expected.states, prediction.band(), (-bounds.states, bounds.states)),
-        (task.inputs, expected.inputs, prediction.band(inputs=True), bounds.input_bounds),
-    ):
-        for index, quantity in enumerate(quantities):
-            own = values[:, index]
-            low, high = (edge[:, index] for edge in band)
-            limit = _limit(*(each[index] for each in limits))
-            yield (
-                f"{quantity.name:>16}  {_first(own):>9}  {_range(own, own):>21}  {_range(low, high):>21}"
-                f"  {limit:>9}  {quantity.unit}"
-            )
+    for quantity, own, low, high, limits in predicted(task, prediction, bounds):
+        yield (
+            f"{quantity.name:>16}  {_first(own):>9}  {_range(own, own):>21}  {_range(low, high):>21}"
+            f"  {_limit(*limits):>9}  {quantity.unit}"
+        )
     for quantity, change, limit in zip(
         task.inputs, prediction.largest_change(task.time_step), bounds.input_rates, strict=True
     ):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -26,6 +25,11 @@ from simbias.trial.study import Study
 
 HEIGHT = 2.3  # in, of a panel
 REFERENCE = "0.6"  # grey
+LEGEND = {
+    "reference": Line2D([], [], color=REFERENCE, linewidth=3.0),
+    "hardware": Line2D([], [], color=HARDWARE),
+    "simulation of its search": Line2D([], [], color=SIMULATION, linestyle="--"),
+}
 
 
 def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
@@ -57,7 +61,7 @@ def following(study: Study, iterations: Sequence[Iteration]) -> Figure:
             _draw_plane(block[0], task, reference, shown)
         for goal, axes in enumerate(block[int(in_plane) :]):
             _draw_over_time(axes, task, goal, np.column_stack([times, reference[:, goal]]), shown)
-    legend(figure, _entries())
+    legend(figure, LEGEND)
     return figure
 
 
@@ -89,12 +93,3 @@ def _draw(axes: Axes, points: Array, rollout: Rollout, color: str, line: str) ->
     axes.plot(*points.T, line, color=color, linewidth=1.0)
     if rollout.failed_at is not None:
         axes.plot(*points[-1], "X", color=color, markersize=8, markeredgecolor="white", zorder=3)
-
-
-def _entries() -> dict[str, Artist]:
-    """The legend."""
-    return {
-        "reference": Line2D([], [], color=REFERENCE, linewidth=3.0),
-        "hardware": Line2D([], [], color=HARDWARE),
-        "simulation of its search": Line2D([], [], color=SIMULATION, linestyle="--"),
-    }

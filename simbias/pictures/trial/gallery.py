@@ -57,7 +57,8 @@ def pictures(
     for name in names if iterations else ():
         try:
             if name == ANIMATION:
-                files[f"{name}.gif"] = _gif(study, iterations)
+                save_animation(study, iterations, file := BytesIO())
+                files[f"{name}.gif"] = file.getvalue()
             else:
                 files[f"{name}.png"] = png(_figure(name, study, iterations, withdrawn))
         except NoPictureError:
@@ -105,7 +106,7 @@ def save_all(
                 save(figure, folder / f"{name}{suffix}")
                 files.append(f"{name}{suffix}")
     with suppress(NoPictureError):
-        (folder / f"{ANIMATION}.gif").write_bytes(_gif(study, iterations))
+        save_animation(study, iterations, folder / f"{ANIMATION}.gif")
         files.append(f"{ANIMATION}.gif")
     return files
 
@@ -118,10 +119,3 @@ def _figure(
     if withdrawn:
         figure.supxlabel("; ".join(map(str, withdrawn)), fontsize=SMALL)
     return figure
-
-
-def _gif(study: Study, iterations: Sequence[Iteration]) -> bytes:
-    """The animation."""
-    file = BytesIO()
-    save_animation(study, iterations, file)
-    return file.getvalue()
