@@ -106,9 +106,9 @@ def identify(
     simbias.config.ConfigError
         If an override is bad, nothing is identified, or the recordings cannot be read or are too short.
     """
-    from simbias.recordings.assessment import assess, prepared
+    from simbias.recordings.assessment import LONGEST, assess, prepared
     from simbias.recordings.reading import read
 
     study = prepared(load(overrides, config_dir, allow))
     kept = read(study, held_out, columns).rollouts
-    return assess(study, read(study, recordings, columns, held_out).rollouts, kept)
+    return assess(study, read(study, recordings, columns, held_out, LONGEST).rollouts, kept)

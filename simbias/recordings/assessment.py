@@ -22,6 +22,7 @@ from simbias.recordings.reach import Reach, beyond
 from simbias.trial.study import Study
 
 OTHER_WINDOWS = (0.5, 2.0)  # durations of predictions, over the chosen one
+LONGEST = max(OTHER_WINDOWS)  # that each part has to hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +161,7 @@ def assess(
 
 def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:
     """Refuse parts in which nothing can be predicted."""
+    longest = posterior.with_window(LONGEST * posterior.window)
     for part in all_parts:
-        if not len(posterior.with_window(max(OTHER_WINDOWS) * posterior.window).windows(part.rollouts)):
-            seconds = max(OTHER_WINDOWS) * posterior.window
-            raise ConfigError(part.name or "held out", f"is shorter than a window of {seconds:g} s")
+        if not longest.windows(part.rollouts):
+            raise ConfigError(part.name or "held out", f"is shorter than a window of {longest.window:g} s")

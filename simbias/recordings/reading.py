@@ -13,7 +13,6 @@ from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import Recorded
 from simbias.lab.signals import BAGS
 from simbias.learning.identification.posterior import Posterior
-from simbias.recordings.assessment import OTHER_WINDOWS
 from simbias.trial.study import Study
 
 ENDS = (".csv", ".csv.gz", *BAGS)
@@ -32,11 +31,12 @@ def read(
     places: Sequence[Path | str],
     columns: Mapping[str, str] | None = None,
     held_out: Sequence[Path | str] = (),
+    windows: float = 0.0,
 ) -> Recordings:
     """Recordings of files, and of all files in folders, but for those that are held out.
 
-    Pieces between gaps are left out where they are shorter than a window of the study's posterior, if it has
-    one. Without columns, those of the study's `hardware=recorded` are read, or else the task's own names.
+    Pieces between gaps are left out where they are shorter than `windows` of the study's posterior. Without
+    columns, those of the study's `hardware=recorded` are read, or else the task's own names.
 
     Raises
     ------
@@ -52,7 +52,9 @@ def read(
     kept, files = _by_place(held_out), _by_place(places)
     rollouts, times, notes = dict[str, Rollout](), dict[str, Array](), list[str]()
     posterior = study.identification
-    shortest = max(OTHER_WINDOWS) * posterior.window if isinstance(posterior, Posterior) else 0.0
+    needed = None
+    if windows and isinstance(posterior, Posterior):
+        needed = posterior.with_window(windows * posterior.window)
     for place, file in files.items():
         name = _name(file, files.values())
         if place in kept:
@@ -66,12 +68,12 @@ def read(
         pieces = [
             (name if len(recording.pieces) == 1 else f"{name} ({i})", piece, when)
             for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True), start=1)
-            if piece.frames >= study.task.frames(shortest)
+            if not needed or needed.windows([piece])
         ]
-        if not pieces:
-            raise ConfigError(str(file), f"is shorter than a window of {shortest:g} s")
-        if left := len(recording.pieces) - len(pieces):
-            notes.append(f"{name}: {counted(left, 'piece')} of less than {shortest:g} s left out")
+        if needed and not pieces:
+            raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
+        if needed and (left := len(recording.pieces) - len(pieces)):
+            notes.append(f"{name}: {counted(left, 'piece')} of less than {needed.window:g} s left out")
         for name, piece, when in pieces:
             rollouts[name], times[name] = piece, when
     return Recordings(rollouts, times, tuple(notes))

@@ -13,7 +13,7 @@ from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.config.hydra_config import overridden
 from simbias.recordings import words
-from simbias.recordings.assessment import Assessment, assess, prepared
+from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import OPTION, write
 from simbias.recordings.noise import noise_of
@@ -42,16 +42,17 @@ class Request(NamedTuple):
         """The folder of configs that the identified option is written to."""
         return Path(self.config_dir) if self.config_dir else self.folder / "conf"
 
-    def opened(self, console: Console) -> tuple[Study, Recordings, Recordings]:
+    def opened(self, console: Console, windows: float = 1.0) -> tuple[Study, Recordings, Recordings]:
         """The study, its recordings and those that are held out; notes on them are printed.
 
-        Parameters are identified if no override says otherwise.
+        Parameters are identified if no override says otherwise. Of what is not held out, pieces that do
+        not hold as many windows are left out.
         """
         chosen = GROUP in overridden(self.overrides)
         overrides = [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
         with preparing():
             study = prepared(build(compose(overrides, self.config_dir, self.allow)))
-        recordings = read(study, self.recordings, self.columns, self.held_out)
+        recordings = read(study, self.recordings, self.columns, self.held_out, windows)
         held_out = read(study, self.held_out, self.columns)
         for note in (*recordings.notes, *held_out.notes):
             say(console, note, "yellow")
@@ -73,7 +74,7 @@ def identify(request: Request) -> bool:
     """
     console = Console(highlight=False)
     with slowness_in_one_line():
-        study, recordings, held_out = request.opened(console)
+        study, recordings, held_out = request.opened(console, LONGEST)
         with console.status("") as status:
             assessment = assess(
                 study,

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from mechanisms import cart_pole, mjcf
 from pendulum import QUICK, experiment, pendulum, truth
+from rich.console import Console
 
 import simbias
 from simbias.__main__ import main
@@ -32,6 +33,7 @@ from simbias.recordings.words import advice, verdict
 from simbias.robots.mujoco.model import Mujoco
 from simbias.robots.mujoco.parameters import values_of
 from simbias.robots.none import NoNominal
+from simbias.terminal.identify import Request
 from simbias.trial.study import Study
 
 Robot = tuple[dict[str, float], dict[str, Rollout]]  # its parameters, and recordings of it
@@ -400,7 +402,8 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     write_csv(Rollout(np.zeros((401, 4)), np.zeros((400, 2))), folder / "cut.csv")
     rows = pd.read_csv("cut.csv").drop(index=[*range(11, 21), *range(171, 191)])
     rows.to_csv("cut.csv", index=False)
-    found = read(replace(study, hardware=None), ["cut.csv"])  # type: ignore[arg-type]
+    study = replace(study, hardware=None)  # type: ignore[arg-type]
+    found = read(study, ["cut.csv"], windows=2.0)
     assert {name: piece.frames for name, piece in found.rollouts.items()} == {
         "cut.csv (2)": 149,
         "cut.csv (3)": 208,
@@ -408,7 +411,23 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     assert "cut.csv: 1 piece of less than 0.2 s left out" in found.notes
     rows[:100].to_csv("cut.csv", index=False)
     with pytest.raises(ConfigError, match=r"^cut\.csv: is shorter than a window of 0\.2 s$"):
-        read(replace(study, hardware=None), ["cut.csv"])  # type: ignore[arg-type]
+        read(study, ["cut.csv"], windows=2.0)
+    (folder / "held.csv").write_bytes((folder / "cut.csv").read_bytes())
+    request = Request(["cut.csv"], ["held.csv"], ["preset=double_pendulum"], None, folder, None, [])
+    _, *opened = request.opened(Console())  # as excite, which needs 0.1 s
+    assert [list(each.rollouts) for each in opened] == [["cut.csv (2)"], ["held.csv (1)", "held.csv (2)"]]
+
+
+def test_files_hold_windows_of_whole_chunks(folder: Path) -> None:
+    """Of 0.032 s in place of 0.03 s, and of 33 frames for twice as much."""
+    options = ["preset=double_pendulum", "identification=posterior", "identification.window=0.03"]
+    study = simbias.load([*options, "tracking=none"])
+    for rows in 33, 34:
+        write_csv(Rollout(np.zeros((rows + 1, 4)), np.zeros((rows, 2))), folder / f"{rows}.csv")
+    (piece,) = read(study, ["34.csv"], windows=2.0).rollouts.values()
+    assert piece.frames == 33
+    with pytest.raises(ConfigError, match=r"^33\.csv: is shorter than a window of 0\.066 s$"):
+        read(study, ["33.csv"], windows=2.0)
 
 
 def test_nothing_is_asked_of_a_tasks_targets(folder: Path) -> None:
