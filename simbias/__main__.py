@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import gc
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simbias import __version__, load_trial
-from simbias.config import Composition, ConfigError, Variations
+from simbias.config import ConfigError, Variations
 from simbias.core.commands import BAD_INPUT, FAILED, INTERRUPTED, SUCCEEDED, python
 from simbias.core.interruption import Interruption
 from simbias.core.messages import words
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed = parse(arguments, __version__)
     try:
         with Interruption():
-            status = COMMANDS[parsed.command](parsed)
+            status = (_show_config if parsed.cfg else COMMANDS[parsed.command])(parsed)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # who reads our output, `head` say, has seen enough
@@ -108,7 +109,7 @@ def _identify(parsed: argparse.Namespace) -> int:
     if not parsed.attach or not better:
         return SUCCEEDED if better else FAILED
     parsed.overrides, parsed.config_dir = request.again, str(request.configs)
-    return _run_or_show(parsed)
+    return _run(parsed)
 
 
 def _excite(parsed: argparse.Namespace) -> int:
@@ -125,7 +126,7 @@ def _of_recordings(parsed: argparse.Namespace) -> Request:
     from simbias.terminal.identify import Request
 
     def places_among(words: Sequence[str]) -> list[str]:
-        return [word for word in words if os.path.exists(word) or not ("=" in word or word.startswith("~"))]
+        return [word for word in words if os.path.exists(word) or not re.match(r"~[^/]|.*=", word)]
 
     places, held_out = places_among(parsed.words), places_among(parsed.held_out)
     overrides = [word for word in (*parsed.words, *parsed.held_out) if word not in (*places, *held_out)]
@@ -153,13 +154,10 @@ def _new(parsed: argparse.Namespace) -> int:
     return SUCCEEDED
 
 
-def _run_or_show(parsed: argparse.Namespace) -> int:
-    """Run a trial or a sweep, or print its config."""
+def _run(parsed: argparse.Namespace) -> int:
+    """Run a trial or a sweep."""
     variations = Variations(parsed.overrides, parsed.config_dir, parsed.allow)
     composition = variations.composition({})
-    if parsed.cfg:
-        print(_as_yaml(composition), end="")
-        return SUCCEEDED
     if "sweep" in composition.config:
         from simbias.terminal import run_sweep
 
@@ -169,11 +167,15 @@ def _run_or_show(parsed: argparse.Namespace) -> int:
     return run.run(composition, _command(parsed))
 
 
-def _as_yaml(composition: Composition) -> str:
-    """The composed config."""
+def _show_config(parsed: argparse.Namespace) -> int:
+    """Print the config that a command's overrides compose."""
     from omegaconf import OmegaConf
 
-    return OmegaConf.to_yaml(OmegaConf.create(dict(composition.config)))
+    if "overrides" not in parsed or "hash" in parsed:
+        raise ConfigError("--cfg", f"{parsed.command} has no config to show; a trial's command has")
+    composition = Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({})
+    print(OmegaConf.to_yaml(OmegaConf.create(dict(composition.config))), end="")
+    return SUCCEEDED
 
 
 def _export(parsed: argparse.Namespace) -> int:
@@ -213,7 +215,7 @@ def _command(parsed: argparse.Namespace) -> str:
 
 
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
-    RUN: _run_or_show,
+    RUN: _run,
     "check": _check,
     "preview": _preview,
     "export": _export,

@@ -68,6 +68,7 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
         (["bias.d=abc"], "bias.d"),
         (["optimizer=unknown"], "optimizer=unknown"),
         (["chekc"], "chekc"),
+        (["report", "trials", "--cfg", "job"], "--cfg: report has no config to show"),
         (["preview", "method=ideal", "hardware=manual"], "method: searches on the hardware itself"),
         (["report", "x" * 5000], "File name too long"),
         (["identify", "x" * 5000], "File name too long"),
@@ -96,7 +97,9 @@ def test_own_components_run(line: Any) -> None:
     assert line(*POINT_MASS, *own, "tracking=none", "optimizer.max_evaluations=40")[0] == 0
     checked = line(*own, "check", *POINT_MASS)[1]
     assert "task point_mass: 1 check failed" in checked  # EveryFifth counts few samples
-    assert line("run", *own, *POINT_MASS, "--cfg", "job") == line(*POINT_MASS, "--cfg", "job", *own)
+    shown = line(*POINT_MASS, "--cfg", "job", *own)
+    for command in ("run", "check", "preview", "export"):
+        assert line(command, *own, *POINT_MASS, "--cfg", "job") == shown
     status, out, _ = line("--cfg", "job", "bias.d=2")
     assert status == 0
     assert OmegaConf.create(out).bias.d == 2
