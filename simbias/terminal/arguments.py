@@ -59,7 +59,7 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     """
     own = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False)
     own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
-    allowed = "also let configs name classes of this module, as of those next to DIR; may be repeated"
+    allowed = "allow configs to name classes from this module too, like modules beside DIR; may be repeated"
     own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
     own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
     own.add_argument("--version", action="version", version=f"simbias {version}")
