@@ -2,8 +2,8 @@
 
 A value that equals its constructor's default is left out. So an option that is added, its default the old
 behaviour, changes the identity of no trial, nor its seed. A deliberate change of behaviour, as of a default,
-raises the component's `version` instead: that gives all trials with this component new identities. Where it
-changes by one value of an argument alone, that value has the version.
+raises the component's `version` instead: that gives all trials with this component new identities. Where one
+value of an argument alone behaves otherwise, VERSIONS adds to the version of that value's trials.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FORMER = {  # classes and arguments whose identities, and so whose seeds, come f
     "ModelBased.lqr_candidates": "design",
     "WindowGP": "HeldOut",
 }
-VERSIONS = {"DirectSearch.strategy=bayesian": 2}  # of one value of an argument, in place of the class's
+VERSIONS = {"DirectSearch.strategy=bayesian": 1}  # of one value of an argument, added to the class's
 
 
 def identity_fields(
@@ -81,8 +81,8 @@ def _component(config: Mapping[str, Any], key: str, allowed: Sequence[str]) -> d
     }
     own = component.__module__.partition(".")[0] == __name__.partition(".")[0]  # whose files may move
     name = component.__name__ if own else f"{component.__module__}.{component.__qualname__}"
-    changes = (VERSIONS.get(f"{name}.{argument}={value}") for argument, value in arguments.items())
-    version = next(filter(None, changes), getattr(component, "version", 1))
+    changes = [VERSIONS.get(f"{name}.{argument}={value}", 0) for argument, value in arguments.items()]
+    version = getattr(component, "version", 1) + sum(changes)
     deviations = _deviations(arguments, defaults).items()
     return {
         "class": FORMER.get(name, name),

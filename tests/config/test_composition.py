@@ -86,7 +86,6 @@ def test_presets_combine() -> None:
     assert other.choices["hardware"] == "acrobot"
 
 
-@pytest.mark.slow
 def test_hardware_that_declares_no_noise_is_taken_for_quiet() -> None:
     """As a person, in presets whose filter or identification asks for the hardware's noise."""
     filtering = compose(["preset=acrobot_trajectory", "hardware=manual", "~hardware.delay"]).config
@@ -94,6 +93,7 @@ def test_hardware_that_declares_no_noise_is_taken_for_quiet() -> None:
     assert filtering["policy"]["noise"] == identifying["identification"]["noise"] == {}
 
 
+@pytest.mark.slow
 def test_yaml_keys_are_the_constructors_arguments() -> None:
     """Every value a person may change stands in the YAML, to be seen."""
     for group, option in COMPONENTS:
