@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from simbias.core import Hardware
+from simbias.core.error_origin import is_own
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
-from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
+from simbias.lab.checked_hardware import CheckedHardware
 from simbias.trial.study import Study
 
 SCREENING = 2  # rollouts after which a policy that failed in all of them is not tried any further
@@ -29,7 +32,8 @@ def check_simulator(hardware: Hardware, key: str = "method") -> None:
 class CostOnHardware:
     """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
 
-    The hardware is a simulator: it is run as often as a search asks, under the conditions that are given.
+    The hardware is a simulator: it is run as often as a search asks, under the study's conditions. Nobody is
+    asked about one of simbias's, which moves nothing; one of the user's own may be a robot.
 
     Raises
     ------
@@ -37,15 +41,10 @@ class CostOnHardware:
         As of `check_simulator`.
     """
 
-    def __init__(
-        self,
-        study: Study,
-        hardware: Hardware,
-        rng: np.random.Generator,
-        rollouts: int,
-        conditions: ExperimentConditions = DEFAULT_CONDITIONS,
-    ) -> None:
+    def __init__(self, study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int) -> None:
         check_simulator(hardware)
+        confirm = study.conditions.confirm and is_own(hardware)
+        conditions = replace(study.conditions, confirm=confirm)
         self._study, self._hardware = study, CheckedHardware(hardware, study.task, conditions)
         self._scenarios = [
             (study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)

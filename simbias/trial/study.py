@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 
@@ -212,12 +212,12 @@ class Study:
         """The trial that asks and is told; nobody is asked whether an experiment may be made."""
         unasked = ExperimentConditions(safety=self.conditions.safety)
 
-        def none(task: Task) -> Hardware:
-            raise ConfigError("method", "searches on the hardware itself, which study.ask() leaves alone")
+        def refuse(*_: Any) -> NoReturn:
+            raise ConfigError("method", "searches on hardware, which study.ask() leaves alone")
 
         def run(record: Record, hardware: Hardware) -> Iterator[Iteration]:
-            asked = replace(self, hardware=hardware, hardware_of=none, conditions=unasked)
-            return asked.over(record).run()
+            asked = replace(self, hardware=hardware, hardware_of=refuse, conditions=unasked).over(record)
+            return replace(asked, conditions=replace(unasked, confirm=True, ask=refuse)).run()
 
         return AskTell(self.task.without_targets, run)
 

@@ -22,6 +22,7 @@ from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
 from simbias.terminal.preview import first_prediction
 from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
+from simbias.trial.methods.ideal import Ideal
 from simbias.trial.observer import Observer
 from simbias.trial.prediction import DRAWS, predict
 from simbias.trial.run import run_trial
@@ -202,7 +203,10 @@ def test_preview_shows_and_draws_the_first_experiment(
 @pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize("preset", ["[pendulum_swingup,scratch]", "reacher"])
 def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -> None:
-    """A network's, or one that plays random inputs before there is one; with targets that a start has."""
+    """A network's, or one that plays random inputs before there is one; with targets that a start has.
+
+    Or what a search on the simulated hardware finds.
+    """
     quick = ["evaluation.rollouts=1", "optimizer.explorations=4", "optimizer.max_evaluations=8"]
     study = simbias.load([f"preset={preset}", "tracking=none", "task.horizon=20", "task.hold=0.1", *quick])
     prediction, made, observer = first_prediction(study), list[Rollout](), Observer()
@@ -211,6 +215,8 @@ def test_a_preview_is_of_the_first_experiment_whatever_its_policy(preset: str) -
     np.testing.assert_allclose(prediction.expected.states[0], made[0].states[0])
     np.testing.assert_allclose(prediction.expected.inputs[0], made[0].inputs[0], atol=0.5)  # N m; it is noisy
     assert len(prediction.draws) == DRAWS
+    ideal = replace(study, method=Ideal(rollouts=1))
+    np.testing.assert_array_equal(first_prediction(ideal).expected.parameters, next(ideal.run()).parameters)
 
 
 @pytest.mark.slow

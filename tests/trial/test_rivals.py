@@ -75,13 +75,19 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
     middle = MultiFidelity(lambda config: real.hardware, {"command": "true"})
     with pytest.raises(ConfigError, match=r"^method\.middle: searches .*, but Process is no simulator"):
         run_trial(replace(point_mass, method=middle))
-    with pytest.raises(ConfigError, match=r"^method: searches on the hardware itself, which study.ask\(\)"):
-        ideal.ask()
+    own, log = counted(point_mass)
+    few = simbias.load(["optimizer.max_evaluations=20"]).optimizer
+    middle = MultiFidelity(lambda config: own.hardware, {})
     refusing = ExperimentConditions(confirm=True, ask=lambda *_: False)
-    watched, log = counted(replace(ideal, conditions=refusing))
-    assert (run_trial(watched).outcome, log) == (Outcome.WAITING, [])
+    for method in (ideal.method, middle):
+        study = replace(own, method=method, optimizer=few)
+        with pytest.raises(ConfigError, match=r"^method: searches on hardware, which study.ask\(\)"):
+            study.ask()
+        assert run_trial(replace(study, conditions=refusing)).outcome is Outcome.WAITING
+        assert not log
     limited = ExperimentConditions(safety=Safety(states={"position": 0.1}))
-    cost = CostOnHardware(point_mass, point_mass.hardware, np.random.default_rng(0), 1, limited)
+    held = replace(point_mass, conditions=limited)
+    cost = CostOnHardware(held, point_mass.hardware, np.random.default_rng(0), 1)
     assert cost(np.zeros(3)) > point_mass.cost.max_cost + 9  # it fails where it starts
 
 

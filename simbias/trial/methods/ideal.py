@@ -45,8 +45,7 @@ class Ideal(Method):
         scenario_rng, search_rng, hardware_rng = rng.spawn(3)
         clock, model = Stopwatch(), study.first_model()
         with clock("search"):
-            hardware, conditions = study.hardware_of(study.task), study.conditions
-            cost = CostOnHardware(study, hardware, scenario_rng, self.rollouts, conditions)
+            cost = CostOnHardware(study, study.hardware_of(study.task), scenario_rng, self.rollouts)
             box, candidates = study.policy.bounds, lqr_policies(model)
             optimum = study.optimizer.minimize(cost, *box, search_rng, study.cost.max_cost, candidates)
         found, theta = Search(optimum, optimum.cost), optimum.parameters
