@@ -72,7 +72,8 @@ class Posterior(Identification):
         long one. Each window counts alike; durations that no experiment has do not count.
     differences
         That the covariance is computed from: forward ones are quicker, and published trials have them. Under
-        strong motion only central ones tell what experiments do not determine.
+        strong motion only central ones tell what experiments do not determine; `identify`, `excite` and
+        `--recover` always take these.
 
     Raises
     ------
