@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,7 +100,7 @@ def identify(
     >>> found.better, [finding.trusted for finding in found.findings]
 
     `columns` are names of columns by the task's names. Nothing is fitted to a file that is held out, even if
-    `recordings` name it, too.
+    `recordings` name it, too. Warnings tell what was done to the data.
 
     Raises
     ------
@@ -110,5 +111,7 @@ def identify(
     from simbias.recordings.reading import read
 
     study = prepared(load(overrides, config_dir, allow))
-    kept = read(study, held_out, columns).rollouts
-    return assess(study, read(study, recordings, columns, held_out, LONGEST).rollouts, kept)
+    fitted, kept = read(study, recordings, columns, held_out, LONGEST), read(study, held_out, columns)
+    for note in (*fitted.notes, *kept.notes):
+        warnings.warn(note, stacklevel=2)
+    return assess(study, fitted.rollouts, kept.rollouts)

@@ -65,11 +65,13 @@ def recovery(request: Request) -> bool:
     Raises
     ------
     ConfigError
-        If a recording cannot be read, or no inputs keep the limits.
+        If a recording cannot be read, all are held out, or no inputs keep the limits.
     """
     console = Console(highlight=False)
     study, recordings, _ = request.opened(console)
     rollouts = recordings.rollouts
+    if request.recordings and not rollouts:
+        raise ConfigError("--held-out", "leaves no recording")
     with slowness_in_one_line(), console.status("") as status:
         noise = _noise(study, list(rollouts.values()))
         takes = [Take(each.states[0], each.inputs, recordings.times[name]) for name, each in rollouts.items()]

@@ -201,6 +201,7 @@ def test_no_inputs_last_for_ever(capsys: pytest.CaptureFixture[str]) -> None:
 KNOWN = "identification.known={parameters: [moon], mode: [0], spread: [[1]]}"
 REFUSED = [
     (["~moon"], "Could not delete from config. 'moon' does not exist"),  # no recording
+    (["~/moon.csv"], "~/moon.csv: no such recording (.csv, "),
     (["identification.each=[moon]"], "identification.each: no moon; there is mass_1, "),
     ([KNOWN], "identification.known is of moon; the nominal model's parameters are mass_1, "),
     (["--seconds=0.05"], "identification.window: 0.1 s are more than inputs of 0.05 s\n"),

@@ -383,7 +383,8 @@ def test_the_command_tells_and_writes(
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
 
 
-def test_nothing_is_fitted_to_what_is_held_out(folder: Path) -> None:
+@pytest.mark.filterwarnings("ignore:.* never changes")
+def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """However a file is named, also as one of a folder; without another one, there is nothing to fit to."""
     (folder / "lab").mkdir()
     for name in ("one", "two"):
@@ -393,8 +394,11 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path) -> None:
     found = read(simbias.load(options), ["lab", "lab/../lab/one.csv"], held_out=[folder / "again.csv"])
     assert list(found.rollouts) == list(found.times) == ["one.csv"]
     assert "two.csv: is held out, so nothing is fitted to it" in found.notes
-    with pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: files or "):
+    refused = pytest.raises(ConfigError, match=r"^identify: needs recordings that are not held out: ")
+    with refused, pytest.warns(UserWarning, match=r"^(one|two)\.csv: is held out, so nothing is fitted"):
         simbias.identify(["lab"], options, held_out=["lab"])
+    assert main(["identify", "--recover", "lab", *options, "--held-out", "lab"]) == 2
+    assert capsys.readouterr().err == "simbias: --held-out: leaves no recording\n"
 
 
 def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder: Path) -> None:
