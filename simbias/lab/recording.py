@@ -110,13 +110,13 @@ class Reader:
 
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
         """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
-        pieces, frame = [(-np.inf, np.inf)], self._task.time_step
+        pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, 0.0
         for signal in found.values():
             runs = self._runs(path, signal)
+            longest = max(longest, *(d - c for c, d in runs), 0.0)
             pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
         pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
         if not pieces:
-            longest = max(np.ptp(each.times) if len(each.times) else 0.0 for each in found.values())
             problem = f"expected a frame of {frame:g} s at least, got {longest:.3g} s"
             if longest >= frame:
                 problem = "its columns have no frame in common"

@@ -222,4 +222,6 @@ def _start(own: Any, task: Task, start: Start | None, name: str) -> Any:
         state = expressions("state", start.state)
         return lambda x: setattr(own, "state", state(x))
     given = ", ".join(key for key, texts in vars(start).items() if texts)
-    raise ValueError(f"start: {name} cannot be set by {given or 'no expressions'}")
+    raise ValueError(
+        f"start: {name} cannot be set by {given}" if given else "start: no expressions are given"
+    )

@@ -72,7 +72,7 @@ ANSWERS = {
     "print(json.dumps(dict(states=states, inputs=inputs, cost=1)))": "cost: expected states, inputs",
     f"inputs = [['1_2']] * 101; {ANSWER}": "inputs: expected rows of 1 numbers",
     f"inputs = inputs[:50]; {ANSWER}": "expected as many rows of each, got 101",
-    f"states = inputs = []; {ANSWER}": "expected as many rows of each, got 0 states",
+    f"states = inputs = []; {ANSWER}": "states: expected a row at least, got none",
     f"states[3] = [0.5]; {ANSWER}": "states: expected rows of 2 numbers, got [[0.5, 0.0], [0.5, 0.0], ",
     f"states[3] = [float('nan'), 0]; {ANSWER}": "states: row 4: expected finite numbers, got [nan, 0.0]",
     f"failure = 1; {ANSWER}": "failure: expected a name",

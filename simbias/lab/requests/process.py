@@ -127,7 +127,9 @@ class Process(Hardware):
         if (given := answer.get("times")) is not None:
             rows = [[time] for time in given] if isinstance(given, list) else given
             times = _rows(rows, "times", 1)[:, 0]
-        if not 0 < len(states) == len(inputs) == len(times):
+        if not len(states):
+            raise HardwareError("states: expected a row at least, got none")
+        if not len(states) == len(inputs) == len(times):
             raise HardwareError(
                 f"expected as many rows of each, got {len(states)} states, {len(inputs)} inputs and "
                 f"{len(times)} times"
