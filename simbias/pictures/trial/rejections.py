@@ -47,7 +47,9 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
     for name, color in zip(names, cycle(COLORS), strict=False):
         counts = [selection.rejected.get(name, 0) for selection in selections]
         bars[f"rejected: {study.task.words(name)}"] = counts, color
-    longest = max(1, *np.sum([counts for counts, _ in bars.values()], axis=0))
+    longest = max(np.sum([counts for counts, _ in bars.values()], axis=0))
+    if not longest:
+        raise NoPictureError("no experiment of the trial gave a transition")
     figure, grid = panels(1, MARGIN + BAR * len(lessons))
     axes, ends = grid[0, 0], np.zeros(len(rows))
     for words, (counts, color) in bars.items():
