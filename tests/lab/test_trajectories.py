@@ -276,7 +276,8 @@ def test_angles_that_wrap_are_unwound_before_lines_are_drawn_between_rows() -> N
     read_off = np.column_stack([np.angle(np.exp(1j * turned[:, 0])), turned[:, 1]])
     rollout = frame(Recording(times, read_off, np.zeros((68, 1))), request, "here")
     np.testing.assert_allclose(rollout.states[:, 0], 3.2 + 7.3 * TIMES, atol=1e-12)
-    for degrees in (np.degrees(turned), np.vstack([turned[:1], np.degrees(turned[1:])])):
+    partly = [np.vstack([each[:1], np.degrees(each[1:])]) for each in (turned, read_off)]
+    for degrees in (np.degrees(turned), *partly):
         with pytest.raises(HardwareError, match="are these degrees"):
             frame(Recording(times, degrees, np.zeros((68, 1))), request, "here")
 

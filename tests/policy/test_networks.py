@@ -135,19 +135,30 @@ def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: St
 
 
 def test_the_regulator_adds_what_holds_the_robot_at_the_goal() -> None:
-    """A mass of 1 kg that is pulled by 2 N sags without."""
+    """A mass of 1 kg that is pulled by 2 N sags without; also one that was identified. It is cut off nowhere."""
 
     class Pulled(WithoutWind):
         def step(self, x: Array, u: Array) -> Array:
-            return super().step(x, u + 2.0)
+            return super().step(x, 1.6 + u + 0.1 * u**2)
+
+    class Linear(WithoutWind):  # as the other is around -2 N, not around 0
+        def step(self, x: Array, u: Array) -> Array:
+            return super().step(x, 0.6 * (u + 2.0))
 
     task = PointMass()
     policy, model = Switched(task, Pulled(task)), Pulled(task)
-    x, kept, theta = np.array([0.05, 0.0]), np.zeros(policy.state_size), np.zeros(policy.n_parameters)
-    for t in range(500):
-        u, kept = policy.act(theta, x, t * task.time_step, kept)
-        x = model.step(x, u)
-    np.testing.assert_allclose(x, 0.0, atol=1e-4)
+    for each in (policy, Switched(task, WithoutWind(task), observer="kalman").designed_on(model)):
+        x, kept, theta = np.array([0.05, 0.0]), np.zeros(each.state_size), np.zeros(each.n_parameters)
+        for t in range(500):
+            u, kept = each.act(theta, x, t * task.time_step, kept)
+            x = model.step(x, u)
+        np.testing.assert_allclose(x, 0.0, atol=1e-4)
+    x, theta = np.random.default_rng(0).normal(0.0, 0.5, (2000, 2)), np.zeros(policy.n_parameters)
+    inputs, kept = policy.act(theta, x, 0.0, np.zeros((len(x), policy.state_size)))
+    regulated = inputs[kept[:, -1] == 1.0]
+    assert 0.9 * task.input_limit < np.abs(regulated).max() < task.input_limit
+    linear, _ = Switched(task, Linear(task)).act(theta, x, 0.0, np.zeros((len(x), policy.state_size)))
+    np.testing.assert_allclose(inputs, linear, atol=1e-4)
 
 
 def test_observers_know_rates_better_than_sensors(cartpole: Study, turning: Task) -> None:
