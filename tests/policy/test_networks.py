@@ -135,7 +135,7 @@ def test_it_switches_where_the_regulator_holds_and_not_at_once_back(cartpole: St
 
 
 def test_the_regulator_adds_what_holds_the_robot_at_the_goal() -> None:
-    """A mass of 1 kg that is pulled by 2 N sags without; also one that was identified. It is cut off nowhere."""
+    """A mass that is pulled by 2 N sags without, also one that was identified. It is cut off nowhere."""
 
     class Pulled(WithoutWind):
         def step(self, x: Array, u: Array) -> Array:
