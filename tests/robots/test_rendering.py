@@ -160,16 +160,22 @@ def test_the_outline_of_a_box_holds_all_its_corners(tmp_path: Path, euler: str) 
     np.testing.assert_allclose([*distances.min(axis=0), *distances.min(axis=1)], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("euler", ["90 0 0", "89 0 0", "20 30 40"])
-def test_a_wheel_is_a_disc_end_on_and_a_bar_with_round_ends_aslant(tmp_path: Path, euler: str) -> None:
-    """The convex hull of its two circles, from the side."""
-    wheel = f'<geom name="wheel" type="cylinder" size="0.1 0.02" euler="{euler}" mass="1"/>'
+@pytest.mark.parametrize("shape", ["cylinder", "capsule"])
+@pytest.mark.parametrize("euler", ["90 0 0", "89 0 0", "20 30 40", "5 0 0"])
+def test_a_wheel_is_a_disc_end_on_and_a_bar_with_round_ends_aslant(
+    tmp_path: Path, euler: str, shape: str
+) -> None:
+    """The convex hull of its two circles, or of a capsule's two spheres, from the side."""
+    wheel = f'<geom name="wheel" type="{shape}" size="0.1 0.02" euler="{euler}" mass="1"/>'
     (tmp_path / "wheel.xml").write_text(re.sub('<geom name="hull".*/>', wheel, ROBOT))
     outline = slider(tmp_path / "wheel.xml").points(np.array([0.5, 0.0]))["wheel"]
     turn, angle = np.empty(9), np.linspace(0.0, 2 * np.pi, 1000)
     mujoco.mju_quat2Mat(turn, mujoco.MjModel.from_xml_path(str(tmp_path / "wheel.xml")).geom("wheel").quat)
     circle = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), np.full(1000, 0.02)], axis=1)
     seen = np.concatenate([circle, -circle]) @ turn.reshape(3, 3).T[:, [0, 2]]
+    if shape == "capsule":
+        ends = [0.0, 0.0, 0.02] @ turn.reshape(3, 3).T[:, [0, 2]]
+        seen = np.concatenate([circle[:, :2] + ends, circle[:, :2] - ends])
     assert ConvexHull(outline).volume == pytest.approx(ConvexHull(seen).volume, rel=0.01)  # its area
     np.testing.assert_allclose(np.ptp(outline, axis=0), np.ptp(seen, axis=0), rtol=0.01)
     np.testing.assert_allclose(outline.mean(axis=0), [0.5, 0.0], atol=1e-12)

@@ -93,22 +93,23 @@ class Figure:
             if len(points) == 3:
                 placed[name] = _outline(centre[self._view], turned[:, self._view])
             elif len(points) == 2:
-                size = model.geom_size[geom]
-                placed[name] = _bar(centre[self._view], turned[1, self._view], size[1], size[0])
+                size, half = model.geom_size[geom], turned[1, self._view]
+                round_ends = model.geom_type[geom] == mujoco().mjtGeom.mjGEOM_CAPSULE
+                placed[name] = _bar(centre[self._view], half, size[1], size[0], round_ends)
             else:
                 placed[name] = (centre + turned)[:, self._view]
         return placed
 
 
-def _bar(centre: Array, half: Array, length: float, radius: float) -> Array:
+def _bar(centre: Array, half: Array, length: float, radius: float, round_ends: bool) -> Array:
     """The ends (2, 2) of a bar about a centre (2,); seen aslant or end-on, its edge (k, 2).
 
-    Half of it, of this length, is seen as `half` (2,).
+    Half of it, of this length, is seen as `half` (2,). Round ends are half spheres beyond it.
     """
     seen = np.hypot(*half)
     if seen > (1 - EDGE_ON) * length:
         return np.array([centre - half, centre + half])
-    angle, deep = np.arctan2(half[1], half[0]), np.sqrt(1 - (seen / length) ** 2)
+    angle, deep = np.arctan2(half[1], half[0]), 1.0 if round_ends else np.sqrt(1 - (seen / length) ** 2)
     edge = np.stack([seen + deep * radius * np.cos(HALF_TURN), radius * np.sin(HALF_TURN)], axis=1)
     turn = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
     return centre + np.concatenate([edge, -edge]) @ turn
