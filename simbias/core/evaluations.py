@@ -165,7 +165,8 @@ class Evaluations:
         costs = self._objective.rank(np.array([self.inside(point) for point in points])).tolist()
         for point, cost in zip(points, costs, strict=True):
             _check_finite(point, cost)
-        self._worst_cost = max(self._worst_cost, *costs)
+        if min(costs) < max(costs):  # not flat, whatever the means cost
+            self._worst_cost = math.inf
         return costs
 
     def inside(self, point: Array) -> Array:
