@@ -175,10 +175,12 @@ def _in_one_line(error: ValidationError, key: str) -> ConfigError:
     first = next((each for each in errors if each["type"] in TYPOS), errors[0])
     where = ".".join(str(part) for part in ((key,) if key else ()) + first["loc"])
     if first["type"] in TYPOS:
-        cut = ")" in where  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
-        return unknown(
-            [where], where, f"no such key{'; quotes keep an expression with commas together' * cut}"
-        )
+        hint = ""
+        if ")" in where:  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
+            hint = "; quotes keep an expression with commas together"
+        elif where.count(".") == 1:  # of a component that took the place of a preset's
+            hint = f"; if a preset sets it, ~{where} leaves it out"
+        return unknown([where], where, f"no such key{hint}")
     if first["type"] == "missing":
         return ConfigError(where, "missing")
     problem = re.sub("^(Value error, |Input |List )", "", first["msg"]).replace("should", "must", 1)

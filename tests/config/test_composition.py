@@ -27,6 +27,7 @@ BAD = {  # by override: its key, and what is said of it
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than 0, got -1"),
     "bias.dd=1": ("bias.dd", "no such key"),
+    "+bias.dd=1": ("bias.dd", "no such key; if a preset sets it, ~bias.dd leaves it out"),
     "bias.length_scale=[1,2]": ("bias", "length_scale has 2 values; the task has 7"),
     "optimizer=unknown": ("optimizer=unknown", "no such option; optimizer has "),
     "preset=[cartpole,unknown]": ("preset=unknown", "no such option"),
