@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -103,7 +104,8 @@ class Variations:
         if config_dir is not None and not os.path.isdir(config_dir):
             raise ConfigError("--config-dir", f"no such folder: {config_dir}")
         check_no_primary(config_dir)
-        self.overrides = list(overrides)
+        # A dry run needs no + where a sweep's file leaves the key out.
+        self.overrides = [re.sub(r"^\+{0,2}(?=sweep\.dry_run=)", "++", each) for each in overrides]
         self._config_dir = None if config_dir is None else str(Path(config_dir).resolve())
         self._folders = [] if config_dir is None else [Path(config_dir)]
         self._allowed = prefixes(self._folders, allow)

@@ -88,8 +88,6 @@ def register_sweep(
     if not isinstance(content, dict):
         raise ConfigError(str(file), "must be a mapping")
     node = {key: value for key, value in content.items() if grid or key != "sweep"}
-    if isinstance(own := node.get("sweep"), dict):
-        node["sweep"] = {"dry_run": False, **own}  # so that sweep.dry_run=true needs no +
     ConfigStore.instance().store(name, node, "sweep", "_global_")
     for other in content.get("defaults") or []:
         if isinstance(other, str) and other not in {"_self_", name, *known}:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from simbias.core import Task
+from simbias.core import Nominal, Task
+from simbias.core.errors import ConfigError
 from simbias.core.messages import brief
 from simbias.core.parameters import values_at
 from simbias.core.records import Rollout
@@ -27,6 +28,20 @@ DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
 EXCITATION = "excitation.csv"
 OPTIONAL = (EXCITATION, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not of every model
 MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
+
+
+def check_no_source(nominal: Nominal, folder: Path) -> None:
+    """Refuse a folder where what is written would replace a file that the nominal model is read from.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file; the posterior is of that model, not of the one in its place.
+    """
+    written = {(folder / name).resolve() for name in OPTIONAL}
+    for file in getattr(nominal, "source_files", ()):
+        if Path(file).resolve() in written:
+            raise ConfigError("--into", f"would replace {file}, which the nominal model is read from")
 
 
 def write(
@@ -47,7 +62,7 @@ def write(
         If a file cannot be written.
     """
     title = f"{type(assessment.nominal).__name__}, identified from recordings"
-    texts = {  # all of them before any is written: the nominal model may be read from one of these files
+    texts = {  # all of them before any is written, or removed
         "report.html": report(assessment, title, excitation),
         "parameters.csv": parameters(assessment).to_csv(index=False),
         "errors.csv": errors(assessment).to_csv(index=False),

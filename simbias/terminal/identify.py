@@ -15,7 +15,7 @@ from simbias.config.hydra_config import overridden
 from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
-from simbias.recordings.files import OPTION, write
+from simbias.recordings.files import OPTION, check_no_source, write
 from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import Recordings, read
 from simbias.terminal.lines import say
@@ -75,6 +75,7 @@ def identify(request: Request) -> bool:
     console = Console(highlight=False)
     with slowness_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST)
+        check_no_source(study.nominal, request.folder)
         with console.status("") as status:
             assessment = assess(
                 study,

@@ -23,7 +23,7 @@ from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
-from simbias.recordings.files import draws, models, option_lines, write
+from simbias.recordings.files import check_no_source, draws, models, option_lines, write
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -267,22 +267,13 @@ def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.step(x, u), changed.step(x, u), rtol=1e-4)
 
 
-def test_the_file_that_the_model_is_read_from_may_be_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the identified model; other files of the model before are removed once all is written."""
-    monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")
-    for name in ("parameters", "errors"):
-        monkeypatch.setattr(f"simbias.recordings.files.{name}", lambda *_: pd.DataFrame())
+def test_the_file_that_the_model_is_read_from_is_not_replaced(tmp_path: Path) -> None:
+    """The posterior is of that model: of the identified one, it would apply twice."""
     file = Path(mjcf(tmp_path)).rename(tmp_path / "identified.xml")
-    (tmp_path / "excitation.csv").touch()
-    model = Mujoco(cart_pole(), str(file), uncertainty={"pole.mass": 0.3})
-    identified = Identified(model, np.ones(1), np.eye(1), {})
-    assessment = SimpleNamespace(task=cart_pole(), nominal=model, identified=identified)
-    made = dict(models(identified))["identified"]
-    write(assessment, "none", {}, tmp_path, tmp_path / "conf")  # type: ignore[arg-type]
-    assert file.read_text() == made
-    assert not (tmp_path / "excitation.csv").exists()
+    model = Mujoco(cart_pole(), str(file))
+    check_no_source(model, tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match=r"^--into: would replace .*identified\.xml"):
+        check_no_source(model, tmp_path)
 
 
 def test_files_of_draws_are_of_the_table_of_draws(tmp_path: Path) -> None:

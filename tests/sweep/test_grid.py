@@ -160,9 +160,9 @@ def test_an_axis_may_add_a_key() -> None:
 
 
 def test_a_dry_run_needs_no_plus(conf: Path) -> None:
-    """Whether the sweep's file names it or not."""
+    """Whether the sweep's file names it or not; nor may it have one only where the file leaves it out."""
     values = [f"sweep.axes.{axis}.values=[0.1]" for axis in ("torque", "error")]
-    for dry in ([], ["sweep.dry_run=true"]):
+    for dry in ([], ["sweep.dry_run=true"], ["+sweep.dry_run=true"]):
         assert expand(["+sweep=mine", *values, *dry], conf).dry_run == bool(dry)
 
 
