@@ -83,6 +83,7 @@ class Gymnasium(Hardware):
         self._record = record
         self._environment = _make(environment, options or {})
         own = self._environment.unwrapped
+        self.simulates = type(own).__module__.partition(".")[0] == "gymnasium"  # others may drive a robot
         if values or factors:
             if not hasattr(getattr(own, "model", None), "body_mass"):
                 raise ValueError(f"values and factors: {environment} is no environment in MuJoCo")

@@ -33,7 +33,8 @@ class CostOnHardware:
     """The mean cost Z (Eq. 8) of a policy over some starts and noise, drawn once, the same for every policy.
 
     The hardware is a simulator: it is run as often as a search asks, under the study's conditions. Nobody is
-    asked about one of simbias's, which moves nothing; one of the user's own may be a robot.
+    asked about one of simbias's, which moves nothing; one of the user's own may be a robot, as may be what is
+    behind an environment that is not Gymnasium's.
 
     Raises
     ------
@@ -43,8 +44,8 @@ class CostOnHardware:
 
     def __init__(self, study: Study, hardware: Hardware, rng: np.random.Generator, rollouts: int) -> None:
         check_simulator(hardware)
-        confirm = study.conditions.confirm and is_own(hardware)
-        conditions = replace(study.conditions, confirm=confirm)
+        robot = is_own(hardware) or not getattr(hardware, "simulates", True)
+        conditions = replace(study.conditions, confirm=study.conditions.confirm and robot)
         self._study, self._hardware = study, CheckedHardware(hardware, study.task, conditions)
         self._scenarios = [
             (study.task.draw_start(each), int(each.integers(2**62))) for each in rng.spawn(rollouts)

@@ -10,6 +10,7 @@ from hardware import counted
 from point_mass import InTheWind
 
 import simbias
+from simbias.core import Waiting
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.lab.checked_hardware import ExperimentConditions
@@ -79,6 +80,12 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
     few = simbias.load(["optimizer.max_evaluations=20"]).optimizer
     middle = MultiFidelity(lambda config: own.hardware, {})
     refusing = ExperimentConditions(confirm=True, ask=lambda *_: False)
+    behind = simbias.load(["preset=double_cartpole", "tracking=none"])
+    assert behind.hardware.simulates
+    behind.hardware.simulates = False  # as of an environment of one's own
+    asked = replace(behind, conditions=refusing)
+    with pytest.raises(Waiting):
+        CostOnHardware(asked, asked.hardware, np.random.default_rng(0), 1)(np.zeros(6))
     for method in (ideal.method, middle):
         study = replace(own, method=method, optimizer=few)
         with pytest.raises(ConfigError, match=r"^method: searches on hardware, which study.ask\(\)"):
@@ -87,7 +94,7 @@ def test_a_search_on_hardware_moves_no_robot_unasked(point_mass: Study) -> None:
         assert not log
     limited = ExperimentConditions(safety=Safety(states={"position": 0.1}))
     held = replace(point_mass, conditions=limited)
-    cost = CostOnHardware(held, point_mass.hardware, np.random.default_rng(0), 1)
+    cost = CostOnHardware(held, held.hardware, np.random.default_rng(0), 1)
     assert cost(np.zeros(3)) > point_mass.cost.max_cost + 9  # it fails where it starts
 
 
