@@ -74,6 +74,8 @@ def _on_nominal_model(study: Study) -> Study:
     optimizer, budget, hardware = copy(study.optimizer), study.budget, _NominalHardware(study)
     optimizer.max_evaluations = min(EVALUATIONS, optimizer.max_evaluations)
     experiments = min(EXPERIMENTS, budget.experiments or EXPERIMENTS)
+    method = copy(study.method)  # which may have hardware of its own to search on
+    vars(method).update((name, hardware) for name, own in vars(method).items() if isinstance(own, Hardware))
     return replace(
         study,
         hardware=hardware,
@@ -81,6 +83,7 @@ def _on_nominal_model(study: Study) -> Study:
         conditions=DEFAULT_CONDITIONS,
         policy_test=NO_TEST,
         optimizer=optimizer,
+        method=method,
         budget=replace(budget, experiments=experiments),
     )
 

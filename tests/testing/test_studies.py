@@ -3,6 +3,7 @@
 from copy import copy
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -93,11 +94,19 @@ class Failing(Noting):
 
 
 @pytest.mark.slow
-def test_a_method_is_checked_by_a_short_trial_that_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "method", [[], ["method=ideal"], ["method=multi_fidelity", "+hardware@method.middle=point_mass"]]
+)
+def test_a_method_is_checked_by_a_short_trial_that_moves_nothing(
+    method: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """However long its own are: on a model of many contacts they take minutes."""
     long = ["bias=none", "optimizer=nlopt_crs", "optimizer.max_evaluations=100000"]
-    real = ["hardware.confirm=true", "policy_test.episodes=3"]
-    study, evaluation = simbias.load([*POINT_MASS, "tracking=none", *long, *real], OWN_CONF), Failing()
-    monkeypatch.setattr(study.hardware, "run", pytest.fail)
+    real = ["hardware.confirm=true", "policy_test.episodes=3", "tracking=none", *method]
+    study, evaluation = simbias.load([*POINT_MASS, *long, *real], OWN_CONF), Failing()
+    monkeypatch.setattr(type(study.hardware), "run", pytest.fail)
+    monkeypatch.setattr("simbias.trial.run.run_policy_test", tested := Mock(return_value=None))
     assert problems(replace(study, evaluation=evaluation), "method") == []
-    assert 0 < len(evaluation.thetas) < 1000
+    assert {call.args[2].episodes for call in tested.call_args_list} == {0}
+    assert len(evaluation.thetas) < 1000
+    assert evaluation.thetas or method == ["method=ideal"]  # which searches on hardware alone
