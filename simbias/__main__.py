@@ -172,7 +172,8 @@ def _show_config(parsed: argparse.Namespace) -> int:
     from omegaconf import OmegaConf
 
     if "overrides" not in parsed or "hash" in parsed:
-        raise ConfigError("--cfg", f"{parsed.command} has no config to show; a trial's command has")
+        problem = f"{parsed.command} has no config to show; run, check, preview and export have"
+        raise ConfigError("--cfg", problem)
     composition = Variations(parsed.overrides, parsed.config_dir, parsed.allow).composition({})
     print(OmegaConf.to_yaml(OmegaConf.create(dict(composition.config))), end="")
     return SUCCEEDED

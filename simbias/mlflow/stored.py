@@ -25,7 +25,7 @@ def trial_folder(run_id: str, uri: str) -> Iterator[Path]:
     """
     file = database(uri)
     if file is not None and not file.exists():
-        raise ConfigError(run_id, f"no such folder, and for a run no such store as {redact(uri, uri)}")
+        raise ConfigError(run_id, f"no such folder, and no store {redact(uri, uri)} to look for a run in")
     with tempfile.TemporaryDirectory() as folder:
         with reaching(uri):
             _download(run_id, uri, folder)

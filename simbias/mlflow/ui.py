@@ -46,10 +46,12 @@ def show(uri: str, page: str, port: int | None = None) -> None:
 
 def _free_port(asked: int | None) -> int:
     """The port that is asked for or, if none is, MLflow's own, or another one if that is taken."""
-    port = asked or PORT
+    port = PORT if asked is None else asked
+    if not 0 < port < 2**16:
+        raise ConfigError("--port", f"expected 1 to 65535, got {port}")
     if not _answers(port):
         return port
-    if asked:
+    if asked is not None:
         raise ConfigError("--port", f"{port} is taken; without it, one that is free is found")
     with socket.create_server((HOST, 0)) as free:
         return int(free.getsockname()[1])

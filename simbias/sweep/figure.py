@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 Row = Mapping[Any, Any]  # of a table of trials
 
 
-UNTESTED = "no last policy was tested: policy_test.episodes=20 does, if they ended in tracking.trials=FOLDER"
+UNTESTED = (
+    "no last policy was tested, and trials that have ended stay untested: "
+    "run them with policy_test.episodes=20 tracking.trials=NEW_FOLDER"
+)
 
 
 class FigureError(RuntimeError):

@@ -17,7 +17,7 @@ import pandas as pd
 
 from simbias.core import markdown
 from simbias.core.proportions import wilson
-from simbias.sweep.statistics import holds, holm, interval, sign_test
+from simbias.sweep.statistics import holds, holm, interval, passed, sign_test
 
 HEAD = ["rival", "cells better, worse, equal", "p", "p, Holm", "mean difference", "worst cell"]
 
@@ -26,10 +26,11 @@ def read(file: Path) -> pd.DataFrame:
     """Trials with `passed` of `episodes`, `score` and `holds`."""
     texts = {"lasting_episodes": str, "test_episodes": str}
     trials = pd.read_csv(file, dtype=texts, keep_default_na=False)
-    tests = trials["lasting_episodes"].where(trials["lasting_episodes"] != "", trials["test_episodes"])
-    passed, episodes = tests.str.count("1"), tests.str.len()
-    score = (passed / episodes.where(episodes > 0)).fillna(0.0)
-    return trials.assign(passed=passed, episodes=episodes, score=score, holds=tests.map(holds))
+    both = zip(trials["test_episodes"], trials["lasting_episodes"], strict=True)
+    tests = pd.Series([passed(*each) for each in both], trials.index, dtype=str)
+    successes, episodes = tests.str.count("1"), tests.str.len()
+    score = (successes / episodes.where(episodes > 0)).fillna(0.0)
+    return trials.assign(passed=successes, episodes=episodes, score=score, holds=tests.map(holds))
 
 
 def scores(trials: pd.DataFrame) -> pd.DataFrame:

@@ -177,8 +177,11 @@ def test_a_servers_page_is_opened_and_its_address_shown_without_a_password(
     assert capsys.readouterr().out == "https://a.b/#/x  (Ctrl-C ends)\n"
 
 
-def test_a_port_that_is_taken_is_named() -> None:
+def test_a_port_that_is_taken_or_none_is_named() -> None:
     """In place of what another program shows there."""
+    for none in (0, -1, 70000):
+        with one_line(f"^--port: expected 1 to 65535, got {none}"):
+            ui.show("sqlite:///mlflow.db", "", none)
     with socket.create_server((ui.HOST, 0)) as other:
         port = other.getsockname()[1]
         with one_line(f"^--port: {port} is taken; "):
