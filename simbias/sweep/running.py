@@ -82,7 +82,8 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
         If anything is bad about the sweep or one of its cells.
     """
     sweep = expanded(variations)
-    tested = False  # whether any cell's last policies are
+    ended = finished(sweep, store)
+    tested = any(ended["test_episodes"])  # whether any last policy was, or is to be
     studies: dict[tuple[str, ...], Study] = {}
     for cell in sweep.cells:
         try:
@@ -99,7 +100,6 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
         if figure.reads_tests and not tested:
             problem = f"0, but sweep.figures.{name} is of tests of the last policies"
             raise ConfigError("policy_test.episodes", problem)
-    ended = finished(sweep, store)
     if len(ended) < len(sweep.trials) and not sweep.dry_run:
         for study in studies.values():  # compiled here once, workers find it in the cache
             rehearse(study)

@@ -137,13 +137,23 @@ def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), trials.drop(columns="seconds"))
 
 
+def test_a_sweep_of_tested_policies_needs_no_tests_any_more(folder: Path) -> None:
+    figure = "tests: {_target_: simbias.sweep.figures.last_policies.LastPolicies}"
+    write_sweep(folder, "mine", f"sweep: {{trials: 1, axes: {{bias: [none]}}, figures: {{{figure}}}}}")
+    command = ["--config-dir", "conf", "+sweep=mine", *QUICK, *FOLDERS, "engine=sequential"]
+    assert main([*command, "policy_test={episodes: 1, long_episodes: 0}"]) == 0
+    assert main(command) == 0
+
+
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for key, overrides in {
         "bias.d": ["+sweep=smoke", "bias.d=abc"],
         "sweep.axes.bias": ["+sweep=smoke", "+sweep.axes.bias.d=[1, -1]"],
         "bias.d: must be greater than 0": ["+sweep=smoke", "+sweep.axes.x={keys: bias.d, values: [1, -1]}"],
         "engine.n_jobs: must be greater than 0": ["+sweep=smoke", "engine.n_jobs=0"],
-        "method: searches on": ["+sweep={trials: 1, axes: {}}", "method=ideal", "hardware=manual"],
+        "method: searches on the hardware itself, but Manual is no simulator (in the cell ideal)": [
+            "+sweep={trials: 1, axes: {method: [ideal]}}", "hardware=manual"
+        ],
         "engine=nosuch": ["+sweep=smoke", "engine=nosuch"],
         "policy_test.episodes: 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],
         "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
