@@ -114,10 +114,13 @@ class Sweep:
 
     @property
     def hash(self) -> str:
-        """Identity of a sweep whose points and trials may grow: names, suite's split, what trials share."""
-        split = self.base.config["sweep"].get("suite", {}).get("split")
-        axes = [axis.name for axis in self.axes]
-        return short_digest(json.dumps([self.name, axes, split, self.base.trial.hash]).encode())
+        """Identity of a sweep whose points and trials may grow: names, axes, split, what trials share."""
+        values = self.base.config["sweep"]
+        split, common_seeds = values.get("suite", {}).get("split"), sorted(values.get("common_seeds", []))
+        specs = values["axes"].items()  # of named points no keys: a new point may set others
+        axes = [[name, spec.get("keys")] if isinstance(spec, Mapping) else name for name, spec in specs]
+        shared = [self.name, axes, common_seeds, split, self.base.trial.hash]
+        return short_digest(json.dumps(shared).encode())
 
 
 def trial_seed(cell: str, base_seed: int, repetition: int) -> int:

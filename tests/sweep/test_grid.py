@@ -85,10 +85,20 @@ def test_identity_knows_neither_jobs_nor_store_nor_number_of_trials() -> None:
 
 
 @pytest.mark.slow
-def test_other_axes_and_the_suites_other_split_are_another_sweep() -> None:
-    grids = [[f"+sweep.axes={{{axis}}}", "+sweep.trials=1"] for axis in ("bias: [none]", "bias.d: [2.0]")]
+def test_other_axes_or_seeds_and_the_suites_other_split_are_another_sweep() -> None:
+    keyed = [f"x: {{keys: {key}, values: [2.0]}}" for key in ("bias.d", "hardware.inertia_error")]
+    axes = ["bias: [none]", "bias.d: [2.0]", *keyed]
+    grids = [[f"+sweep.axes={{{axis}}}", "+sweep.trials=1"] for axis in axes]
+    grids += [[*grids[0], "+sweep.common_seeds=[bias]"]]
     splits = [["+sweep=suite", f"sweep.suite.split={split}"] for split in ("development", "test")]
-    assert len({expand(overrides).hash for overrides in grids + splits}) == 4
+    assert len({expand(overrides).hash for overrides in grids + splits}) == 7
+
+
+@pytest.mark.slow
+def test_a_point_that_sets_another_key_leaves_the_sweep_what_it_is() -> None:
+    sweep = ["+sweep.trials=1", "+sweep.axes={method: {points: {LQR: {method: lqr}}}}"]
+    point = "+sweep.axes.method.points.robust={method: lqr, bias: none}"
+    assert expand([*sweep, point]).hash == expand(sweep).hash
 
 
 @pytest.mark.slow
