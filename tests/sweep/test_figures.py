@@ -73,7 +73,7 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     FigureCanvasAgg(picture.figure).draw()
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
-    with pytest.raises(FigureError, match=r"policy_test\.episodes=20 .* in tracking\.trials=FOLDER"):
+    with pytest.raises(FigureError, match=r"run them with policy_test\.episodes=20 tracking\.trials="):
         Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
     with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
         Comparison("method", ["LQX"]).draw(made_up({"LQI": ["1"] * 3}), ())
@@ -109,6 +109,19 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     dots = [tuple(at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
     assert len(set(dots)) == 10
     assert all(abs(height) < 0.5 for _, height in dots)
+
+
+def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:
+    several = "x: {keys: [bias.d, hardware.inertia_error], values: [[2.0, 0.1]]}"
+    sweep = expand(
+        [f"+sweep={{trials: 1, axes: {{method: [lqr, lqi], bias.noise_variance: [0.5], {several}}}}}"]
+    )
+    ended = {"outcome": "succeeded", "experiments": 2, "iterations": 2, **LATER}
+    rows = [
+        {"method": method, "bias.noise_variance": "0.5", "x": "2/0.1", **ended} for method in ("lqr", "lqi")
+    ]
+    (container,) = Experiments().draw(swept(sweep, rows), ()).figure.axes[0].containers
+    assert container.get_label() == "noise variance 0.5, 2/0.1"
 
 
 def test_eight_series_are_told_from_each_other() -> None:

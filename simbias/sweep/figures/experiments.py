@@ -75,7 +75,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         for axis, label in zip(others, labels, strict=True):
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
-        _curve(axes, own, offset, index, literal(", ".join(map(column_head, others, labels))))
+        _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))))
     _label(axes, along)
     axes.set_ylim(bottom=0)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
@@ -83,6 +83,11 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     if len(curves) > 1 or bool(table["paper"].notna().any()):
         legend(figure, _ours_first(axes))
     return figure
+
+
+def _series(axis: Axis, label: str) -> str:
+    """A label that says what it is, where this is short."""
+    return column_head(axis, label) if len(axis.keys) == 1 else label
 
 
 def _ours_first(axes: Axes) -> dict[str, Artist]:
