@@ -29,9 +29,9 @@ class Costs(SweepFigure):
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
         """The picture; its numbers are a row for each iteration of each trial."""
-        rows = []
+        rows, limits = [], {}  # Z_max by cell
         for row, trial in trials.in_full():
-            max_cost = trial.study.cost.max_cost
+            limits[str(trials.cell(row))] = trial.study.cost.max_cost
             rows += [
                 {
                     "cell": trials.cell(row),
@@ -47,7 +47,7 @@ class Costs(SweepFigure):
             ]
         numbers = pd.DataFrame(rows)
         panels = {str(cell): own for cell, own in numbers.groupby("cell", sort=False)}
-        return Picture(_figure(panels, max_cost), numbers, _caption(panels, max_cost))
+        return Picture(_figure(panels, limits), numbers, _caption(panels, limits))
 
 
 def _prediction(iteration: Iteration) -> float:
@@ -55,7 +55,7 @@ def _prediction(iteration: Iteration) -> float:
     return math.nan if iteration.search is None else iteration.search.predicted_cost
 
 
-def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
+def _figure(panels: dict[str, pd.DataFrame], limits: dict[str, float]) -> Figure:
     """Panels in rows, on the same scales."""
     columns = min(len(panels), MOST_IN_A_ROW)
     rows = -(-len(panels) // columns)
@@ -69,8 +69,9 @@ def _figure(panels: dict[str, pd.DataFrame], max_cost: float) -> Figure:
         whole_numbers(axes.xaxis)
         plain(axes)
     grid[0, 0].set_yscale("log")
-    for axes in grid.flat[: len(panels)]:
-        shade_beyond(axes, max_cost, r"limit $Z_{\max}$")
+    panel = dict(zip(panels, grid.flat, strict=False))
+    for cell in sorted(panel, key=lambda each: -limits[each]):  # the highest first: all have the same scale
+        shade_beyond(panel[cell], limits[cell], r"limit $Z_{\max}$")
     for axes in grid.flat[len(panels) :]:
         axes.axis("off")
     for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
@@ -97,7 +98,7 @@ def _line(axes: Axes, trial: pd.DataFrame, aside: float) -> None:
     axes.plot(x.iloc[-1:], y.iloc[-1:], marker, color=color, markersize=6, zorder=3)
 
 
-def _caption(panels: dict[str, pd.DataFrame], max_cost: float) -> str:
+def _caption(panels: dict[str, pd.DataFrame], limits: dict[str, float]) -> str:
     """The caption, from the numbers."""
     sentences = []
     for title, own in panels.items():
@@ -110,7 +111,8 @@ def _caption(panels: dict[str, pd.DataFrame], max_cost: float) -> str:
             when = f", after {min(lengths)} to {max(lengths)} iterations (median {np.median(lengths):g})"
         where = f"{title}: " if title else ""
         sentences.append(f"{where}{len(lengths)} of {len(trials)} trials end below the limit{when}")
+    limit = " or ".join(f"{each:g}" for each in dict.fromkeys(limits.values()))
     return (
         f"The greatest cost of an iteration's experiments on hardware, for each trial; above the limit "
-        f"{max_cost:g} a policy has failed. {'; '.join(sentences)}."
+        f"{limit} a policy has failed. {'; '.join(sentences)}."
     )

@@ -147,19 +147,23 @@ def test_eight_series_are_told_from_each_other() -> None:
         names = ("index", "hardware_cost", "succeeded")
         iterations = [dict(zip(names, each, strict=True), total_experiments=each[0] + 1) for each in costs]
         return SimpleNamespace(
-            study=SimpleNamespace(cost=SimpleNamespace(max_cost=200.0)),
+            study=SimpleNamespace(cost=SimpleNamespace(max_cost=100.0 * (1 + int(hash_) // 2))),
             iterations=[SimpleNamespace(**each, search=None) for each in iterations],
         )
 
     for cells in (1, 8):
         rows = [
-            {**labels[cell], "hash": str(i), "repetition": i, "seed": i, "outcome": "succeeded"}
+            {**labels[cell], "hash": str(2 * cell + i), "repetition": i, "seed": i, "outcome": "succeeded"}
             for cell in range(cells)
             for i in range(2)
         ]
         figure = Costs().draw(swept(sweep, rows, trial), ()).figure
         assert_nothing_is_cut(figure)
         assert sum(bool(axes.lines) for axes in figure.axes) == cells
+        shaded = [axes.patches[0] for axes in figure.axes[:cells]]
+        assert [each.get_y() for each in shaded] == [100.0 * (1 + cell) for cell in range(cells)]
+        top = figure.axes[0].get_ylim()[1]
+        assert all(each.get_y() + each.get_height() >= 0.99 * top for each in shaded)
         assert figure.get_figwidth() < 15.0
 
 
