@@ -10,12 +10,12 @@ from simbias.core import HardwareError
 from simbias.core.errors import ConfigError, reason
 from simbias.core.messages import counted, words
 from simbias.core.records import Array, Rollout
-from simbias.lab.recorded import Recorded
+from simbias.lab.recorded import CSV, Recorded
 from simbias.lab.signals import BAGS
 from simbias.learning.identification.posterior import Posterior
 from simbias.trial.study import Study
 
-ENDS = (".csv", ".csv.gz", *BAGS)
+ENDS = (*CSV, *BAGS)
 
 
 class Recordings(NamedTuple):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simbias.core import HardwareError, Quantity, Task
+from simbias.core import HardwareError, Quantity, Task, wrapped
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
 from simbias.lab.checks import unwrapped
@@ -135,9 +135,8 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
 def _unwound(states: Array, request: ExperimentRequest) -> Array:
     """States (r, n) whose angles that wrap neither jump by a turn nor begin turns away from the start."""
     states = unwrapped(states.copy(), request.task)
-    wraps = [state.wraps for state in request.task.states]
-    turns = np.round((states[0] - request.start) / (2 * np.pi))
-    return states - np.where(wraps, 2 * np.pi * turns, 0.0)
+    away = states[0] - request.start
+    return states + (wrapped(away, request.task.states) - away)
 
 
 def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest, source: str) -> None:
