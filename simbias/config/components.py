@@ -10,6 +10,7 @@ from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
@@ -169,17 +170,23 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
             _check_numbers(*pair, f"{key}.{index}")
 
 
+def _path(key: str, error: ErrorDetails) -> str:
+    """The full name of the key that pydantic's error is about."""
+    return ".".join(str(part) for part in ((key,) if key else ()) + error["loc"])
+
+
 def _in_one_line(error: ValidationError, key: str) -> ConfigError:
     """The first of pydantic's errors, as one line that names the key."""
     errors = error.errors(include_url=False)
     first = next((each for each in errors if each["type"] in TYPOS), errors[0])
-    where = ".".join(str(part) for part in ((key,) if key else ()) + first["loc"])
+    typos = [_path(key, each) for each in errors if each["type"] in TYPOS]
+    where = _path(key, first)
     if first["type"] in TYPOS:
         hint = ""
         if ")" in where:  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
             hint = "; quotes keep an expression with commas together"
         elif where.count(".") == 1:  # of a component that took the place of a preset's
-            hint = f"; if a preset sets it, ~{where} leaves it out"
+            hint = f"; what a preset sets is left out by {' '.join(f'~{each}' for each in typos)}"
         return unknown([where], where, f"no such key{hint}")
     if first["type"] == "missing":
         return ConfigError(where, "missing")
