@@ -136,9 +136,14 @@ class Study:
 
         Without a fitted bias g = 0; without a start (n,) it is the task's mean start; without an identified
         nominal model it is the study's.
+
+        Raises
+        ------
+        ValueError
+            If theta or the start has another shape.
         """
-        theta = np.asarray(theta, dtype=np.float64)
-        begin = self.task.start_mean if start is None else start
+        theta = _vector("theta", theta, self.policy.n_parameters)
+        begin = _vector("start", self.task.start_mean if start is None else start, len(self.task.states))
         return self._judged(self.simulator(fitted_bias, nominal).rollout(theta, begin), theta)
 
     def experiment(
@@ -159,9 +164,12 @@ class Study:
             contract asks for.
         Waiting
             If its result is not there yet.
+        ValueError
+            If theta or the start has another shape.
         """
-        theta = np.asarray(theta, dtype=np.float64)
+        theta = _vector("theta", theta, self.policy.n_parameters)
         begin = self.task.draw_start(rng) if start is None else start
+        begin = _vector("start", begin, len(self.task.states))
         watching = observer or Observer()
         self.spending.check()
         watching.experimenting(theta, begin)
@@ -276,3 +284,11 @@ class Study:
     def no_data(self) -> Transitions:
         """D = {}."""
         return Transitions.empty(len(self.task.without_targets.states), len(self.task.inputs))
+
+
+def _vector(name: str, given: Array, length: int) -> Array:
+    """An argument as floats (length,): compiled loops read past the end of what is shorter."""
+    vector = np.asarray(given, dtype=np.float64)
+    if vector.shape != (length,):
+        raise ValueError(f"{name}: expected the shape ({length},), got {vector.shape}")
+    return vector

@@ -4,6 +4,7 @@ import asyncio
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from math import isnan, nan
 from pathlib import Path
 from typing import Any
@@ -228,3 +229,13 @@ def test_what_is_wrong_is_told_and_the_question_stays_open(point_mass: Study) ->
     with pytest.raises(HardwareError, match=r"states: expected the shape \(101, 2\), got \(101, 1\)"):
         point_mass.tell(replace(whole, states=whole.states[:, :1]))
     assert point_mass.ask() is request
+
+
+@pytest.mark.parametrize("start", [np.array([0.1]), np.zeros(3), 0.1])
+def test_a_policy_or_start_of_another_shape_is_one_line(point_mass: Study, start: Any) -> None:
+    theta, rng = np.zeros(3), np.random.default_rng(0)
+    for run in (point_mass.simulate, partial(point_mass.experiment, rng=rng)):
+        with pytest.raises(ValueError, match=r"^start: expected the shape \(2,\), got \("):
+            run(theta, start=start)
+        with pytest.raises(ValueError, match=r"^theta: expected the shape \(3,\), got \(4,\)$"):
+            run(np.zeros(4))
