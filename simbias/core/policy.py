@@ -77,8 +77,8 @@ class Controller:
         self._state = np.zeros(policy.state_size)
 
     def __call__(self, x: Array) -> Array:
-        """Input u (m,) at the (measured) state x (n,) of the next frame."""
-        time = self._frame * self._time_step
-        u, self._state = self._policy.act(self._theta, x, time, self._state)
+        """Input u (m,) at the (measured) state x (n,), numbers of any kind, of the next frame."""
+        time, own = self._frame * self._time_step, np.array(x, dtype=np.float64)  # it may write into its own
+        u, self._state = self._policy.act(self._theta, own, time, self._state)
         self._frame += 1
         return u

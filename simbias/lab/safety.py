@@ -213,7 +213,8 @@ class _SafetyLimitedController(Controller):
             If state or input is beyond its limits, or one was before.
         """
         if not self.failure:
-            self._states.append(np.array(x, dtype=np.float64))
+            x = np.array(x, dtype=np.float64)
+            self._states.append(x)
             self.failure = self._monitor.of_state(x)
         if not self.failure:
             u = self._controller(x)

@@ -79,7 +79,7 @@ class PlainSimulator:
         """Measurements (k, n) of x (k, n), and the disturbance (k, m) of the inputs, 0 without noise."""
         noise = [disturbance for disturbance in self.disturbances if disturbance is not None]
         if not noise:
-            return x, 0.0
+            return x.copy(), 0.0  # a policy may write into it
         sensors, inputs = np.array([d.sensors[t] for d in noise]), np.array([d.inputs[t] for d in noise])
         return x + sensors[scenarios], inputs[scenarios]
 

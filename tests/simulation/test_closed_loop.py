@@ -12,10 +12,12 @@ import pytest
 from in_numpy import OfAllLanes, by_value
 from interpreted import assert_alike, interpreted
 from numba import get_num_threads, set_num_threads
+from point_mass import Spring
 
 import simbias
 from simbias.core import NOT_A_NUMBER, FittedBias, Nominal, Policy, SlowWarning
 from simbias.core.records import Array, Disturbance, Transitions
+from simbias.lab.safety import Safety, SafetyLimitedPolicy
 from simbias.learning.bias.none import ZeroBias
 from simbias.simulation.closed_loop import SimulatorSequence, join, simulator
 from simbias.simulation.compiled import CompiledSimulator
@@ -299,3 +301,27 @@ def test_a_policy_with_a_state_and_time(study: Study) -> None:
         np.testing.assert_allclose(first.states, states, rtol=0, atol=1e-9)
         np.testing.assert_array_equal(first.states, third.states)
         assert fall.failure is not None
+
+
+class Wraps(Spring):
+    """Writes into what it is given."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        x[..., :1] = np.minimum(x[..., :1], 0.3)
+        return super().act(theta, x, t, policy_state)
+
+
+def test_what_a_policy_writes_into_is_its_own(point_mass: Study) -> None:
+    """Neither records nor the robot's state; a robot may also give it a list."""
+    policy, theta, task = Wraps(point_mass.task), np.array([9.0, 4.0, 0.0]), point_mass.task
+    model = replace(point_mass.model(), policy=policy)
+    states = PlainSimulator([model], [None]).rollout(theta, task.start_mean).states
+    controller, x = policy.controller(theta, task.time_step), task.start_mean
+    limits = Safety(states={"velocity": 99.0}).bounds(task)
+    limited = SafetyLimitedPolicy(policy, task, limits).controller(theta, task.time_step)
+    for x_next in states[1:]:
+        u = controller(x)
+        np.testing.assert_array_equal(limited(x.tolist()), u)
+        x = point_mass.nominal.step(x, u)
+        np.testing.assert_array_equal(x, x_next)
+    assert task.start_mean[0] == states[0, 0] == 0.5
