@@ -1,4 +1,4 @@
-"""Statistics of sweeps: scores over cells, experiments until success, differences between pairs.
+"""Statistics of sweeps: scores over cells, differences between pairs.
 
 A score matrix (r, c) has a row for each repetition and a column for each cell. Intervals are at 95%.
 """
@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from simbias.core.proportions import CONFIDENCE, Interval, wilson
-from simbias.core.records import Array, Flags
+from simbias.core.records import Array
 
 BAR = 0.8  # share of starts of which a policy has to be known to hold more
 TAIL = 50.0 * (1.0 - CONFIDENCE)
@@ -92,24 +91,6 @@ def _cells(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]
     count = scores[0].shape[1]
     cells = rng.integers(count, size=count)
     return (each[:, cells] for each in scores)
-
-
-class SuccessCurve(NamedTuple):
-    """Probability of success within numbers of experiments."""
-
-    experiments: Array  # (k,)
-    probability: Array  # (k,)
-
-
-def success_curve(experiments: Array, succeeded: Flags) -> SuccessCurve:
-    """One minus Kaplan and Meier's estimate (JASA 53, 1958), of trials' experiments (k,) and success (k,).
-
-    A trial without success is censored at its experiments.
-    """
-    from scipy.stats import CensoredData, ecdf
-
-    found = ecdf(CensoredData(uncensored=experiments[succeeded], right=experiments[~succeeded])).cdf
-    return SuccessCurve(found.quantiles, found.probabilities)
 
 
 def sign_test(differences: Sequence[float]) -> float:

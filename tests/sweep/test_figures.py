@@ -51,7 +51,8 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
         """Trials whose last policies last in these test episodes; an error where there is no text."""
         rows = [
             {"cell": "cart-pole", "method": method, "hash": trial.hash, "repetition": trial.repetition}
-            | {"experiments": 2.0 if text else np.nan, "outcome": "succeeded" if text else "error"}
+            | {"experiments": 2.0 + trial.repetition if text else np.nan}
+            | {"outcome": "succeeded" if text else "error"}
             | {"test_episodes": text, "lasting_episodes": text}
             for trial in sweep.trials
             if (method := trial.cell.labels[1]) in texts
@@ -71,6 +72,11 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
     assert "most hold by ideal: 3 (44% to 100%)" in picture.caption
     FigureCanvasAgg(picture.figure).draw()
+    picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
+    (curve,) = picture_of_two.figure.axes[-1].lines
+    assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
+    none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
+    assert none.caption.endswith("Of 3 trials each, none ends with a policy that holds.")
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
     with pytest.raises(FigureError, match=r"run them with policy_test\.episodes=20 tracking\.trials="):

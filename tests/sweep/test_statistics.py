@@ -21,7 +21,6 @@ from simbias.sweep.statistics import (
     probability_of_improvement,
     sign_test,
     stratified_bootstrap,
-    success_curve,
 )
 from simbias.sweep.tables import cells, interval, layout, legend
 from simbias.terminal.sweep import seconds_left
@@ -73,19 +72,6 @@ def test_bootstrap_covers_and_is_stratified() -> None:
     assert low < 0.25 < 0.75 < high
     lead = stratified_bootstrap(lambda a, b: float(np.mean(a - b)), one + 0.25, one)
     assert lead == (0.25, 0.25)
-
-
-def test_success_curve_is_freireichs_example() -> None:
-    """Remission of leukaemia with 6-MP (Freireich et al., Blood 21, 1963), the textbooks' example."""
-    weeks = [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35]
-    ended = [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0]
-    curve = success_curve(np.array(weeks, dtype=float), np.array(ended, dtype=bool))
-    surviving = dict(zip(curve.experiments, 1 - curve.probability, strict=True))
-    expected = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
-    for week, value in expected.items():
-        assert surviving[week] == pytest.approx(value, abs=5e-4)
-    curve = success_curve(np.array([2.0, 4.0, 20.0, 20.0]), np.array([True, True, False, False]))
-    assert curve.probability.tolist() == pytest.approx([0.25, 0.5, 0.5])  # never more than succeed
 
 
 def test_sign_test_is_mcnemars() -> None:

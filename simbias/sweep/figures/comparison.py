@@ -26,7 +26,6 @@ from simbias.sweep.statistics import (
     probability_of_improvement,
     sign_test,
     stratified_bootstrap,
-    success_curve,
 )
 
 WIDTH, ROW, CURVES, REST = 11.0, 0.24, 3.2, 2.6  # in: of the figure, of a method, of the curves, of all else
@@ -42,7 +41,7 @@ class Comparison(SweepFigure):
     their end. One that raised has zero. It counts as a success where that policy holds
     (`simbias.sweep.statistics.holds`). Above: mean score in
     each cell, and the interquartile mean over cells with its bootstrap interval. Below: performance profiles,
-    and success against experiments by Kaplan and Meier's estimate.
+    and the share of all trials that are a success within so many experiments.
 
     Parameters
     ----------
@@ -112,9 +111,6 @@ class _Method:
         repetitions = min(map(len, cells.values()))
         self.cells = [*cells]
         self.scores: Array = np.array([cell[:repetitions] for cell in cells.values()]).T
-        self.curve = success_curve(
-            trials["experiments"].to_numpy(dtype=float), trials["holds"].to_numpy(dtype=bool)
-        )
 
     def row(self, name: str) -> dict[str, Any]:
         """The method in numbers."""
@@ -154,13 +150,14 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
 def _caption(numbers: pd.DataFrame, bar: float) -> str:
     """The caption, from the numbers."""
     best = numbers.iloc[int(numbers["holds"].to_numpy().argmax())]
+    held = f"{best['holds']} ({best['holds_low']:.0%} to {best['holds_high']:.0%})"
+    most = f"most hold by {best['method']}: {held}" if best["holds"] else "none ends with a policy that holds"
     return (
         "Above: share of test episodes that succeed and last to their end, mean of each cell; at the right "
         "the interquartile mean of cells, with its 95% bootstrap interval (runs are resampled within cells; "
-        "cells, where each has one run). Below: share of trials with more than so much; share of trials "
-        f"whose last policy holds (lower Wilson limit above {bar:.0%}) within so many experiments; one that "
-        f"never succeeds is censored. Of {best['trials']} trials each, most hold by {best['method']}: "
-        f"{best['holds']} ({best['holds_low']:.0%} to {best['holds_high']:.0%})."
+        "cells, where each has one run). Below: share of trials with more than so much; share of all trials "
+        f"that end within so many experiments with a policy that holds (lower Wilson limit above {bar:.0%}). "
+        f"Of {best['trials']} trials each, {most}."
     )
 
 
@@ -210,7 +207,7 @@ def _draw_means(axes: Axes, numbers: pd.DataFrame) -> None:
 
 
 def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
-    """Performance profiles, and success against experiments."""
+    """Performance profiles, and the share of trials that hold against experiments."""
     left, right = figure.subplots(1, 2)
     most = max(float(method.trials["experiments"].max()) for method in methods.values())
     handles = {}
@@ -219,10 +216,10 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         style = {"color": color, "marker": marker, "markersize": 4, "linewidth": 1.4}
         profile = performance_profile(method.scores, THRESHOLDS)
         (handles[name],) = left.plot(THRESHOLDS, profile, markevery=(2 * index, 20), **style)
-        curve = method.curve
-        x = np.array([0.0, *curve.experiments, most])
-        probability = np.array([0.0, *curve.probability])
-        right.step(x, np.append(probability, probability[-1]), where="post", **style)
+        held = method.trials.loc[method.trials["holds"], "experiments"]
+        experiments, counts = np.unique(held.to_numpy(dtype=float), return_counts=True)
+        share = np.cumsum([0, *counts, 0]) / len(method.trials)
+        right.step([0.0, *experiments, most], share, where="post", **style)
     left.set_xlabel("test episodes passed")
     left.set_ylabel("trials with more")
     left.xaxis.set_major_formatter(PercentFormatter(1.0))
