@@ -196,20 +196,23 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
         for key in axis.keys:
             if (root := key.partition(".")[0]) in NOT_HASHED:
                 raise ConfigError(f"sweep.axes.{axis.name}", f"{root} changes no trial's result")
-            if key in owners:
-                raise ConfigError(
-                    f"sweep.axes.{axis.name}",
-                    f"{key} is set elsewhere: {owners[key] or 'each trial has its own'}",
-                )
-            owners[key] = axis.name
+            for other, owner in owners.items():
+                if _overlap(key, other, groups):
+                    problem = f"{key} is set elsewhere: {owner or 'each trial has its own'}"
+                    raise ConfigError(f"sweep.axes.{axis.name}", problem)
+        owners |= dict.fromkeys(axis.keys, axis.name)
     for override in overridden(overrides):
         for key, axis_name in owners.items():
-            inside = override.startswith(f"{key}.") and key not in groups
-            around = key.startswith(f"{override}.") and override not in groups
-            if key != "seed" and (override == key or inside or around):
+            if key != "seed" and _overlap(override, key, groups):
                 raise ConfigError(
                     override, f"is an axis of the sweep; its values are in sweep.axes.{axis_name}"
                 )
+
+
+def _overlap(key: str, other: str, groups: Collection[str]) -> bool:
+    """Whether two keys are the same, or one is inside of the other; what an option sets may be changed."""
+    outer, inner = sorted((key, other), key=len)
+    return inner == outer or (inner.startswith(f"{outer}.") and outer not in groups)
 
 
 def _common_seeds(values: Mapping[str, Any], axes: Sequence[Axis]) -> frozenset[str]:

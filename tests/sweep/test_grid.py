@@ -118,6 +118,12 @@ def test_bad_sweep() -> None:
         ],
         "seed is set elsewhere: each trial has its own": ["+sweep={trials: 1, axes: {seed: [1, 2]}}"],
         "set elsewhere": ["+sweep={trials: 1, axes: {bias.d: [1.0], x: {keys: bias.d, values: [2.0]}}}"],
+        "sweep.axes.hardware.gaps.slope: hardware.gaps.slope is set elsewhere: x": [
+            "+sweep={trials: 1, axes: {x: {points: {a: {hardware.gaps: {}}}}, hardware.gaps.slope: [0.02]}}"
+        ],
+        "sweep.axes.x: hardware.gaps is set elsewhere: hardware.gaps.slope": [
+            "+sweep={trials: 1, axes: {hardware.gaps.slope: [0.02], x: {points: {a: {hardware.gaps: {}}}}}}"
+        ],
         "sweep.axes: 0 none and 0  none are the same": ["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"],
         "sweep.axes.error: has 2 labels for 1 values": ["+sweep=table2", "sweep.axes.error.values=[0.1]"],
         "sweep.report.columns: no such axis: no": ["+sweep=smoke", "+sweep.report.columns=no"],
