@@ -23,8 +23,15 @@ class Plan(NamedTuple):
 
 
 def goal_along(task: Task) -> Array:
-    """The goal's quantities (T+1, g), frame by frame."""
-    return np.array([task.reference(t) for t in task.time_step * np.arange(task.horizon + 1)])
+    """The goal's quantities (T+1, g), frame by frame.
+
+    Those that wrap are without jumps by a turn, and begin within half a turn of the mean start.
+    """
+    goal = np.array([task.reference(t) for t in task.time_step * np.arange(task.horizon + 1)])
+    wraps = np.array([each.wraps for each in task.goals])
+    goal[:, wraps] = np.unwrap(goal[:, wraps], axis=0)
+    turns = np.round((task.aim(task.start_mean) - goal[0]) / (2 * np.pi))
+    return goal + 2 * np.pi * np.where(wraps, turns, 0.0)
 
 
 def moves(goal: Array) -> bool:
