@@ -17,6 +17,7 @@ from simbias.policy.trajectory import Trajectory
 from simbias.search.optimizer import ilqr
 from simbias.search.optimizer.following import STIFFER, Following
 from simbias.search.optimizer.ilqr import Shooting, trajectory_candidates
+from simbias.search.optimizer.plan import goal_along
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.simulation.linearization import linearization
 from simbias.trial.methods.model_based import ModelBased
@@ -140,6 +141,34 @@ def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
     rollout = study.simulate(theta, start=study.task.start_mean)
     assert rollout.failed_at is None
     assert np.abs(rollout.states[50:, 0]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "first", "last"),
+    [
+        (3.0, "-3.0", 2 * np.pi - 3.0, 2 * np.pi - 3.0),
+        (3.0 - 4 * np.pi, "-3.0", -3.0 - 2 * np.pi, -3.0 - 2 * np.pi),
+        (np.pi, "0.0", 0.0, 0.0),  # as far to either side: it stays
+        (3.0, "atan2(sin(3.0 + t), cos(3.0 + t))", 3.0, 5.0),
+    ],
+)
+def test_a_goal_that_wraps_is_planned_for_the_shorter_way(
+    start: float, goal: str, first: float, last: float
+) -> None:
+    goals = [f"task.states.angle.mean={start}", f"task.goal={{angle: '{goal}', velocity: 0}}"]
+    along = goal_along(simbias.load([*NEAR, *goals]).task)[:, 0]
+    np.testing.assert_allclose(along[[0, -1]], [first, last])
+    assert np.abs(np.diff(along)).max() < 0.1
+
+
+@pytest.mark.slow
+def test_where_all_random_inputs_fail_a_plan_begins_at_rest(uncompiled: None) -> None:
+    """A pole that falls within a second unless it is held."""
+    study = simbias.load(["preset=cartpole", "policy=trajectory", "task.horizon=200", "tracking=none"])
+    shooting = Shooting(study.first_model())
+    assert shooting.plan(np.random.default_rng(0)) is None
+    theta = next(trajectory_candidates([study.first_model()], 1))
+    assert study.passes(study.simulate(theta))
 
 
 def test_a_rest_that_cannot_be_is_one_line() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -45,8 +46,8 @@ def trajectory_candidates(
     The trajectories are of the first of the models that has any: a correction learned from few experiments
     may make a model fail whatever its inputs. A trajectory costs what the weights say, those of a cost that
     is quadratic about the goal; else there are weights of its own. Trajectories to a goal that rests begin
-    with different random inputs, those to a goal that moves at rest. They are planned once the first policy
-    is asked for, which a search that is replayed does not do.
+    with different random inputs, those to a goal that moves, or where all of these fail, at rest. They are
+    planned once the first policy is asked for, which a search that is replayed does not do.
 
     Raises
     ------
@@ -57,10 +58,10 @@ def trajectory_candidates(
     if not count:
         return
     policy = follower(models[0].task, models[0].policy)
-    for model in models:
+    for at_rest, model in product((False, True), models):
         shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
-        plans = [shooting.plan(rng) for rng in np.random.default_rng(SEED).spawn(count)]
-        found = [plan for plan in plans if plan is not None]
+        rngs = [None] if at_rest else np.random.default_rng(SEED).spawn(count)
+        found = [plan for plan in map(shooting.plan, rngs) if plan is not None]
         if found:
             best = min(found, key=lambda plan: plan.cost)
             yield from shooting.following.policies(best, policy, GAIN_WEIGHTS)
@@ -119,10 +120,14 @@ class Shooting:
         self._input_weights = task.time_step * weights.inputs  # (m,)
         self._damping = np.diag(task.time_step * INPUT_WEIGHT * task.input_limit**-2.0)  # (m, m)
 
-    def plan(self, rng: np.random.Generator) -> Plan | None:
-        """A trajectory that begins with random inputs, or at rest if the goal moves; None where all fail."""
-        best, costs = self._rest() if self._moves else self._first(rng), list[float]()
-        damping, patience = (FROM_REST, FROM_REST_PATIENCE) if self._moves else (1.0, PATIENCE)
+    def plan(self, rng: np.random.Generator | None) -> Plan | None:
+        """A trajectory that begins with random inputs, or at rest without any or if the goal moves.
+
+        None where all fail.
+        """
+        rng = None if self._moves else rng
+        best, costs = self._rest() if rng is None else self._first(rng), list[float]()
+        damping, patience = (FROM_REST, FROM_REST_PATIENCE) if rng is None else (1.0, PATIENCE)
         while best is not None and damping < MOST and len(costs) < ITERATIONS:
             better = self._improved(best, damping)
             damping = damping * 10 if better is None else max(damping / 5, LEAST)
