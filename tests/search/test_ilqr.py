@@ -155,7 +155,7 @@ def test_a_plan_rests_at_the_goal_for_the_seconds_that_are_left_to_it(
 def test_a_goal_that_wraps_is_planned_for_the_shorter_way(
     start: float, goal: str, first: float, last: float
 ) -> None:
-    goals = [f"task.states.angle.mean={start}", f"task.goal={{angle: '{goal}', velocity: 0}}"]
+    goals = [f"task.states.angle.mean={start}", f"task.goal={{angle: '{goal}', d_angle: 0}}"]
     along = goal_along(simbias.load([*NEAR, *goals]).task)[:, 0]
     np.testing.assert_allclose(along[[0, -1]], [first, last])
     assert np.abs(np.diff(along)).max() < 0.1
