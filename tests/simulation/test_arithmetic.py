@@ -107,10 +107,11 @@ def test_what_is_not_finite_is_not_a_number_and_what_is_far_away_stays_finite() 
 
 
 def test_arctangent_and_hyperbolic_tangent_agree() -> None:
+    """Also of what is huge or infinite, as a quotient by zero."""
     for function, numpys, rtol in ((arctan, np.arctan, 1e-15), (tanh, np.tanh, 2e-15)):
         own = from_python(function)
-        for size in (1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e100):
-            x = np.linspace(-size, size, 2001)
+        for size in (1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e100, 1e200):
+            x = np.append(np.linspace(-size, size, 2001), [np.inf, -np.inf])
             np.testing.assert_allclose([own(each) for each in x], numpys(x), rtol=rtol, atol=1e-300)
             np.testing.assert_array_equal(function(x), numpys(x))
         assert np.isnan(own(np.nan))

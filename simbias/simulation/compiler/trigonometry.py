@@ -61,7 +61,8 @@ def sincos(x: Any) -> tuple[Any, Any]:
 
 
 def _by_halving(x: float) -> float:
-    """Arctangent of x, without branches: to 1e-15 wherever x^2 is finite."""
+    """Arctangent of x, without branches: to 1e-15."""
+    x = min(max(x, -1e150), 1e150)  # beyond, it is the same, and the square may not be finite
     y = x / (1.0 + np.sqrt(1.0 + x * x))  # tan(a / 2) of tan(a) = x
     y = y / (1.0 + np.sqrt(1.0 + y * y))
     y = y / (1.0 + np.sqrt(1.0 + y * y))  # |y| <= tan(pi / 16)
@@ -77,8 +78,8 @@ def arctan(x: Array) -> Array:
 
 
 def _by_doubling(x: float) -> float:
-    """Hyperbolic tangent of x, without branches: to 1e-15; what is not finite gives nan."""
-    y = (min(max(x, -20.0), 20.0) + (x - x)) / 64.0
+    """Hyperbolic tangent of x, without branches: to 1e-15."""
+    y = min(max(x, -20.0), 20.0) / 64.0
     z = y * y
     n = y * (1.0 + z * (17325.0 + z * (378.0 + z)) / 135135.0)  # n / d: a convergent of a continued fraction
     d = 1.0 + z * (62370.0 + z * (3150.0 + 28.0 * z)) / 135135.0
