@@ -48,13 +48,13 @@ def of_folders(
     """
     rows = {}
     for trial in sweep.trials:
+        folder = TrialFolder((trials or Path()) / trial.hash)
         try:
-            summary = TrialFolder(trials / trial.hash).summary() if trials else None
+            summary = folder.summary() if trials else None
+            if summary is not None and summary.outcome in SHOWN and folder.description():
+                rows[trial.hash] = row(trial, sweep, summary)
         except ConfigError as error:
             damaged(error)
-            continue
-        if summary is not None and summary.outcome in SHOWN:
-            rows[trial.hash] = row(trial, sweep, summary)
     return in_order(rows, sweep)
 
 

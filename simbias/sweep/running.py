@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from simbias.testing.rehearsal import rehearse
 from simbias.trial.disk import LOCK, locked
 from simbias.trial.folder import TrialFolder
 from simbias.trial.origin import changed_code
+from simbias.trial.policy_test import NO_TEST
 from simbias.trial.study import Study
 
 
@@ -164,23 +166,25 @@ def _results(trials_engine: Engine, state: SweepState) -> Iterator[tuple[Trial, 
             yield trials[index], lost(str(result)) if isinstance(result, WorkerLostError) else result
 
 
-def changed_trials(sweep: Sweep, store: Tracking) -> str:
-    """Finished trials that ran on code of the user's that has changed since, in words; "" if none did."""
+def changed_trials(sweep: Sweep, store: Tracking) -> Iterator[str]:
+    """Lines on finished trials that ran on other code of the user's, or were tested otherwise, than now."""
     if store.folder is None:
-        return ""
+        return
     studies: dict[str, Study] = {}
-    found, finished = [], 0
+    changed, otherwise, finished = [], 0, 0
     for trial in sweep.trials:
         folder = TrialFolder(store.folder / trial.hash)
         if folder.ended:
             finished += 1
             if (cell := trial.cell.composition.group_hash) not in studies:
                 studies[cell] = build(trial.composition)
-            if modules := changed_code(folder.description(), studies[cell]):
-                found.append(modules)
-    if not found:
-        return ""
-    return (
-        f"{len(found)} of {finished} finished trials ran on code that has changed since ({found[0]}); "
-        "tracking.trials=FOLDER begins again"
-    )
+            before, asked = folder.description(), studies[cell].policy_test
+            if modules := changed_code(before, studies[cell]):
+                changed.append(modules)
+            test = asdict(NO_TEST) | before["config"].get("policy_test", {})
+            otherwise += asked.episodes > 0 and test != asdict(asked)
+    problems = {f"ran on code that has changed since ({''.join(changed[:1])})": len(changed)}
+    problems["were not tested as policy_test now asks"] = otherwise
+    for problem, count in problems.items():
+        if count:
+            yield f"{count} of {finished} finished trials {problem}; tracking.trials=FOLDER begins again"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import isnan, nan
 from typing import Any, NamedTuple
 
@@ -70,6 +70,12 @@ def _measures(trials: Sequence[Mapping[str, Any]], bar: float) -> list[float]:
     holding = [holds(passed(trial["test_episodes"], trial["lasting_episodes"]), bar) for trial in tested]
     tests = (_mean(seconds), _mean(rates), _mean(reliable), len(tested), sum(holding), _mean(long))
     return [*counts, _mean(experiments), *interval(experiments), _mean(iterations), *tests]
+
+
+def numbers_of_episodes(tests: Iterable[str]) -> str:
+    """How many test episodes policies had, "4 to 10"; "" where none was tested."""
+    counts = sorted({len(episodes) for episodes in tests if episodes})
+    return " to ".join(map(str, dict.fromkeys(counts[:1] + counts[-1:])))
 
 
 def success_rate(episodes: str) -> float:
@@ -192,7 +198,7 @@ def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
 
 def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
     """The meaning of the numbers of test episodes, where any is shown."""
-    count = max(map(len, trials["test_episodes"]), default=0)
+    count = numbers_of_episodes(trials["test_episodes"])
     texts = {
         "success_rate": f"mean share of {count} test episodes in which a trial's last policy succeeds",
         "reliable": f"share of trials where that is at least {RELIABLE:.0%}",

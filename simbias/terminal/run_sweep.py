@@ -25,7 +25,7 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
         dry_run(sweep, finished, trials_engine)
         return SUCCEEDED
     console = SweepConsole()
-    if changed := running.changed_trials(sweep, store):
+    for changed in running.changed_trials(sweep, store):
         print(f"simbias: {changed}", file=sys.stderr)
     try:
         trials, where = running.run_sweep(sweep, trials_engine, store, again, console)

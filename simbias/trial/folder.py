@@ -72,11 +72,11 @@ class TrialFolder:
     def ended(self) -> bool:
         """Whether the trial has ended; else it runs, or can be resumed.
 
-        An outcome that somebody damaged is none: it follows from the steps.
+        An outcome that somebody damaged is none: it follows from the steps. Nor is one beside such a config.
         """
         with suppress(ConfigError):
             summary = self.summary()
-            return summary is not None and summary.outcome.final
+            return summary is not None and summary.outcome.final and bool(self.description())
         return False
 
     def summary(self) -> TrialSummary | None:
@@ -93,6 +93,8 @@ class TrialFolder:
                 return TrialSummary.from_json(read_json(file))
             stops = self.attempts()[-1:]
             return TrialSummary.from_json(stops[0]["stopped"]) if stops and "stopped" in stops[0] else None
+        except ConfigError:
+            raise
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(str(file), f"cannot be read ({words(error)})") from error
 

@@ -51,7 +51,7 @@ from simbias.trial.replay import EndOfRecord, Record
 from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
 
-ERROR, REFUSED = "error_", "refused_"
+ERROR, REFUSED, DAMAGED = "error_", "refused_", "damaged_"
 TEST = -1  # in front of the place of a policy test's episode
 ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
 COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
@@ -96,7 +96,11 @@ class FolderRecord(Record):
         path = self.folder.path
         for file in path.glob(f"*{PART}"):  # of a process that was killed while it wrote
             file.unlink()
-        if not (path / TRIAL).exists():
+        try:
+            self.folder.description()
+        except ConfigError:  # it is missing, or somebody damaged it
+            if (path / TRIAL).exists():
+                (path / TRIAL).replace(path / f"{DAMAGED}{TRIAL}")
             tell_what_is_in_clear(self._study.composition.from_environment, path / TRIAL)
             write_json(path / TRIAL, description(self._study))
         here, before = platform.kind(), self.folder.platforms()

@@ -126,23 +126,41 @@ def test_a_folder_that_somebody_damaged_is_named_and_its_trial_run_again(
 ) -> None:
     trials = simbias.run_sweep([*SMOKE, NO_FIGURES])
     before = trial_by_trial(folder)
-    cut, gone = (folder / "trials" / identity for identity in trials["hash"][:2])
-    (cut / "outcome.json").write_text("{")
+    cut, gone, *others = (folder / "trials" / identity for identity in trials["hash"])
+    damaged = [cut / "outcome.json", *(other / "trial.json" for other in others)]
+    for file, text in zip(damaged, ("{", "{", ""), strict=True):
+        file.write_text(text)
+    damaged[-1].unlink()
     shutil.rmtree(gone)
+    assert simbias.run_sweep([*SMOKE, "sweep.dry_run=true"]).empty
+    assert main([*SMOKE, NO_FIGURES]) == 0
     again = simbias.run_sweep([*SMOKE, NO_FIGURES])
-    (line,) = [record.getMessage() for record in caplog.records]
-    assert line.startswith(f"simbias: trials/{cut.name}/outcome.json: cannot be read")
-    assert line.endswith("; the trial is run again")
+    for file, record in zip(damaged, caplog.records, strict=True):
+        line = record.getMessage()
+        assert line.startswith(f"simbias: {file.relative_to(folder)}: cannot be read")
+        assert line.count("cannot be read") == 1
+        assert line.endswith("; the trial is run again")
+    (kept,) = (folder / "trials").glob("*/damaged_trial.json")
+    assert kept.read_text() == "{"
+    kept.unlink()
     assert trial_by_trial(folder) == before
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), trials.drop(columns="seconds"))
 
 
-def test_a_sweep_of_tested_policies_needs_no_tests_any_more(folder: Path) -> None:
+def test_a_sweep_of_tested_policies_needs_no_tests_any_more_and_others_are_told(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     figure = "tests: {_target_: simbias.sweep.figures.last_policies.LastPolicies}"
     write_sweep(folder, "mine", f"sweep: {{trials: 1, axes: {{bias: [none]}}, figures: {{{figure}}}}}")
     command = ["--config-dir", "conf", "+sweep=mine", *QUICK, *FOLDERS, "engine=sequential"]
     assert main([*command, "policy_test={episodes: 1, long_episodes: 0}"]) == 0
     assert main(command) == 0
+    assert capsys.readouterr().err == ""
+    assert main([*command, "policy_test={episodes: 2, long_episodes: 0}"]) == 0
+    said = (
+        "1 of 1 finished trials were not tested as policy_test now asks; tracking.trials=FOLDER begins again"
+    )
+    assert capsys.readouterr().err == f"simbias: {said}\n"
 
 
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from simbias.core.records import Array
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
-from simbias.sweep.tables import RELIABLE, share, success_rate
+from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_rate
 
 ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
 SPREAD = 0.62  # of a row's height, over which dots that would hide each other are spread
@@ -52,8 +52,7 @@ class LastPolicies(SweepFigure):
             }
         )
         cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
-        counts = sorted({len(row["test_episodes"]) for row in rows})
-        episodes = " to ".join(map(str, dict.fromkeys((counts[0], counts[-1]))))
+        episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
         return Picture(_figure(numbers, cells), numbers, _caption(numbers, episodes))
 
 
