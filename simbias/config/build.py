@@ -16,7 +16,9 @@ from simbias.config.identity import LATER
 from simbias.config.renamed import unknown
 from simbias.core import Hardware, Nominal, Task
 from simbias.core.errors import ConfigError
+from simbias.core.messages import words
 from simbias.core.ranges import Seed
+from simbias.core.robot import check_quantities
 from simbias.trial.budget import Budget
 from simbias.trial.policy_test import PolicyTest
 from simbias.trial.study import Study
@@ -55,6 +57,10 @@ def build(composition: Composition) -> Study:
     timeout = values.pop("experiment_timeout", None)
     own = composition.own
     task = construct(config["task"], Task, "task", own)
+    try:
+        check_quantities(task)
+    except Exception as error:  # also of an own class that lacks them
+        raise ConfigError("task", words(error)) from error
     config[HARDWARE], _ = split(whole := config[HARDWARE])
     nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.without_targets)
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}

@@ -14,6 +14,7 @@ from simbias.core.policy import Policy
 from simbias.core.records import Array, Indices, Rollout
 
 RATE = "/s"  # what the units of rates end with
+TURNS = {"rad": 2 * np.pi, "mrad": 2e3 * np.pi, "deg": 360.0, "°": 360.0, "rev": 1.0}  # of angles, by unit
 NOT_A_NUMBER = "not_a_number"  # the failure of a state that is not finite and violates no criterion
 
 
@@ -31,7 +32,7 @@ class Quantity(NamedTuple):
     name: str
     unit: str
     kind: str = ""  # what it shares with others, so that noise can be declared of all at once: "angle"
-    wraps: bool = False  # whether it is an angle in rad that is the same after a turn
+    wraps: bool = False  # whether it is an angle that is the same after a turn
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -42,6 +43,11 @@ class Quantity(NamedTuple):
     def is_rate(self) -> bool:
         """Whether it is a velocity, by its unit."""
         return self.unit.endswith(RATE)
+
+    @property
+    def turn(self) -> float:
+        """A turn in the unit of what wraps; 0 of what does not."""
+        return TURNS[self.unit] if self.wraps else 0.0
 
 
 class Criterion(NamedTuple):
@@ -65,10 +71,20 @@ class Push(NamedTuple):
 
 def wrapped(differences: Array, quantities: Sequence[Quantity]) -> Array:
     """Differences (..., k) of quantities; of those that wrap, within half a turn."""
-    wraps = np.array([float(quantity.wraps) for quantity in quantities])
-    if not wraps.any():
+    turns = np.array([quantity.turn for quantity in quantities])
+    if not turns.any():
         return differences
-    return differences - 2 * np.pi * wraps * np.floor((differences + np.pi) / (2 * np.pi))
+    periods = np.where(turns, turns, 1.0)
+    return differences - turns * np.floor((differences + periods / 2) / periods)
+
+
+def unwound(values: Array, quantities: Sequence[Quantity]) -> Array:
+    """Values (k, q) of quantities, those that wrap without jumps by a turn."""
+    whole = values.copy()
+    for column, quantity in zip(whole.T, quantities, strict=True):
+        if quantity.wraps:
+            column[:] = np.unwrap(column, period=quantity.turn)
+    return whole
 
 
 def by_quantity(
@@ -106,6 +122,23 @@ def rates_and_positions(quantities: Sequence[Quantity]) -> tuple[Indices, Indice
     if len(rates) != len(positions):
         raise ValueError("the task has not a rate for each position")
     return rates, positions
+
+
+def check_quantities(task: Task) -> None:
+    """Refuse quantities that the columns of a recording do not tell apart, and angles of an unknown turn.
+
+    Raises
+    ------
+    ValueError
+        If there are such.
+    """
+    names = ["time", *(each.name for each in (*task.states, *task.inputs)), "failure"]
+    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        raise ValueError(f"{twice[0]}: two of time, states, targets, inputs and failure have this name")
+    for state in task.states:
+        if state.wraps and state.unit not in TURNS:
+            units = ", ".join(TURNS)
+            raise ValueError(f"{state.name} wraps: expected an angle in {units}, got the unit {state.unit}")
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from simbias.core import HardwareError, Task
 from simbias.core.messages import LONGEST_VALUE, brief, quote
 from simbias.core.records import Array, Rollout
+from simbias.core.robot import unwound
 from simbias.lab.safety import Bounds, hold
 
 LARGEST = 1e15  # size of a state or input in any unit: no sensor exceeds it, and float32 holds its square
@@ -28,10 +29,10 @@ def check_rollout(rollout: Any, source: str, task: Task, bounds: Bounds | None =
     n, m, T = len(task.states), len(task.inputs), task.horizon
     inputs = _array(rollout.inputs, f"{source}: inputs", (None, m))
     k = len(inputs)
-    states = unwrapped(_array(rollout.states, f"{source}: states", (k + 1, n)), task)
+    states = unwound(_array(rollout.states, f"{source}: states", (k + 1, n)), task.states)
     measured = rollout.measured
     if measured is not None:
-        measured = unwrapped(_array(measured, f"{source}: measured", (k + 1, n)), task)
+        measured = unwound(_array(measured, f"{source}: measured", (k + 1, n)), task.states)
     if not isinstance(rollout.sensed, bool | np.bool_):
         raise HardwareError(f"{source}: sensed: expected true or false, got {quote(rollout.sensed)}")
     if k > T:
@@ -75,13 +76,6 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
             f"{name}: expected {expected}, got {quote(own[wrong[0]].tolist())} in frame {wrong[0]}"
         )
     return own
-
-
-def unwrapped(states: Array, task: Task) -> Array:
-    """These states (k+1, n), those that wrap without jumps by a turn: what is learned from them is smooth."""
-    for index in (index for index, state in enumerate(task.states) if state.wraps):
-        states[:, index] = np.unwrap(states[:, index])
-    return states
 
 
 def _frame(given: Any, name: str) -> int | None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from math import pi
 
+from simbias.core.robot import TURNS
+
 # Of each unit: what it measures, and how many of the first unit of that it is.
-_ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180, "°": pi / 180, "rev": 2 * pi}
+_ANGLE = {unit: 2 * pi / turn for unit, turn in TURNS.items()}
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 _TORQUE = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2, "N mm": 1e-3, "kN m": 1e3}

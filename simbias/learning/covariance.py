@@ -83,6 +83,8 @@ def hyperparameters(
     lengths = np.broadcast_to(np.array(length_scale, dtype=np.float64), r)
     scales = np.array(input_scale, dtype=np.float64)
     angles = tuple(i for i, state in enumerate(task.states) if periodic and state.wraps)
+    if others := [task.states[i] for i in angles if task.states[i].unit != "rad"]:
+        raise ValueError(f"periodic: expected angles in rad, got {others[0].name} in {others[0].unit}")
     both = [*range(r), *angles]
     return Hyperparameters(scales[both], lengths[both], signal_variance, noise_variance, d, angles)
 

@@ -16,8 +16,9 @@ from mechanisms import CARTPOLE, DOUBLE, declared, shipped_task
 import simbias
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
-from simbias.core import Model, Task
+from simbias.core import Model, Task, wrapped
 from simbias.core.records import Rollout
+from simbias.core.robot import unwound
 from simbias.lab.checks import check_rollout
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions
@@ -148,13 +149,30 @@ def test_without_a_goal_all_states_are_to_be_zero() -> None:
     assert task.succeeds(np.zeros((126, 4))) is None
 
 
-def test_a_goal_moves_and_an_angle_wraps() -> None:
-    states = CARTPOLE["states"] | {"angle": {"unit": "rad", "wraps": True}}
-    task = declared(states=states, failure=None, goal={"position": "0.3 * sin(2 * t)", "angle": "pi"})
-    x, t = np.array([[0.5, -3.0, 0, 0], [0.5, 9.0, 0, 0]]), np.array([0.2, 1.0])
-    expected = np.stack([0.5 - 0.3 * np.sin(2 * t), [np.pi - 3.0, 9.0 - 3 * np.pi]], axis=-1)
+@pytest.mark.parametrize(("unit", "half"), [("rad", np.pi), ("deg", 180.0), ("rev", 0.5)])
+def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: float) -> None:
+    states = CARTPOLE["states"] | {"angle": {"unit": unit, "wraps": True}}
+    task = declared(states=states, failure=None, goal={"position": "0.3 * sin(2 * t)", "angle": str(half)})
+    x, t = np.array([[0.5, -0.9 * half, 0, 0], [0.5, 2.8 * half, 0, 0]]), np.array([0.2, 1.0])
+    expected = np.stack([0.5 - 0.3 * np.sin(2 * t), [0.1 * half, -0.2 * half]], axis=-1)
     np.testing.assert_allclose(task.error(x, t), expected, atol=1e-12)
     np.testing.assert_allclose(task.error(x[0], 0.2), expected[0], atol=1e-12)
+    turning = np.column_stack([np.zeros(60), np.linspace(0, 5 * half, 60)])
+    angles = wrapped(turning, task.states[:2])
+    np.testing.assert_allclose(unwound(angles, task.states[:2]), turning, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["task.states.angle.unit=m"], "^task: angle wraps: expected an angle in rad, .*got the unit m"),
+        (["+task.states.force={unit: N}"], "^task: force: two of time, states, targets, inputs and failure"),
+        (["preset=reacher", "+task.targets.time={unit: s}"], "^task: time: two of time"),
+    ],
+)
+def test_quantities_whose_columns_are_no_two_things(overrides: list[str], message: str) -> None:
+    with one_line(message):
+        simbias.load(["preset=cartpole_swingup", "tracking=none", *overrides])
 
 
 def test_a_file_is_linear_between_its_rows_blank_lines_or_not_and_then_stays(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from simbias.core import HardwareError, Quantity, Task, wrapped
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
-from simbias.lab.checks import unwrapped
+from simbias.core.robot import unwound
 from simbias.lab.requests.request import START_DEVIATIONS, ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
@@ -134,7 +134,7 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
 
 def _unwound(states: Array, request: ExperimentRequest) -> Array:
     """States (r, n) whose angles that wrap neither jump by a turn nor begin turns away from the start."""
-    states = unwrapped(states.copy(), request.task)
+    states = unwound(states, request.task.states)
     away = states[0] - request.start
     return states + (wrapped(away, request.task.states) - away)
 

@@ -25,7 +25,7 @@ class State:
     deviation: NonNegative = 0.0  # of hardware starts
     uniform: Range | None = None  # least and largest mean
     values: Annotated[list[Coordinate], Field(min_length=1)] | None = None  # means; of several states, a grid
-    wraps: bool = False  # an angle in rad that is the same after a turn
+    wraps: bool = False  # an angle, in rad or another unit of angle, that is the same after a turn
 
 
 class Starts:

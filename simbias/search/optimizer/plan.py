@@ -9,6 +9,7 @@ import numpy as np
 
 from simbias.core import Model, Task
 from simbias.core.records import Array
+from simbias.core.robot import unwound
 from simbias.simulation.linearization import advanced, derivatives
 
 STEP = 1e-3  # of differences: of states, and of inputs over their limits
@@ -28,10 +29,9 @@ def goal_along(task: Task) -> Array:
     Those that wrap are without jumps by a turn, and begin within half a turn of the mean start.
     """
     goal = np.array([task.reference(t) for t in task.time_step * np.arange(task.horizon + 1)])
-    wraps = np.array([each.wraps for each in task.goals])
-    goal[:, wraps] = np.unwrap(goal[:, wraps], axis=0)
-    turns = np.round((task.aim(task.start_mean) - goal[0]) / (2 * np.pi))
-    return goal + 2 * np.pi * np.where(wraps, turns, 0.0)
+    turns = np.array([each.turn for each in task.goals])
+    away = task.aim(task.start_mean) - goal[0]
+    return unwound(goal, task.goals) + turns * np.round(away / np.where(turns, turns, 1.0))
 
 
 def moves(goal: Array) -> bool:
