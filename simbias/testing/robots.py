@@ -6,13 +6,13 @@ import numpy as np
 
 from simbias.core import Nominal
 from simbias.core.records import Array
+from simbias.simulation.compiler import points_of
 from simbias.testing.expectations import (
     POINTS,
     check,
     equal,
     expect,
     expect_any_leading_axes,
-    expect_arguments_left,
     inputs,
     near_zero,
     policies,
@@ -20,6 +20,8 @@ from simbias.testing.expectations import (
     states,
 )
 from simbias.trial.study import Study
+
+CORNERS = 4  # of a policy's box that are tried at each state
 
 
 @check("task", "shapes and names")
@@ -33,6 +35,7 @@ def _task_shapes(study: Study) -> None:
         equal(np.shape(getattr(task, name)), (length,), f"task.{name}", f"the shape ({length},)")
     expect(task.time_step > 0 and task.horizon > 0, "task", "a positive time step and horizon", task.horizon)
     x = states(study)
+    equal(np.shape(x), (POINTS, n), "task.draw_start", f"a state of shape ({n},)")
     equal(np.shape(task.measure(x)), (POINTS, c), "task.measure", f"a measure for each of {c} criteria")
     equal(np.shape(task.output(x)), (POINTS, q), "task.output", f"{q} outputs")
 
@@ -42,7 +45,6 @@ def _task_axes(study: Study) -> None:
     for name in ("measure", "output"):
         method = getattr(study.task, name)
         expect_any_leading_axes(method, f"task.{name}", states(study))
-        expect_arguments_left(method, f"task.{name}", states(study))
 
 
 @check("task", "the mean start is no failure, and what is not a number is one")
@@ -61,7 +63,19 @@ def _nominal_axes(study: Study) -> None:
     broken = [row.tolist() for row in np.asarray(x_next) if not np.isfinite(row).all()]
     expect(not broken, "nominal.step", "finite numbers near the start", broken[:1])
     expect_any_leading_axes(study.nominal.step, "nominal.step", x, u)
-    expect_arguments_left(study.nominal.step, "nominal.step", x, u)
+
+
+@check("nominal", "parameters of different names, whose declared values make the model itself")
+def _nominal_parameters(study: Study) -> None:
+    nominal, x, u = study.nominal, robot_states(study), inputs(study)
+    names = [parameter.name for parameter in nominal.parameters]
+    expect(len(set(names)) == len(names), "nominal.parameters", "different names", names)
+    for name, _, value, _, prior, _ in nominal.parameters:
+        expect(prior != "log_normal" or value > 0, "nominal.parameters", f"{name} above 0, log-normal", value)
+    if names:
+        declared = nominal.with_parameters(np.array([parameter.value for parameter in nominal.parameters]))
+        expected = "the model itself of its parameters' values"
+        equal(declared.step(x, u), nominal.step(x, u), "nominal.with_parameters", expected, 1e-6)
 
 
 @check("nominal", "a model is drawn from the generator alone")
@@ -88,7 +102,6 @@ def _nominal_state(study: Study) -> None:
         return np.concatenate(nominal.advance(x, u, before), axis=-1)
 
     expect_any_leading_axes(advance, "nominal.advance", x, u, model_state)
-    expect_arguments_left(advance, "nominal.advance", x, u, model_state)
     one_by_one = Nominal.model_states(nominal, x, u)
     equal(nominal.model_states(x, u), one_by_one, "nominal.model_states", "that of one frame after the other")
     equal(nominal.along(x, u), nominal.advance(x, u, one_by_one)[0], "nominal.along", "what advance gives")
@@ -134,11 +147,15 @@ def _policy_acts(study: Study) -> None:
     equal(np.shape(u), (POINTS, m), "policy.act", f"inputs of shape ({POINTS}, {m})")
     equal(np.shape(after), policy_state.shape, "policy.act", f"a policy state of shape {policy_state.shape}")
     lower, upper = study.task.input_bounds
+    far = np.tile(points_of(study.task)[0], (CORNERS, 1))
+    corners = np.where(np.random.default_rng(2).random((len(far), thetas.shape[1])) < 0.5, *policy.bounds)
+    with np.errstate(all="ignore"):
+        others, _ = policy.act(corners, far, 0.0, np.zeros((len(far), policy.state_size)))
+    u = np.concatenate([u, others[~np.isnan(others).any(axis=-1)]])  # outputs need not be numbers everywhere
     rounding = 1e-12 * study.task.input_limit
-    within = (lower - rounding <= u) & (u <= upper + rounding)
-    expect(within.all(), "policy.act", f"inputs within {lower} and {upper}", u)
+    within = ((lower - rounding <= u) & (u <= upper + rounding)).all(axis=-1)
+    expect(within.all(), "policy.act", f"inputs within {lower} and {upper}", u[~within][:1])
     expect_any_leading_axes(act, "policy.act", thetas, x, policy_state)
-    expect_arguments_left(act, "policy.act", thetas, x, policy_state)
 
 
 @check("policy", "what imitates inputs is a policy")

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
 from pendulum import pendulum
+from point_mass import Distance, Spring, WithoutWind
 
 import simbias
-from simbias.core import Cost, Evaluation, Model, Policy
+from simbias.core import Cost, Evaluation, Model, Nominal, Policy
+from simbias.core.parameters import Parameter
 from simbias.core.records import Array, Rollout
 from simbias.testing.conformance import verdicts
 from simbias.testing.expectations import rollout
@@ -80,6 +82,62 @@ def test_a_cost_is_asked_for_the_horizon_that_an_evaluation_simulates(point_mass
     (problem,) = problems(replace(longer, cost=Constant()), "cost")
     assert "Constant" in problem
     assert "with_horizon" in problem
+
+
+class WritesInto(Spring):
+    """Twice is as once."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        np.minimum(x, 10.0, out=x)
+        return super().act(theta, x, t, policy_state)
+
+
+class Unlimited(Spring):
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return -0.5 * theta[..., :1] * x[..., :1], policy_state  # below its limit near the start
+
+
+class Clips(Distance):
+    def of(self, rollout: Rollout) -> float:
+        np.clip(rollout.states, -10.0, 10.0, out=rollout.states)
+        return super().of(rollout)
+
+
+class Parametrised(WithoutWind):
+    """Takes its two parameters for each other."""
+
+    def __init__(self, task: Any, mass: float = 2.0, of_cart: float = 1.0) -> None:
+        super().__init__(task, mass + 2 * of_cart)
+        self._task = task
+        self.parameters = (Parameter("mass", "kg", mass, 0.1), Parameter("of_cart", "kg", of_cart, 0.1))
+
+    def with_parameters(self, values: Array) -> Nominal:
+        return Parametrised(self._task, *values[::-1])
+
+
+class Twins(WithoutWind):
+    parameters = (Parameter("mass", "kg", 1.0, 0.1), Parameter("mass", "kg", 1.0, 0.1))
+
+
+class Negative(WithoutWind):
+    parameters = (Parameter("buoyancy", "N", -1.0, 0.1, "log_normal"),)
+
+
+@pytest.mark.parametrize(
+    ("group", "component", "problem"),
+    [
+        ("policy", WritesInto, "WritesInto.act: expected its arguments to be left as they are"),
+        ("policy", Unlimited, "Unlimited.act: expected inputs within [-5.] and [5.]"),
+        ("cost", Clips, "Clips.of: expected its arguments to be left as they are"),
+        ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
+        ("nominal", Twins, "Twins.parameters: expected different names, got ['mass', 'mass']"),
+        ("nominal", Negative, "Negative.parameters: expected buoyancy above 0, log-normal, got -1.0"),
+    ],
+)
+def test_what_breaks_a_contract_is_told(point_mass: Study, group: str, component: type, problem: str) -> None:
+    own = component() if group == "cost" else component(point_mass.task)
+    first, *_ = problems(replace(point_mass, **{group: own}), group)
+    assert first.startswith(problem)
 
 
 class Failing(Noting):
