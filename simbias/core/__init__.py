@@ -14,8 +14,9 @@ All names are imported from here.
 n states x, m inputs u, q outputs z, p policy parameters theta, s numbers of a policy's own state; T frames of
 `time_step` seconds. Units are the task's. Components are built from YAML: the keys of
 `conf/<group>/<name>.yaml` are the constructor's arguments, checked against its annotations; an argument named
-`task` receives the task. One that reads files lists them as `source_files`, so that it is told when they
-change. State is passed, never hidden; randomness comes only from a passed NumPy generator.
+`task` receives the task. One that reads files lists their paths as `source_files`, so that it is told when
+they change. Arrays are of floats. State is passed, never hidden; randomness comes only from a passed NumPy
+generator.
 
 Where a shape begins with `...`, any leading axes may stand, as in NumPy's own functions: a policy search
 simulates all its candidates together. Methods in ordinary vectorised NumPy are compiled for that, with the

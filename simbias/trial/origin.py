@@ -49,7 +49,7 @@ def digests(study: Study) -> dict[str, str]:
     """Digests of the user's modules, and of the files that components read (`source_files`), by name."""
     contents: dict[str, list[bytes]] = {}
     for component in vars(study).values():
-        for file in getattr(component, "source_files", ()):
+        for file in map(Path, getattr(component, "source_files", ())):
             contents.setdefault("/".join(file.parts[-2:]), []).append(file.read_bytes())
     files = {name: short_digest(b"".join(each)) for name, each in contents.items()}
     return {**study.composition.code, **files}

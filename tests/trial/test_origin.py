@@ -1,4 +1,6 @@
 import subprocess
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import simbias
 from simbias.terminal.trial import changed_since
 from simbias.trial import origin
 from simbias.trial.run import run_trial
+from simbias.trial.study import Study
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -98,6 +101,14 @@ def test_a_file_that_a_component_reads_and_that_changes_is_said(tmp_path: Path, 
         read = not name.startswith(("conf", "notes"))
         assert (f"({'/'.join((tmp_path / name).parts[-2:])})" in said) == read, name
         (tmp_path / name).write_text(text)
+
+
+def test_files_that_a_component_reads_may_be_strings(study: Study, folder: Path) -> None:
+    file = folder / "gains.csv"
+    file.write_text("1,2\n")
+    own = copy(study.policy)
+    vars(own)["source_files"] = ["gains.csv", file]
+    assert set(origin.digests(replace(study, policy=own))) == {"gains.csv", f"{folder.name}/gains.csv"}
 
 
 def test_versions_of_all_that_is_required() -> None:
