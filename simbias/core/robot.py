@@ -165,6 +165,7 @@ class Task(ABC):
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
     pushes: tuple[Push, ...] = ()  # on inputs, in simulation and on simulated hardware
+    joints: tuple[str, ...] = ()  # of a model's file, in the order in which the task itself reads its states
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
@@ -257,6 +258,7 @@ class WithoutTargets(Task):
         self._task, n = task, len(task.states) - len(task.targets)
         self.states = self.outputs = task.states[:n]
         self.inputs, self.criteria, self.pushes = task.inputs, task.criteria, task.pushes
+        self.joints = task.joints
         self.time_step, self.horizon, self.input_limit = task.time_step, task.horizon, task.input_limit
         self.start_mean, self.start_deviation = task.start_mean[:n], task.start_deviation[:n]
         self._means = task.start_mean[n:]  # of the targets, on which no failure depends

@@ -316,13 +316,28 @@ def test_a_file_that_does_not_go_with_the_task_is_one_line(tmp_path: Path) -> No
     strong = cart_pole(inputs={"force": {"unit": "N", "limit": 30.0}})
     for task, actuators, message in (
         (cart_pole(), None, "broken.xml: "),
-        (strong, MOTOR, "the task's input may be 30; the actuator push gives 20"),
-        (cart_pole(), servo, "actuators with a state of their own: push"),
+        (strong, MOTOR, r"the task's input may be 30; the actuator push gives 20 \(N; a motor's inputs are"),
+        (cart_pole(), servo, "actuators with a state of their own are not supported: push; take away"),
         (cart_pole(), "", "the task has 1 inputs"),
     ):
         broken = str(tmp_path / "broken.xml")
         with one_line(message, ValueError):
             Mujoco(task, broken if actuators is None else mjcf(tmp_path, actuators=actuators))
+
+
+def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Path) -> None:
+    """As their names say; where they do not, another order than the model's is refused."""
+    file = mjcf(tmp_path, length=0.8)
+    units = {"hinge": "rad", "slider": "m", "d_hinge": "rad/s", "d_slider": "m/s"}
+    states = {name: {"unit": unit} for name, unit in units.items()}
+    far = {"far": {"value": "abs(slider)", "above": 1.0}}
+    task = cart_pole(states=states, figure={"file": file}, failure=far)
+    x = np.array([0.3, 0.5, 0.0, 0.0])
+    foot = task.points(x)["rod"][1]
+    np.testing.assert_allclose(foot, [0.5, 0.0], atol=1e-12)
+    assert Mujoco(task, file).step(x, np.array([20.0]))[3] > 0
+    with one_line("joints: hinge, slider are not in the order of task.figure or task.sensors", ValueError):
+        Mujoco(cart_pole(figure={"file": file}), file, joints=["hinge", "slider"])
 
 
 def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

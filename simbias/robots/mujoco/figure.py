@@ -25,7 +25,7 @@ class FigureFile:
     """Source of a drawing: a file, as `simbias.robots.mujoco.mjcf.Mechanism` takes it."""
 
     file: ConfigFile
-    joints: list[str] | None = None
+    joints: list[str] | None = None  # in the order of the states, as the nominal model's
     actuators: list[str] | None = None
     view: View | None = None  # the plane that is seen; None: the one in which the robot moves
     rendered: bool | None = None  # by MuJoCo, where OpenGL can run; None: if the stick figure lacks a geom
@@ -44,7 +44,7 @@ class Figure:
 
     def __init__(self, task: Task, source: FigureFile) -> None:
         self._robot = Mechanism(task, source.file, source.joints, source.actuators)
-        self.source_files = self._robot.source_files
+        self.source_files, self.joints = self._robot.source_files, self._robot.joints
         view = source.view or view_of(self._robot.model)
         self._view = axes_of(view)
         self._data: Any = mujoco().MjData(self._robot.model)

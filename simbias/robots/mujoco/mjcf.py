@@ -33,8 +33,9 @@ class Mechanism:
     file
         MJCF or URDF (`simbias.robots.mujoco.files.read_model`).
     joints, actuators
-        Their names, in the order of states and inputs; by default all of the file. An actuator may be a
-        joint's name, as in a URDF, which knows none: a motor is put there.
+        Their names, in the order of states and inputs; by default all of the file, joints in the order of
+        the states if these have their names. An actuator may be a joint's name, as in a URDF, which knows
+        none: a motor is put there.
 
     Raises
     ------
@@ -55,13 +56,19 @@ class Mechanism:
         self._data = engine.MjData(model)  # for what follows from its parameters, in every copy
         self.source_files = source_files(file)
         known = names_of(model, "joint")
-        joints = known if joints is None else list(joints)
+        joints = _in_order(known, task) if joints is None else list(joints)
         actuators = names_of(model, "actuator") if actuators is None else list(actuators)
         _check(joints, known, "joints", file)
         _check(actuators, names_of(model, "actuator"), "actuators", file)
         for name in known:
             if name not in joints:
                 raise ValueError(f"{file}: joint {name}: all joints have to be states")
+        if sorted(joints) == sorted(task.joints) and joints != list(task.joints):
+            raise ValueError(
+                f"joints: {', '.join(joints)} are not in the order of task.figure or task.sensors, "
+                f"{', '.join(task.joints)}"
+            )
+        self.joints = tuple(joints)
         if len(task.states) != model.nq + model.nv:
             raise ValueError(
                 f"the task has {len(task.states)} states; positions and velocities of the joints "
@@ -86,13 +93,14 @@ class Mechanism:
         self.state_places = 1 + np.concatenate([*positions, *(model.nq + each for each in velocities)])
         self.control_places = np.array([model.actuator(name).id for name in actuators])  # (m,) in controls
         self.units = np.array([_unit(engine, model, i) for i in self.control_places])  # (m,) of controls
-        limits = zip(actuators, self.control_places, self.units, *task.input_bounds, strict=True)
-        for name, index, unit, lower, upper in limits:
+        places = zip(task.inputs, actuators, self.control_places, self.units, strict=True)
+        for (quantity, name, index, unit), lower, upper in zip(places, *task.input_bounds, strict=True):
             least, most = _reach(engine, model, index, unit)
             for asked, given, beyond in ((upper, most, upper - most), (lower, least, least - lower)):
                 if beyond > 1e-9 * abs(given):
                     raise ValueError(
-                        f"the task's input may be {asked:g}; the actuator {name} gives {given:g}"
+                        f"the task's input may be {asked:g}; the actuator {name} gives {given:g} "
+                        f"({quantity.unit}; a motor's inputs are forces or torques, control times gear)"
                     )
 
     @property
@@ -127,6 +135,12 @@ class Mechanism:
         controls = np.zeros((len(u), self.model.nu))
         controls[:, self.control_places] = u / self.units
         return controls
+
+
+def _in_order(joints: list[str], task: Task) -> list[str]:
+    """Joints of a file in the order of the task's states, if these have their names; else as they are."""
+    positions = [state.name for state in task.states[: len(joints)]]
+    return positions if sorted(positions) == sorted(joints) else joints
 
 
 def _check(wanted: Sequence[str], known: Mapping[str, Any] | Sequence[str], key: str, file: str) -> None:

@@ -60,7 +60,10 @@ class Mujoco(Nominal):
         robot = Mechanism(task, file, joints, actuators)
         self.source_files = robot.source_files
         if robot.hidden:
-            raise ValueError(f"{file}: actuators with a state of their own: {', '.join(robot.hidden)}")
+            raise ValueError(
+                f"{file}: actuators with a state of their own are not supported: {', '.join(robot.hidden)}; "
+                "take away timeconst or dyntype"
+            )
         self._robot = robot.with_values(changes(robot.model, values or {}, factors or {}))
         self._model = EngineModel(self._robot.model)
         self._places = Places(self._model)

@@ -22,7 +22,7 @@ class SensorFile:
     file: ConfigFile
     sensors: list[str] | None = None  # None: all that have a name and depend on the state alone
     sites: list[str] | None = None  # whose positions (3) in m are read
-    joints: list[str] | None = None
+    joints: list[str] | None = None  # in the order of the states, as the nominal model's
     actuators: list[str] | None = None
 
 
@@ -39,7 +39,7 @@ class Sensors:
     def __init__(self, task: Task, source: SensorFile) -> None:
         engine = mujoco()
         self._robot = Mechanism(task, source.file, source.joints, source.actuators)
-        self.source_files = self._robot.source_files
+        self.source_files, self.joints = self._robot.source_files, self._robot.joints
         model = self._robot.model
         self._data: Any = engine.MjData(model)
         known = {model.sensor(i).name: model.sensor(i) for i in range(model.nsensor)}
