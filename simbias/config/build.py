@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NotRequired, Required, get_type_hints
 
+import numpy as np
 from pydantic import PositiveFloat
 
 from simbias.config.allowed import Own
@@ -14,10 +15,11 @@ from simbias.config.composition import OF_SWEEPS, Composition
 from simbias.config.conditions import HARDWARE, conditions, split
 from simbias.config.identity import LATER
 from simbias.config.renamed import unknown
-from simbias.core import Hardware, Nominal, Task
+from simbias.core import Criterion, Hardware, Nominal, Push, Quantity, Task
 from simbias.core.errors import ConfigError
-from simbias.core.messages import words
+from simbias.core.messages import quote, words
 from simbias.core.ranges import Seed
+from simbias.core.records import Array
 from simbias.core.robot import check_quantities
 from simbias.trial.budget import Budget
 from simbias.trial.policy_test import PolicyTest
@@ -56,10 +58,10 @@ def build(composition: Composition) -> Study:
     values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
     timeout = values.pop("experiment_timeout", None)
     own = composition.own
-    task = construct(config["task"], Task, "task", own)
+    task = _typed(construct(config["task"], Task, "task", own))
     try:
         check_quantities(task)
-    except Exception as error:  # also of an own class that lacks them
+    except ValueError as error:
         raise ConfigError("task", words(error)) from error
     config[HARDWARE], _ = split(whole := config[HARDWARE])
     nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.without_targets)
@@ -80,6 +82,48 @@ def build(composition: Composition) -> Study:
         hardware_of=partial(_hardware, config[HARDWARE], own),
         conditions=conditions(whole, task, timeout),
     )
+
+
+def _typed(task: Task) -> Task:
+    """A task, its sequences made tuples and arrays of floats: authors write lists and integers, too.
+
+    Raises
+    ------
+    ConfigError
+        Naming the attribute that is neither.
+    """
+
+    def keep(name: str, expected: str, convert: Callable[[Any], Any]) -> None:
+        given = getattr(task, name, None)
+        try:
+            if (converted := convert(given)) is not given:
+                setattr(task, name, converted)
+        except (TypeError, ValueError, AttributeError) as error:  # the last one of a property
+            problem = f"{type(task).__name__}.{name}: expected {expected}, got {quote(given)}"
+            raise ConfigError("task", problem) from error
+
+    kinds = dict.fromkeys(("states", "targets", "inputs", "outputs"), Quantity)
+    for name, kind in {**kinds, "criteria": Criterion, "pushes": Push}.items():
+        keep(name, f"a tuple of {kind.__name__}", partial(_tuple, kind))
+    vectors = {"input_limit": task.inputs, "start_mean": task.states, "start_deviation": task.states}
+    for name, parts in vectors.items():
+        keep(name, f"numbers of the shape ({len(parts)},)", partial(_numbers, len(parts)))
+    return task
+
+
+def _tuple(kind: type, given: Any) -> tuple[Any, ...]:
+    """A list or tuple of one kind as a tuple."""
+    if not isinstance(given, list | tuple) or not all(isinstance(each, kind) for each in given):
+        raise TypeError
+    return tuple(given)
+
+
+def _numbers(count: int, given: Any) -> Array:
+    """Numbers as an array (count,) of floats."""
+    array = np.asarray(given, dtype=np.float64)
+    if array.shape != (count,):
+        raise ValueError
+    return array
 
 
 def service(composition: Composition, group: str, contract: type) -> Any:

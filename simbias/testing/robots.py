@@ -27,12 +27,10 @@ CORNERS = 4  # of a policy's box that are tried at each state
 @check("task", "shapes and names")
 def _task_shapes(study: Study) -> None:
     task = study.task
-    n, m, c, q = (len(each) for each in (task.states, task.inputs, task.criteria, task.outputs))
+    n, c, q = (len(each) for each in (task.states, task.criteria, task.outputs))
     for name, quantities in (("states", task.states), ("inputs", task.inputs), ("outputs", task.outputs)):
         names = [quantity.name for quantity in quantities]
         expect(len(set(names)) == len(names), f"task.{name}", "different names", names)
-    for name, length in (("input_limit", m), ("start_mean", n), ("start_deviation", n)):
-        equal(np.shape(getattr(task, name)), (length,), f"task.{name}", f"the shape ({length},)")
     expect(task.time_step > 0 and task.horizon > 0, "task", "a positive time step and horizon", task.horizon)
     x = states(study)
     equal(np.shape(x), (POINTS, n), "task.draw_start", f"a state of shape ({n},)")

@@ -6,15 +6,18 @@ import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import OWN_CONF, POINT_MASS, ROOT
+from point_mass import PointMass
 from sweeping import FOLDERS, write_sweep
 from texts import write
 
 import simbias
 from simbias.__main__ import main
-from simbias.config import compose
+from simbias.config import ConfigError, compose
 from simbias.config.own_code import digests
 from simbias.config.sent_code import packed
 from simbias.trial.folder import TrialFolder
@@ -96,3 +99,37 @@ def test_what_is_sent_to_workers_are_files(folder: Path) -> None:
     with zipfile.ZipFile(io.BytesIO(packed([compose(["hardware=mine"], folder / "conf")]))) as archive:
         names = {"conf/hardware/mine.yaml", "my_gains.py", "my_hardware.py", "unrelated.py"}
         assert set(archive.namelist()) == names
+
+
+@pytest.mark.parametrize(
+    ("attribute", "given", "kept"),
+    [
+        ("start_deviation", np.array([0, 0]), np.zeros(2)),
+        ("input_limit", [8], np.array([8.0])),
+        ("states", list(PointMass.states), PointMass.states),
+    ],
+)
+def test_attributes_of_an_own_task_may_be_lists_and_integers(
+    attribute: str, given: Any, kept: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PointMass, attribute, given)
+    made = getattr(simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF).task, attribute)
+    assert (type(made), np.array(made).dtype) == (type(kept), np.array(kept).dtype)
+    np.testing.assert_array_equal(made, kept)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "given", "line"),
+    [
+        ("criteria", PointMass.criteria[0], r"criteria: expected a tuple of Criterion, got Criterion\(name="),
+        ("inputs", (("force", "N"),), r"inputs: expected a tuple of Quantity, got \(\('force', 'N'\),\)$"),
+        ("start_deviation", [0.5], r"start_deviation: expected numbers of the shape \(2,\), got \[0\.5\]$"),
+        ("input_limit", ["8 N"], r"input_limit: expected numbers of the shape \(1,\), got \['8 N'\]$"),
+    ],
+)
+def test_an_attribute_of_an_own_task_of_another_kind_is_one_line(
+    attribute: str, given: Any, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PointMass, attribute, given)
+    with pytest.raises(ConfigError, match=rf"^task: PointMass\.{line}"):
+        simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
