@@ -37,7 +37,7 @@ def search(
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
-    A search that ends above the target cost, by default Z_max, is made again with other random numbers, up to
+    A search that ends above the target cost, by default and at most Z_max, is made again with other random numbers, up to
     `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
     before. The best one is returned, with the evaluations of all. Each first evaluates the last policies
     (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the best of
@@ -49,7 +49,7 @@ def search(
         If its policy could not be tried.
     """
     study.spending.check()
-    target = study.cost.max_cost if target_cost is None else target_cost
+    target = min(study.cost.max_cost, np.inf if target_cost is None else target_cost)
     searches: list[tuple[Optimum, float]] = []
     drawn = model
     models = (model, study.model(nominal=model.nominal)) if trajectories else (model,)

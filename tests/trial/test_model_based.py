@@ -98,8 +98,10 @@ def test_a_failed_search_is_made_again(point_mass: Study) -> None:
     assert (first.learning.reset, len(first.experiments), last.succeeded) == (True, 2, True)
 
 
-def test_the_target_cost_may_be_less_than_z_max(point_mass: Study) -> None:
+def test_the_target_cost_may_be_less_than_z_max_and_is_never_more(point_mass: Study) -> None:
     """A search that ends between the two is made again, and clears nothing if it ends there again."""
+    (first,) = scripted(point_mass, [0.3, 0.1], [0.0] * 2, retry_search=1, target_cost=20.0)
+    assert first.search.optimum.stopped_by.endswith(", in search 2 of 2")
     options = {"retry_search": 1, "target_cost": 0.15}
     first, last = scripted(point_mass, [0.19, 0.18, 0.1], [0.9] * 2 + [0.0] * 2, **options)
     assert first.search.predicted_cost == 0.18
@@ -130,11 +132,11 @@ def test_a_search_made_again_draws_nearer_models(point_mass: Study) -> None:
     """With half of the deviations each time, until a policy holds on them; the next iteration begins anew."""
     task = PointMass(horizon=FRAMES)
     study = replace(point_mass, task=task, evaluation=Spread(), nominal=Uncertain(task))
-    method = ModelBased(2, retry_search=3, posterior_scale=0.5, target_cost=0.3)
+    method = ModelBased(2, retry_search=3, posterior_scale=0.5)
     for iteration in replace(study, method=method, hardware=ScriptedHardware([0.9] * 4)).run():
-        assert iteration.search.predicted_cost == 0.25
-        assert iteration.search.optimum.stopped_by.endswith(", in search 3 of 3")
-    method = ModelBased(1, retry_search=3, target_cost=0.3)
+        assert iteration.search.predicted_cost == 0.125
+        assert iteration.search.optimum.stopped_by.endswith(", in search 4 of 4")
+    method = ModelBased(1, retry_search=3)
     (same,) = replace(study, method=method, hardware=ScriptedHardware([0.9] * 2)).run()
     assert same.search.predicted_cost == 1.0
 

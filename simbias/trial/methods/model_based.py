@@ -45,7 +45,7 @@ class ModelBased(Method):
         How often a search that does not end below the target cost is made again before hardware is spent on
         its policy.
     target_cost
-        Predicted cost Z below which a search has succeeded; None is Z_max.
+        Predicted cost Z below which a search has succeeded, at most Z_max, which is what None means.
     posterior_scale
         In each further search, models are drawn from an identified posterior with the deviations before times
         this: no policy may hold on all that few data allow.
