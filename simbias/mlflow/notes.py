@@ -1,8 +1,9 @@
-"""The note of a trial's run, in markdown: what ran, what came out, how it ended."""
+"""The notes of runs, in markdown: what ran, what came out, how it ended."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 from simbias.core import markdown
@@ -10,7 +11,9 @@ from simbias.core.messages import counted
 from simbias.trial.folder import Withdrawal
 from simbias.trial.summary import COLUMNS, PARAMETERS, Outcome, TrialSummary, cells, parameters
 
-SHOWN_ROWS = 40  # MLflow keeps 8000 characters of a note
+NOTE_LENGTH = 8000  # characters that MLflow keeps of a note
+SHOWN_ROWS = 40  # which fit into it
+MORE = "\n\n{} more rows are in `table.md`."
 REASON_LENGTH = 500
 ARTIFACTS = "Artifacts: `config.yaml`, `trial/` (searches, experiments, iterations), `pictures/`."
 Row = Mapping[str, Any]  # of an iteration: `simbias.trial.summary.iteration_summary`
@@ -42,6 +45,15 @@ def note(
     if identified := parameters(rows):
         parts += ["Identified, of the last policy's model:", markdown.table(PARAMETERS, identified).rstrip()]
     return "\n\n".join([*parts, ARTIFACTS])
+
+
+def with_table(text: str, table: str) -> str:
+    """A text and a table behind it, of which as many rows as MLflow keeps."""
+    rows = table.splitlines()
+    room = NOTE_LENGTH - len(f"{text}\n\n{MORE.format(len(rows))}")
+    shown = sum(end <= room for end in accumulate(len(row) + 1 for row in rows))
+    more = MORE.format(len(rows) - shown) if shown < len(rows) else ""
+    return "\n\n".join([text, "\n".join(rows[:shown])]) + more
 
 
 def _verdict(summary: TrialSummary) -> str:

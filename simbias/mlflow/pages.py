@@ -10,6 +10,7 @@ from typing import Any
 MODE = "workflowType=machine_learning"  # else the UI opens in its mode for language models
 VIEW = "mlflow.sharedViewState."  # MLflow's prefix of an experiment's tags that hold views
 NOTE = "mlflow.note.content"  # MLflow's tag for a run's description
+RUN_NAME = "mlflow.runName"  # MLflow's tag for its name
 PARENT = "mlflow.parentRunId"  # MLflow's tag that nests runs
 AXIS = "axis."  # prefix of the tags that say where on the sweep's axes a trial lies
 EXPERIMENTS, OUTCOME = "metrics.`experiments/total`", "tags.`outcome`"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shlex
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from simbias.core.commands import python
 from simbias.core.errors import ConfigError
 from simbias.core.messages import redact
 from simbias.mlflow import pages
-from simbias.mlflow.store import connect, database, file_number, is_server, reaching
+from simbias.mlflow.store import connect, database, file_number, is_server, reaching, trials_beside
 from simbias.mlflow.writes import Files, Point, flush, size
 from simbias.sweep.tracking import Export
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 URI, EXPERIMENT = "sqlite:///mlflow.db", "simbias"  # where none are named
-AWAY = "simbias: MLflow: %s. All is kept in %s; `python -m simbias export` shows it once the store is back"
+AWAY = "simbias: MLflow: %s. All is kept in %s; once the store is back, this shows it:  %s"
 NOT_EXPORTED = "simbias: MLflow does not show a trial: %s"
 
 
@@ -68,12 +68,17 @@ class Runs:
 
     def address(self, identity: str, run_id: str) -> str:
         """The way to look at the run of a hash: a command, or the page of a server."""
-        uri = redact(self.uri, self.uri)
         if is_server(self.uri):
+            uri = redact(self.uri, self.uri)
             return f"{uri.rstrip('/')}/{pages.run_page(self.experiment_id, run_id)}"
-        values = {"uri": (uri, URI), "experiment": (self._experiment, EXPERIMENT)}
+        return self._command("ui", identity)
+
+    def _command(self, *words: str, **more: tuple[object, object]) -> str:
+        """A command on this store, to be pasted; `more` are values of tracking, each with the usual one."""
+        uri = redact(self.uri, self.uri)
+        values = {"uri": (uri, URI), "experiment": (self._experiment, EXPERIMENT), **more}
         changed = [f"tracking.{key}={value}" for key, (value, usual) in values.items() if value != usual]
-        return f"{python()} {shlex.join(['-m', 'simbias', 'ui', identity, *changed])}"
+        return f"{python()} {shlex.join(['-m', 'simbias', *words, *changed])}"
 
     def page(self, identity: str | None) -> str:
         """The page of the run of this hash, or of all runs, within the UI.
@@ -101,7 +106,8 @@ class Runs:
             self._away = False
         except ConfigError as error:
             if not self._away:
-                logging.getLogger(__name__).warning(AWAY, error, self._trials)
+                export = self._command("export", trials=(self._trials, trials_beside(self.uri)))
+                logging.getLogger(__name__).warning(AWAY, error, self._trials, export)
             self._away = True
 
     def find(self, identity: str) -> list[Run]:
@@ -190,15 +196,15 @@ class RunExport(Export):
         tags: Mapping[str, str],
         parameters: Mapping[str, str] = {},
         metrics: Sequence[Sequence[Point]] = (),
-        again: Collection[str] = (),
+        again: bool = False,
     ) -> None:
-        """Write numbers and texts; before them files that the run lacks, has in another size, or `again`."""
+        """Write numbers and texts; before them files that the run lacks or has in another size, `again` all."""
         known, self._uploaded = self._uploaded, None  # is looked up again after a failure
         if known is None:
             folders = {name.rpartition("/")[0] for name in files} if pages.NOTE in run.data.tags else ()
             listed = (self.runs.client.list_artifacts(run.info.run_id, folder or None) for folder in folders)
             known = {file.path: file.file_size for some in listed for file in some}
         sizes = {name: size(content) for name, content in files.items()}
-        lacking = {name: files[name] for name in sizes if name in again or sizes[name] != known.get(name)}
+        lacking = {name: files[name] for name in sizes if again or sizes[name] != known.get(name)}
         flush(self.runs.client, run.info.run_id, lacking, parameters, metrics, tags)
         self._uploaded = {**known, **sizes}

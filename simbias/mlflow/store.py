@@ -177,6 +177,12 @@ def database(uri: str) -> Path | None:
     return path
 
 
+def trials_beside(uri: str) -> Path:
+    """The folder of trials where none is named: beside a SQLite store, else in the working folder."""
+    file = database(uri)
+    return (file.parent if file else Path()) / "trials"
+
+
 @contextmanager
 def _silent(logger: logging.Logger) -> Iterator[None]:
     """A logger that says nothing for a while."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +11,11 @@ import pandas as pd
 
 from simbias.core import markdown
 from simbias.mlflow import pages
-from simbias.mlflow.pages import NOTE
+from simbias.mlflow.notes import with_table
+from simbias.mlflow.pages import NOTE, PARENT, RUN_NAME
 from simbias.mlflow.runs import RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
+from simbias.mlflow.writes import Point
 from simbias.sweep.folder import FIGURES, SweepFolder
 from simbias.sweep.state import DONE, INTERRUPTED, RUNNING, WAITS
 from simbias.trial.disk import LOCK, is_locked, require_file
@@ -50,18 +53,20 @@ class SweepRun(RunExport):
         paths = (*self._folder.figures(), *tables)
         files: dict[str, Path | bytes] = {file.relative_to(self.path).as_posix(): file for file in paths}
         files["sweep.yaml"] = as_yaml(self._description["config"])
-        again = [file.name for file in tables]  # which may have other numbers of the same size
-        numbers = _metrics(state) if final and state else {}
-        points = [
-            (name, value, state["done"], time.time())
-            for name, value in numbers.items()
-            if run.data.metrics.get(name) != value
-        ]
-        self.bring(run, files, {NOTE: self._note(state)}, {}, [points], again)
+        points = [*self._points(run, state)] if final and state else []
+        self.bring(run, files, {NOTE: self._note(state)}, {}, [points], again=final)
         if tables:
             self._write_table()
         status = STATUS.get(state.get("verdict", RUNNING), "FAILED")
         self.runs.end(run, status if status != "RUNNING" or is_locked(self.path / LOCK) else "KILLED")
+
+    def _points(self, run: Run, state: dict[str, Any]) -> Iterator[Point]:
+        """The sweep's numbers that the run has otherwise; MLflow shows those of the last step."""
+        for name, value in _metrics(state).items():
+            known = run.data.metrics.get(name)
+            if known != value:
+                history = () if known is None else self.runs.client.get_metric_history(run.info.run_id, name)
+                yield name, value, 1 + max((point.step for point in history), default=-1), time.time()
 
     def _run(self) -> Run:
         """The sweep's run, a new one if need be; its trials are listed by the sweep's axes."""
@@ -73,9 +78,21 @@ class SweepRun(RunExport):
         found = runs.find(about["hash"])
         run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
         self._known = runs.nested(run.info.run_id) if found else {}
+        for identity, known in self._known.items():
+            for each in known:
+                self._relabel(each, about["trials"].get(identity))
         runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
         self.run_id = run.info.run_id
         return run
+
+    def _relabel(self, run: Run, about: dict[str, Any] | None) -> None:
+        """Give a run of an earlier export its trial's place; without one (None), it leaves the sweep."""
+        if about is None:
+            self.runs.client.delete_tag(run.info.run_id, PARENT)
+            return
+        for key, value in {RUN_NAME: about["name"], **_place(about)}.items():
+            if run.data.tags.get(key) != value:
+                self.runs.client.set_tag(run.info.run_id, key, value)
 
     def _write_trial(self, folder: TrialFolder) -> None:
         """Bring a nested run up to date; one that has all of a trial that has ended is left alone."""
@@ -85,9 +102,7 @@ class SweepRun(RunExport):
         if identity not in self._done and not whole:
             if identity not in self._exports:
                 about = self._description["trials"][identity]
-                labels = {pages.AXIS + name: label for name, label in about["labels"].items()}
-                tags = {"repetition": str(about["repetition"]), **labels}
-                nested = Nested(self.run_id, about["name"], tags, known)
+                nested = Nested(self.run_id, about["name"], _place(about), known)
                 self._exports[identity] = TrialExport(self.runs, folder.path, nested)
             self._exports[identity].write()
         if ended:
@@ -103,7 +118,7 @@ class SweepRun(RunExport):
             client.log_table(self.run_id, table, TABLE)
 
     def _note(self, state: dict[str, Any]) -> str:
-        """The parent's description: how far it is, the table, how to resume."""
+        """The parent's description: how far it is, figures, how to resume, the table as far as it fits."""
         about = self._description
         link = pages.trials_page(self.runs.experiment_id, about["hash"])
         captions = [
@@ -114,16 +129,21 @@ class SweepRun(RunExport):
         parts = [
             f"{state.get('verdict')}: {state.get('done', 0)} of {len(about['trials'])} [trials]({link}).",
             *([f"Trials are from several platforms: {markdown.text(mixed)}."] if mixed else []),
-            state.get("table", ""),
             state.get("legend", ""),
             *captions,
             markdown.code(about["command"]),
         ]
-        return "\n\n".join(parts)
+        return with_table("\n\n".join(parts), state.get("table", ""))
 
     def _picture(self, name: str) -> str:
         """Address of a figure in MLflow's UI."""
         return pages.run_page(self.runs.experiment_id, self.run_id, f"{FIGURES}/{name}.png")
+
+
+def _place(about: dict[str, Any]) -> dict[str, str]:
+    """Where a trial lies in the sweep, as tags."""
+    labels = {pages.AXIS + name: label for name, label in about["labels"].items()}
+    return {"repetition": str(about["repetition"]), **labels}
 
 
 def _metrics(state: dict[str, Any]) -> dict[str, float]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from simbias.core.errors import ConfigError
 from simbias.core.messages import counted
 from simbias.mlflow.runs import EXPERIMENT, URI, Runs, readable
-from simbias.mlflow.store import database, reaching
+from simbias.mlflow.store import database, reaching, trials_beside
 from simbias.mlflow.sweep import SweepRun
 from simbias.mlflow.trial import TrialExport
 from simbias.mlflow.ui import show
@@ -50,10 +50,7 @@ class Mlflow(Tracking):
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
         """The folder of all trials."""
-        if self._trials:
-            return Path(self._trials)
-        file = database(self._uri)
-        return (file.parent if file else Path()) / "trials"
+        return Path(self._trials) if self._trials else trials_beside(self._uri)
 
     @cached_property
     def _runs(self) -> Runs:

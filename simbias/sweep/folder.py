@@ -58,8 +58,11 @@ class SweepFolder:
         return [file for file in sorted(self.path.glob("t*.*")) if file.suffix in (".csv", ".md")]
 
     def figures(self) -> list[Path]:
-        """The files of figures."""
-        return sorted(file for file in (self.path / FIGURES).glob("*") if file.is_file())
+        """The files of the figures that the sweep still has: of others, files may be left."""
+        drawn = self.state().get("captions", ())
+        return sorted(
+            file for file in (self.path / FIGURES).glob("*") if file.stem in drawn and file.is_file()
+        )
 
     def publish(self, files: Iterable[Path]) -> None:
         """Keep a figure's files; they replace those of the same names."""

@@ -333,7 +333,9 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     assert shown.where == str(at(folder, 0))
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{address}: " in warning
-    assert f"All is kept in {trials}; `python -m simbias export` shows it" in warning
+    command = f"-m simbias export tracking.uri={address} tracking.trials={trials}"
+    assert f"All is kept in {trials}; once the store is back, this shows it:  " in warning
+    assert warning.endswith(command)
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
         export(address, trials)
     server = multiprocessing.get_context("fork").Process(target=serve, args=(folder, port), daemon=True)

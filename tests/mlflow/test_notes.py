@@ -64,3 +64,14 @@ def test_a_long_one_keeps_the_last_rows_within_mlflows_limit() -> None:
     assert len(text) < 8000
     assert "| 999 |" in text
     assert "The 960 iterations before these" in text
+
+
+def test_a_sweeps_table_ends_between_two_rows_within_mlflows_limit() -> None:
+    table = "".join(f"| cell {i} | {'x' * 70} |\n" for i in range(1000))
+    text = notes.with_table("how to resume", table)
+    assert 7800 < len(text) <= 8000
+    *_, last, _, more = text.splitlines()
+    left = 999 - int(last.split()[2])
+    assert last.endswith(" |")
+    assert more == f"{left} more rows are in `table.md`."
+    assert notes.with_table("how to resume", table[:400]) == f"how to resume\n\n{table[:400]}".rstrip()

@@ -29,6 +29,7 @@ from texts import write
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
+from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import Trial, expand
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.worker import Plan, Result, run_plan
@@ -278,3 +279,27 @@ def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
         parents, trials = runs(folder)
         assert [run.info.status for run in (*parents, *trials)] == ["SCHEDULED"] * 3
     assert state(folder)["verdict"].startswith("**Waiting**")
+
+
+def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Path, store: str) -> None:
+    """A trial that is not of it any more stays in the store, in no sweep; so does a figure in its folder."""
+    figures = "experiments: {_target_: simbias.sweep.figures.experiments.Experiments}"
+    axis = "error: {keys: hardware.inertia_error, values: [0.0, 0.2], labels: [none, some]}"
+    whole = f"sweep: {{trials: 1, axes: {{{axis}}}, figures: {{{figures}}}}}"
+    fewer = whole.replace("[0.0, 0.2]", "[0.20]").replace("[none, some]", "[more]").replace(figures, "")
+    command = ["--config-dir", "conf", "+sweep=mine", *QUICK, "engine=sequential", store]
+    for text in (whole, fewer):
+        write_sweep(folder, "mine", text)
+        assert main([*command, "tracking.pictures=false"]) == 0
+    (parent,), (trial,) = runs(folder)
+    assert parent.data.metrics["trials/succeeded"] == 1
+    assert (trial.info.run_name, trial.data.tags["axis.error"]) == ("more #0", "more")
+    assert "experiments.png" not in parent.data.tags["mlflow.note.content"]
+    assert list((sweep_folder(folder) / "figures").iterdir())
+    assert SweepFolder(sweep_folder(folder)).figures() == []
+    before = histories(folder)
+    write_sweep(folder, "mine", fewer.replace("more", "most"))
+    assert main([*command, "tracking.pictures=false"]) == 0
+    assert histories(folder) == before
+    config = Path(client_of(folder).download_artifacts(parent.info.run_id, "sweep.yaml"))
+    assert "most" in config.read_text()
