@@ -56,8 +56,9 @@ def _array(given: Any, name: str, shape: tuple[int | None, int]) -> Array:
     """A float64 copy of finite numbers in this shape; None is any length."""
     words = f"({', '.join('k' if length is None else str(length) for length in shape)})"
     try:
-        masked = isinstance(given, np.ma.MaskedArray)
-        array = given.astype(np.float64).filled(np.nan) if masked else np.asarray(given)
+        rows = given if isinstance(given, list | tuple) else [given]
+        masked = any(isinstance(row, np.ma.MaskedArray) for row in rows)
+        array = np.ma.array(given, dtype=np.float64).filled(np.nan) if masked else np.asarray(given)
     except Exception as error:  # rows of several lengths, or an object of its own class
         raise HardwareError(f"{name}: expected the shape {words}, got {quote(given)}") from error
     if not np.issubdtype(array.dtype, np.floating) and not np.issubdtype(array.dtype, np.integer):

@@ -56,6 +56,7 @@ LINES = {
     "object": "run: states: expected real numbers, got object",
     "text": "run: inputs: expected real numbers, got <U3",
     "masked": "run: states: expected finite numbers, got [",
+    "masked row": "run: inputs: expected finite numbers, got [nan] in frame 0",
     "frame": "run: failed_at: expected a frame or None, got 'late'",
     "wrong frame": "run: failed_at: expected 100, the last frame, got 3",
     "failure": "run: failure: expected a name or None, got 3",

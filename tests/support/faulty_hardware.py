@@ -89,6 +89,7 @@ RETURNED: dict[str, Callable[[Rollout], Any]] = {
     "masked": lambda rollout: replace(
         rollout, states=np.ma.masked_equal(rollout.states, rollout.states[2, 1])
     ),
+    "masked row": lambda rollout: replace(rollout, inputs=[np.ma.masked_all(1), *rollout.inputs[1:]]),
     "frame": lambda rollout: replace(rollout, failed_at="late"),  # type: ignore[arg-type]
     "wrong frame": lambda rollout: replace(rollout, failed_at=3, failure="distance"),
     "failure": lambda rollout: replace(rollout, failed_at=rollout.frames, failure=3),  # type: ignore[arg-type]
