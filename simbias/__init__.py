@@ -40,6 +40,7 @@ def load(
 
 def load_trial(
     trial: Path | str,
+    *,
     uri: str = "sqlite:///mlflow.db",
     config_dir: Path | str | None = None,
     allow: Sequence[str] = (),
@@ -48,8 +49,8 @@ def load_trial(
 
     >>> trial = load_trial("trials/7a29f4c5425f")
 
-    In place of its folder, `trial` may be the id of its run in the MLflow store `uri`. Components of your own
-    as for `load`.
+    In place of its folder, `trial` may be the id of its run in the MLflow store `uri`, which no folder needs.
+    Components of your own as for `load`.
 
     Raises
     ------

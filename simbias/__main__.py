@@ -82,7 +82,7 @@ def _pictures(parsed: argparse.Namespace) -> int:
     """Draw all pictures of a trial."""
     from simbias.pictures.trial.gallery import save_all
 
-    trial = load_trial(parsed.trial, parsed.uri, parsed.config_dir, parsed.allow)
+    trial = load_trial(parsed.trial, uri=parsed.uri, config_dir=parsed.config_dir, allow=parsed.allow)
     files = save_all(trial.study, trial.iterations, Path(parsed.folder), trial.withdrawn)
     print(f"{parsed.folder}: {', '.join(files)} of {trial.study.title}, seed {trial.study.seed}")
     return SUCCEEDED

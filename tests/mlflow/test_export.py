@@ -243,7 +243,7 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
     (run,) = found_runs(client, "params.seed = '0'")
     experiment_id = run.info.experiment_id
     for trial in (at(folder), run.info.run_id):
-        assert_equal(simbias.load_trial(trial, uri(folder), OWN_CONF), record)
+        assert_equal(simbias.load_trial(trial, uri=uri(folder), config_dir=OWN_CONF), record)
     foreign = client.create_run(experiment_id).info.run_id
     sweep = client.create_run(experiment_id, tags={"hash": "abc", "sweep": "mine"}).info.run_id
     lost = client.create_run(experiment_id, tags={"hash": "abc"}).info.run_id
@@ -251,10 +251,12 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
     said = (missing, missing, "is no run of simbias", "is a sweep", "its files are not in the store")
     for name, message in zip(("0" * 32, "trials/none", foreign, sweep, lost), said, strict=True):
         with pytest.raises(ConfigError, match=f"^{name}: {message}"):
-            simbias.load_trial(name, uri(folder))
+            simbias.load_trial(name, uri=uri(folder))
     with pytest.raises(ConfigError, match=r"^trials/none: no such folder, and no store sqlite:"):
-        simbias.load_trial("trials/none", uri(folder, "none.db"))
+        simbias.load_trial("trials/none", uri=uri(folder, "none.db"))
     assert not (folder / "none.db").exists()
+    with pytest.raises(TypeError, match="positional"):
+        simbias.load_trial(at(folder), "conf")  # type: ignore[misc]
 
 
 def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
