@@ -27,8 +27,9 @@ class Recorded(Hardware):
     An iteration that stops early skips the recordings of the experiments that it did not make.
 
     A recording is a CSV file with a line of names, also compressed (.csv.gz), a ROS bag or an MCAP file.
-    Between samples, states and inputs change linearly; they are read off in each frame of the task, up to its
-    horizon (`simbias.lab.recording`). One that is shorter counts as failed in its last frame.
+    Between samples, states change linearly and inputs are held; a frame of the task has its first states and
+    the inputs' mean (`simbias.lab.recording`). One that is shorter than the horizon counts as failed in its
+    last frame.
 
     Parameters
     ----------

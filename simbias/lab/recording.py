@@ -11,16 +11,20 @@ import numpy as np
 from simbias.core import HardwareError, Task
 from simbias.core.messages import quote, words
 from simbias.core.records import Array, Rollout
+from simbias.core.robot import TURNS
 from simbias.lab.signals import Signal, Signals, signals, split_name
 from simbias.lab.units import factor
 
 GAP = 5.0  # usual intervals between samples: what is longer is a gap
 FEWEST_FRAMES = 2  # of a gap
-RAREST = 1000.0  # frames from one sample to the next: a time in other units
+RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
 SLOWEST = 0.05  # s over which positions and velocities are compared
-TWICE = 2.0  # how much positions may differ from the integrals of velocities
+TWICE = 2.0  # how much positions may differ from the integrals of velocities, and inputs exceed their limit
+MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
+TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
 CORRELATED = 0.8  # below, velocities say too little to be compared
+NEAR = 0.01  # of a frame from its start: a sample that is nearer belongs to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,8 @@ class Reader:
         HardwareError
             If it cannot be read or cannot be meant so, in one line that names the file.
         """
-        file, notes = signals(path), list[str]()
+        file = signals(path)
+        notes = list(file.notes)
         found = self._signals(file, notes)
         bounds = self._pieces(path, found, notes)
         pieces, times = [], []
@@ -68,7 +73,7 @@ class Reader:
             pieces.append(piece)
             times.append(measured)
         self._check_rates(path, found, pieces)
-        notes += self._still(pieces)
+        notes += [*self._beyond_limits(path, pieces), *self._still(pieces)]
         return Recording(tuple(pieces), tuple(times), tuple(notes))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
@@ -93,15 +98,12 @@ class Reader:
                 notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}")
                 continue
             signal = file.signal(name, time)
-            try:
-                scale = factor(unit or file.unit(name) or quantity.unit, quantity.unit)
-                second = factor(time_unit or file.unit(time) or "s", "s")
-            except ValueError as error:
-                raise HardwareError(f"{file.path}: {quantity.name}: {words(error)}") from error
+            scale = _factor(file, quantity.name, unit or file.unit(name) or quantity.unit, quantity.unit)
+            second = _factor(file, "time", time_unit or file.unit(time) or "s", "s")
             times, first = np.unique(signal.times * second, return_index=True)
             values = signal.values[first] * scale
-            if quantity.unit == "rad" and i < len(self._task.states):
-                unwound = np.unwrap(values)
+            if (turn := TURNS.get(quantity.unit)) and i < len(self._task.states):
+                unwound = np.unwrap(values, period=turn)
                 if not np.array_equal(unwound, values):
                     notes.append(f"{quantity.name} was wrapped")
                 values = unwound
@@ -110,10 +112,11 @@ class Reader:
 
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
         """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
-        pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, 0.0
-        for signal in found.values():
-            runs = self._runs(path, signal)
-            longest = max(longest, *(d - c for c, d in runs), 0.0)
+        pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
+        self._check_period(path, found)
+        for i, signal in found.items():
+            runs = self._runs(signal, held=i >= len(self._task.states))
+            longest = min(longest, max((d - c for c, d in runs), default=0.0))
             pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
         pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
         if not pieces:
@@ -126,36 +129,44 @@ class Reader:
             notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")
         return pieces
 
-    def _runs(self, path: Path, signal: Signal) -> list[tuple[float, float]]:
-        """When a signal's uninterrupted runs begin and end."""
-        steps = np.diff(signal.times)
-        if not (steps > 0).any():
-            return []
-        usual = float(np.median(steps[steps > 0]))
+    def _check_period(self, path: Path, found: Mapping[int, Signal]) -> None:
+        """Refuse times of which even the most frequent samples are far apart."""
+        usual = min((_period(each) for each in found.values() if len(each.times) > 1), default=0.0)
         if usual > RAREST * self._task.time_step:
             raise HardwareError(
                 f"{path}: expected samples about every {self._task.time_step:g} s, "
                 f"got one every {usual:.3g} s: is it another unit of time? Name it, as `time [ms]`"
             )
-        longest = max(GAP * usual, FEWEST_FRAMES * self._task.time_step)
-        ends = np.flatnonzero(steps > longest)
+
+    def _runs(self, signal: Signal, held: bool) -> list[tuple[float, float]]:
+        """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
+        if len(signal.times) < 2:
+            return []
+        steps, usual = np.diff(signal.times), _period(signal)
+        ends = np.flatnonzero(steps > max(GAP * usual, FEWEST_FRAMES * self._task.time_step))
         firsts, lasts = [0, *(ends + 1)], [*ends, len(steps)]
-        return [(float(signal.times[i]), float(signal.times[j])) for i, j in zip(firsts, lasts, strict=True)]
+        due = usual if held else 0.0
+        bounds = zip(signal.times[firsts].tolist(), signal.times[lasts].tolist(), strict=True)
+        return [(first, last + due) for first, last in bounds]
 
     def _piece(self, found: Mapping[int, Signal], begin: float, end: float) -> tuple[Rollout, Array]:
-        """A piece in the task's frames, and when its first state was measured; linear between samples."""
+        """A piece in the task's frames, and when its first state was measured.
+
+        States are linear between samples. Inputs are held from each sample to the next one.
+        """
         task, n = self._task, len(self._task.states)
         frames = int((end - begin) / task.time_step + 1e-9)
         at = begin + task.time_step * np.arange(frames + 1)
-        columns = {i: np.interp(at, signal.times, signal.values) for i, signal in found.items()}
+        columns = {i: np.interp(at, found[i].times, found[i].values) for i in range(n) if i in found}
         for i, position in self._rates.items():
             if i not in columns:
                 columns[i] = self._rate(columns[position])
         states = np.array([columns[i] for i in range(n)]).T
-        inputs = np.array([columns[n + i] for i in range(len(task.inputs))]).T
+        signals_of_inputs = [found[n + i] for i in range(len(task.inputs))]
+        inputs = np.array([_held(each, begin, task.time_step, frames) for each in signals_of_inputs]).T
         times = found[0].times
         inside = times[(times >= begin) & (times <= end)] - begin
-        return Rollout(states, inputs[:-1], measured=states, sensed=True), inside
+        return Rollout(states, inputs, measured=states, sensed=True), inside
 
     def _rate(self, values: Array) -> Array:
         """The derivative (k,) of values (k,): of parabolas fitted to what is around each frame."""
@@ -187,6 +198,20 @@ class Reader:
                     f"is a unit wrong, or a column?"
                 )
 
+    def _beyond_limits(self, path: Path, pieces: list[Rollout]) -> list[str]:
+        """Notes on inputs beyond their limits; those far beyond are refused."""
+        inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
+        for each, values, limit in zip(self._task.inputs, inputs.T, self._task.input_limit, strict=True):
+            told = f"of {each.name}, which is limited to {limit:g} {each.unit}"
+            if (usual := np.quantile(values, MOSTLY)) > TWICE * limit:
+                column = f"{path}: column {self._columns[each.name]}"
+                raise HardwareError(
+                    f"{column}: got {usual:.3g} {each.unit} {told}: is a unit wrong, or a column?"
+                )
+            if (most := values.max()) > TOLERANCE * limit:
+                notes.append(f"up to {most:.3g} {each.unit} {told}")
+        return notes
+
     def _still(self, pieces: list[Rollout]) -> list[str]:
         """Notes on quantities that never change, from which nothing can be learned."""
         notes = []
@@ -198,3 +223,26 @@ class Reader:
                 if len(values) and np.ptp(values[:, i]) == 0:
                     notes.append(f"{quantity.name} never changes, so nothing is learned of what it moves")
         return notes
+
+
+def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:
+    """The factor from a quantity's unit in a file to the wanted one."""
+    try:
+        return factor(unit, wanted)
+    except ValueError as error:
+        raise HardwareError(f"{file.path}: {name}: {words(error)}") from error
+
+
+def _period(signal: Signal) -> float:
+    """The usual time in s from a sample to the next one."""
+    return float(np.median(np.diff(signal.times)))
+
+
+def _held(signal: Signal, begin: float, time_step: float, frames: int) -> Array:
+    """Means (frames,) over each frame from `begin` on, of what is held from each sample to the next one."""
+    times = (signal.times - begin) / time_step
+    times = np.where(np.abs(times - np.rint(times)) < NEAR, np.rint(times), times)
+    bounds = np.arange(frames + 1)
+    edges = np.union1d(bounds, times[(times > 0) & (times < frames)])
+    values = signal.values[np.searchsorted(times, edges[:-1], side="right") - 1]
+    return np.add.reduceat(values * np.diff(edges), np.searchsorted(edges, bounds[:-1]))

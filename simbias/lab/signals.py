@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,14 +16,14 @@ from simbias.core import HardwareError
 from simbias.core.extras import library
 from simbias.core.messages import words
 from simbias.core.records import Array
-from simbias.lab.table import Table, read_table
+from simbias.lab.table import read_table
 
 NAME = re.compile(r"(?P<base>.*?)\s*[\[(](?P<unit>[^\])]+)[\])]$")  # q1 [deg], q1 (deg)
 FIELD = re.compile(
     r"(?P<topic>/[\w/]*)\.(?P<fields>[\w.]+?)(?:\[(?P<item>\w+)\])?$"
 )  # /joints.position[elbow]
 BAGS = (".mcap", ".db3", ".bag")
-NO_SAMPLE = ("", "nan")  # a cell
+NO_SAMPLE = ("", "nan", "na")  # a cell
 NANOSECOND = 1e-9
 RESET = 1e4  # usual intervals between samples that a reset of the clock counts as
 
@@ -36,6 +37,8 @@ class Signal(NamedTuple):
 
 class Signals(ABC):
     """The signals of a file, by name."""
+
+    notes: tuple[str, ...] = ()  # what was left out of it
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -66,11 +69,13 @@ class Signals(ABC):
 
 
 class Columns(Signals):
-    """The signals of a CSV file; a blank cell, or nan, is no sample, as where columns have rates apart."""
+    """The signals of a CSV file; a blank cell, nan or NA is no sample, as where columns have rates apart."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._table = read_table(path)
+        self._table = read_table(path, may_be_cut=True)
+        if self._table.cut is not None:
+            self.notes = (f"row {self._table.cut}, the last one, is incomplete and left out",)
         self._clocks: dict[int, Array] = {}  # by column
         self._known: dict[str, tuple[int, str]] = {}
         for index, name in enumerate(self._table.names):
@@ -92,14 +97,22 @@ class Columns(Signals):
         lacking = [each for each in (time, name) if each not in self._known]
         if lacking:
             raise self.missing(lacking, list(self._known), "row 1: ")
+        for each in (time, name):
+            if self._count(each) > 1:
+                raise HardwareError(f"{self.path}: row 1: several columns are named {each}")
         (clock, _), (column, _) = self._known[time], self._known[name]
         table, instants = self._table, self._instants(clock)
         kept = [i for i, cells in enumerate(table.cells) if cells[column].strip().lower() not in NO_SAMPLE]
         if len(kept) < len(table.cells):
-            rows = tuple(table.rows[i] for i in kept)
-            cells = [table.cells[i] for i in kept]
-            table = Table(table.source, table.names, rows, cells, table.semicolons)
+            table = replace(
+                table, rows=tuple(table.rows[i] for i in kept), cells=[table.cells[i] for i in kept]
+            )
         return Signal(instants[kept], table.numbers([column])[:, 0])
+
+    def _count(self, name: str) -> int:
+        """The number of columns of that name or, without any, of those with a unit behind it."""
+        matches = [NAME.match(each) for each in self._table.names]
+        return self._table.names.count(name) or sum(bool(each and each["base"] == name) for each in matches)
 
     def _instants(self, clock: int) -> Array:
         """Times (r,) that do not decrease: where they do, the file's clock was reset, which leaves a gap."""
@@ -211,9 +224,15 @@ def checked_columns(columns: Mapping[str, str] | None, names: list[str]) -> dict
     Raises
     ------
     ValueError
-        If columns name something else.
+        If columns name something else, or one column twice.
     """
     unknown = sorted(set(columns or {}) - set(names))
     if unknown:
         raise ValueError(f"columns names what the task has not: {', '.join(unknown)}")
-    return {name: (columns or {}).get(name, name) for name in names}
+    found = {name: (columns or {}).get(name, name) for name in names}
+    by_column: dict[str, str] = {}
+    for name, column in found.items():
+        if other := by_column.get(split_name(column)[0]):
+            raise ValueError(f"columns names {column} for both {other} and {name}")
+        by_column[split_name(column)[0]] = name
+    return found

@@ -35,7 +35,8 @@ class Table:
     names: tuple[str, ...]  # cells of the first row
     rows: tuple[int, ...]  # (r,) where the others stand in the file
     cells: Sequence[Sequence[str]]  # (r, c)
-    semicolons: bool  # whether these separate columns; then numbers may have a decimal comma
+    decimal_commas: bool  # whether numbers may have these, as no comma separates columns
+    cut: int | None = None  # a last row that is incomplete, which is left out
 
     def numbers(self, columns: Sequence[int], may_be_blank: Collection[int] = ()) -> Array:
         """The numbers (r, k) in some columns; in the last row some cells may be blank, which is 0.
@@ -45,7 +46,9 @@ class Table:
         HardwareError
             If a cell is no finite number, with its row and column.
         """
-        commas = self.semicolons and any("," in cells[column] for cells in self.cells for column in columns)
+        commas = self.decimal_commas and any(
+            "," in cells[column] for cells in self.cells for column in columns
+        )
         number, last = COMMA if commas else POINT, len(self.rows) - 1
         table = np.zeros((len(self.rows), len(columns)))
         for index, cells in enumerate(self.cells):
@@ -61,15 +64,16 @@ class Table:
 
     def error(self, index: int, column: int, problem: str, cell: str = "") -> HardwareError:
         """An error in a cell, with the likely reason."""
-        reason = DECIMAL_COMMA if COMMA.fullmatch(cell) and not self.semicolons else ""
+        reason = DECIMAL_COMMA if COMMA.fullmatch(cell) and not self.decimal_commas else ""
         where = f"row {self.rows[index]}, column {self.names[column].partition('(')[0].strip()}"
         return HardwareError(f"{self.source}: {where}: {problem}{reason}")
 
 
-def read_table(path: Path, may_lack: str = "") -> Table:
-    """The table in a CSV file, also compressed (.gz), its columns separated by commas or semicolons.
+def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False) -> Table:
+    """The table in a CSV file, also compressed (.gz), its columns separated by commas, semicolons or tabs.
 
-    Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one.
+    Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one. A
+    last row without an end may be left out, as of a log that was cut off.
 
     Raises
     ------
@@ -87,21 +91,23 @@ def read_table(path: Path, may_lack: str = "") -> Table:
     comments = COMMENTS.match(text)
     begin = comments.end() if comments else 0
     head = text[begin:].lstrip().partition("\n")[0]
-    semicolons = ";" in head and "," not in head
+    separator = next((mark for mark in ";\t" if mark in head and "," not in head), ",")
     try:
-        reader = csv.reader(io.StringIO(text[begin:]), delimiter=";" if semicolons else ",")
+        reader = csv.reader(io.StringIO(text[begin:]), delimiter=separator)
         lines = [(i, row) for i, row in enumerate(reader, 1 + text[:begin].count("\n")) if any(row)]
     except csv.Error as error:
         raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
+    names, cells, cut = tuple(cell.strip() for cell in lines[0][1]) if lines else (), [], None
+    if may_be_cut and lines and len(lines[-1][1]) < len(names) and not text.endswith("\n"):
+        cut = lines.pop()[0]
     if len(lines) < 2:
         raise HardwareError(f"{path}: expected a header and rows, got {len(lines)} lines")
-    names = tuple(cell.strip() for cell in lines[0][1])
-    cells = []
     for number, row in lines[1:]:
         whole = [*row, ""] if len(row) == len(names) - 1 and names[-1] == may_lack else row
         if len(whole) != len(names):
-            reason = DECIMAL_COMMA if len(row) > len(names) and not semicolons else ""
+            reason = DECIMAL_COMMA if len(row) > len(names) and separator == "," else ""
             wanted = f"expected {len(names)} cells as in row {lines[0][0]}"
             raise HardwareError(f"{path}: row {number}: {wanted}, got {len(row)}{reason}")
         cells.append(whole)
-    return Table(str(path), names, tuple(number for number, _ in lines[1:]), cells, semicolons)
+    rows = tuple(number for number, _ in lines[1:])
+    return Table(str(path), names, rows, cells, separator != ",", cut)

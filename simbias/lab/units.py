@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 
 from simbias.core.robot import TURNS
@@ -38,6 +39,7 @@ def factor(unit: str, wanted: str) -> float:
 
 
 def _plain(unit: str) -> str:
-    """A unit as it is listed: Nm and N*m are N m, degrees are deg."""
-    text = unit.strip().replace("·", " ").replace("*", " ").replace("degrees", "deg").replace("degree", "deg")
+    """A unit as it is listed: Nm, N*m and N.m are N m, degrees are deg, sec is s."""
+    text = re.sub(r"[·*.]", " ", unit.strip())
+    text = re.sub(r"degrees?", "deg", re.sub(r"sec(onds?)?$", "s", text))
     return next((listed for listed in _TORQUE if listed.replace(" ", "") == text), text)
