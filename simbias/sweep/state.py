@@ -118,9 +118,9 @@ class SweepState:
     def keep(self, trial: Trial, result: Result) -> None:
         """Note a trial that ended or stopped, and export it."""
         folder, summary = self._store.trial_folder(trial.hash), result.summary
+        if folder is not None and not self._marker.exists():
+            raise ConfigError("tracking", GONE.format(folder.parent))
         if folder is not None and result.packed:
-            if not self._marker.exists():
-                raise ConfigError("tracking", GONE.format(folder.parent))
             unpack(result.packed, folder)
         self._rows.pop(trial.hash, None)  # of an attempt that raised
         if summary.outcome in results.SHOWN:

@@ -102,7 +102,7 @@ def arrange(
     """Texts of every cell, by its labels: the report's column axis side by side, the other axes downwards."""
     aside = next((axis for axis in sweep.axes if axis.name == sweep.report.columns), None)
     down = [axis for axis in sweep.axes if axis is not aside]
-    head = [name for axis in down for name in _heads(axis)]
+    head = [name for axis in down for name in heads(axis)]
     for label in aside.labels if aside else ("",):
         head += [f"{column_head(aside, label)}: {measure}" if aside else measure for measure in measures]
     body = []
@@ -116,7 +116,7 @@ def arrange(
     return Layout(head, body)
 
 
-def _heads(axis: Axis) -> list[str]:
+def heads(axis: Axis) -> list[str]:
     """Heads of an axis' columns: its name, or its keys without their groups, in words."""
     return [*map(in_words, axis.keys if len(axis.texts[0]) > 1 else [axis.name])]
 
@@ -128,7 +128,7 @@ def in_words(key: str) -> str:
 
 def column_head(axis: Axis, label: str) -> str:
     """A label at the head of columns; a number says of what."""
-    return f"{'/'.join(_heads(axis))} {label}" if axis.numeric else label
+    return f"{'/'.join(heads(axis))} {label}" if axis.numeric else label
 
 
 def _number(value: float) -> str:

@@ -172,8 +172,9 @@ class SweepConsole(SweepObserver):
     def stopped(self, why: str, again: str) -> None:
         """Tell that the sweep ended early, what is done, and how to go on."""
         done = sum(Outcome(outcome).final for outcome in self._outcomes)
-        kept = f"{done} of {self._total} trials are done" + ("" if self._keeps else ", but not kept")
-        text = f"simbias: {' '.join(why.split())[:500]}; {kept}.\nResume with:  {again}"
+        kept = f"; {done} of {self._total} trials are done" if self._total else ""  # else not yet counted
+        kept += "" if self._keeps else ", but not kept"
+        text = f"simbias: {' '.join(why.split())[:500]}{kept}.\nResume with:  {again}"
         print(text, file=sys.stderr, flush=True)
 
 

@@ -126,8 +126,20 @@ def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:
     rows = [
         {"method": method, "bias.noise_variance": "0.5", "x": "2/0.1", **ended} for method in ("lqr", "lqi")
     ]
-    (container,) = Experiments().draw(swept(sweep, rows), ()).figure.axes[0].containers
+    (axes,) = Experiments().draw(swept(sweep, rows), ()).figure.axes
+    (container,) = axes.containers
     assert container.get_label() == "noise variance 0.5, 2/0.1"
+    keys = "keys: [bias.d, bias.noise_variance]"
+    for gap, ticks, name in (
+        ("{points: {1 N m/rad: {bias.d: 2.0, bias.noise_variance: 0.5}}}", "1 N m/rad", "gap"),
+        (f"{{{keys}, values: [[2.0, 0.5]], labels: [1 N m/rad]}}", "1 N m/rad", "gap"),
+        (f"{{{keys}, values: [[2.0, 0.5]]}}", "2\n0.5", "from above: d, noise variance"),
+    ):
+        sweep = expand([f"+sweep={{trials: 1, axes: {{gap: {gap}}}}}"])
+        (axes,) = (
+            Experiments().draw(swept(sweep, [{"gap": sweep.axes[0].labels[0], **ended}]), ()).figure.axes
+        )
+        assert ([each.get_text() for each in axes.get_xticklabels()], axes.get_xlabel()) == ([ticks], name)
 
 
 def test_eight_series_are_told_from_each_other() -> None:

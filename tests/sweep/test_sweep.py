@@ -5,6 +5,7 @@ import json
 import shutil
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pandas as pd
 import pytest
@@ -164,6 +165,24 @@ def test_a_sweep_of_tested_policies_needs_no_tests_any_more_and_others_are_told(
     assert capsys.readouterr().err == f"simbias: {said}\n"
 
 
+def test_a_folder_that_is_moved_while_its_sweep_runs_stops_it(folder: Path) -> None:
+    class Mover(SweepObserver):
+        def ended(self, trial: Trial, result: Result) -> None:
+            (folder / "trials").rename(folder / "elsewhere")
+
+    with pytest.raises(ConfigError, match=r"^tracking: the folder trials is gone: was it moved"):
+        simbias.run_sweep([*SMOKE, NO_FIGURES], observer=Mover())
+    assert not (folder / "trials").exists()
+
+
+def test_a_sweep_that_is_interrupted_before_its_trials_are_read_counts_none(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simbias.sweep.running.SweepState", Mock(side_effect=KeyboardInterrupt))
+    assert main([*SMOKE, NO_FIGURES]) == 130
+    assert capsys.readouterr().err.startswith("simbias: interrupted.\nResume with:  ")
+
+
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for key, overrides in {
         "bias.d": ["+sweep=smoke", "bias.d=abc"],
@@ -175,6 +194,7 @@ def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]
         ],
         "engine=nosuch": ["+sweep=smoke", "engine=nosuch"],
         "policy_test.episodes: 0, but sweep.figures.gaps": ["+sweep=gaps", "policy_test.episodes=0"],
+        "hardware.confirm: a sweep cannot ask": ["+sweep=smoke", "hardware.confirm=true"],
         "tracking: none keeps no trials": ["+sweep=fig4", "tracking=none"],
         "sweep.figures.fig4.columns: ": ["+sweep=fig4", "sweep.figures.fig4.columns=0"],
         "sweep.figures.fig4.colour: ": ["+sweep=fig4", "+sweep.figures.fig4.colour=red"],

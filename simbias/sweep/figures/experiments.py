@@ -14,7 +14,7 @@ from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
-from simbias.sweep.tables import cells, column_head, in_words
+from simbias.sweep.tables import cells, column_head, heads
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -115,8 +115,8 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) 
 
 
 def _label(axes: Axes, along: Axis) -> None:
-    """Ticks: the points of the axis, a line for each of its keys."""
-    axes.set_xticks(range(len(along.labels)), [literal(label).replace("/", "\n") for label in along.labels])
-    keys = [*map(in_words, along.keys)]
-    axes.set_xlabel(keys[0] if len(keys) == 1 else "from above: " + ", ".join(keys))
+    """Ticks: the points of the axis, a line for each value of those that have several."""
+    axes.set_xticks(range(len(along.labels)), map(literal, map("\n".join, along.texts)))
+    names = heads(along)
+    axes.set_xlabel(names[0] if len(names) == 1 else "from above: " + ", ".join(names))
     plain(axes, "y")
