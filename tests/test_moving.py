@@ -5,6 +5,7 @@ import pytest
 from figures import lines
 
 import simbias
+from simbias.core import Task
 from simbias.core.records import Array, Disturbance
 from simbias.pictures import NoPictureError, following
 from simbias.pictures.elements.style import HARDWARE
@@ -92,14 +93,19 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
 def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyPatch) -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
     (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
-    assert "off by position 0 m, angle 3.14 rad, its inputs at their limits in 0% of" in remark.words
-    assert "does not reach the goal in 5 s" in remark.words
+    missed = (
+        "does not reach the goal in 5 s of simulation: in its last 1 s upright is 3.14 rad, not below 0.2"
+    )
+    assert f"{missed}, its inputs at their limits in 0% of" in remark.words
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model(), balancing.cost))
     unlimited = property(lambda task: (-task.input_limit, np.full(1, np.inf)))
     monkeypatch.setattr(type(study.task), "input_bounds", unlimited)
     (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
     assert "its inputs at their limits in 0% of" in remark.words
+    assert Task.missed(study.task, np.zeros((101, 4))) == (
+        "at its end off by position 0 m, angle 0 rad, d_position 0 m/s, d_angle 0 rad/s"
+    )
 
 
 @pytest.mark.slow

@@ -159,7 +159,7 @@ def test_a_policy_that_is_tried_again_is_told_and_counted(point_mass: Study) -> 
 
     def kinds(study: Study) -> set[str]:
         made = run_trial(replace(study, method=Algorithm1(max_iterations=2))).iterations
-        return {remark.kind for remark in remarks.of_trial(made, study.cost)}
+        return {remark.kind for remark in remarks.of_trial(made, study)}
 
     assert kinds(point_mass) == set()  # which learns
     assert kinds(replace(point_mass, bias=NoBias())) == {"a refuted policy was tried again"}

@@ -206,6 +206,12 @@ class Task(ABC):
         """Whether an episode that has not failed succeeds, its states (T+1, n); None: its cost decides."""
         return None
 
+    def missed(self, states: Array) -> str:
+        """How an episode that has not failed misses success, in words, its states (T+1, n)."""
+        errors = np.abs(self.error(states[-1], self.time_step * (len(states) - 1)))
+        off = (f"{goal.name} {error:.3g} {goal.unit}" for goal, error in zip(self.goals, errors, strict=True))
+        return f"at its end off by {', '.join(off)}"
+
     @abstractmethod
     def measure(self, x: Array) -> Array:
         """Measures (..., c) of states x (..., n), to be held against the limits of the criteria."""

@@ -139,6 +139,21 @@ def hold(rollout: Rollout, task: Task, bounds: Bounds, source: str) -> Rollout:
     return rollout
 
 
+def exceeded(rollout: Rollout, task: Task, bounds: Bounds) -> str:
+    """The limits, without the failure criteria, that a rollout exceeds, and by which values; "" for none."""
+    rates = np.abs(np.diff(rollout.inputs, axis=0)) / task.time_step
+    found = []
+    for words, quantities, values, limits in (
+        ("|{}| of {:.3g} {}", task.states, np.abs(rollout.states[:-1]), bounds.states),
+        ("|{}| of {:.3g} {}", task.inputs, np.abs(rollout.inputs), bounds.inputs),
+        ("a change of {} by {:.3g} {} per s", task.inputs, rates, bounds.input_rates),
+    ):
+        for quantity, largest, limit in zip(quantities, values.max(axis=0, initial=0.0), limits, strict=True):
+            if largest > limit * (1 + RECORDED_ROUNDING):
+                found.append(f"{words.format(quantity.name, largest, quantity.unit)} (limit {limit:g})")
+    return ", ".join(found)
+
+
 class SafetyLimitedPolicy(Policy):
     """A policy whose controller raises UnsafeError at a frame beyond the limits.
 

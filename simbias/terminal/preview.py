@@ -14,8 +14,8 @@ from rich.console import Console
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.core import Policy, Waiting
-from simbias.core.records import Array
-from simbias.lab.safety import Bounds
+from simbias.core.records import Array, Rollout
+from simbias.lab.safety import Bounds, exceeded
 from simbias.pictures.elements.style import save
 from simbias.pictures.preview import predicted
 from simbias.pictures.preview import preview as picture
@@ -26,6 +26,9 @@ from simbias.trial.prediction import DRAWS, Prediction, predict
 from simbias.trial.study import Study
 
 FILE = "preview.png"
+# How the experiments of a prediction end.
+SUCCEEDED, FAILED = "succeed", "fail"
+ABORTED, MISSED, DEAR = "are aborted by hardware.safety", "miss the goal", "cost more than Z_max"
 
 
 def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str] = ()) -> None:
@@ -88,12 +91,26 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
     cost = f"cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})"
     success = "a success" if study.passes(expected) else "no success"
+    if beyond := exceeded(expected, task, bounds):
+        success = f"it is aborted by hardware.safety, beyond {beyond}"
     yield f"Predicted: {seconds:.2f} s{end}, {cost}: {success}."
     counts = Counter(map(task.words, prediction.failures))
     failed = ", ".join(f"{words} ({count})" for words, count in counts.most_common())
-    succeed = sum(map(study.passes, prediction.draws))
-    fail = f"{len(prediction.failures)} fail{failed and f': {failed}'}"
-    yield f"Of {DRAWS} draws of start and model, {succeed} succeed, {fail}."
+    ends = Counter(_end(study, draw, bounds) for draw in prediction.draws)
+    missed = "".join(f", {ends[end]} {end}" for end in (ABORTED, MISSED, DEAR) if ends[end])
+    fail = f"{ends[FAILED]} fail{failed and f': {failed}'}"
+    yield f"Of {DRAWS} draws of start and model, {ends[SUCCEEDED]} succeed{missed}, {fail}."
+
+
+def _end(study: Study, draw: Rollout, bounds: Bounds) -> str:
+    """How a simulated experiment ends."""
+    if draw.failed_at is not None:
+        return FAILED
+    if exceeded(draw, study.task, bounds):
+        return ABORTED
+    if study.passes(draw):
+        return SUCCEEDED
+    return DEAR if study.task.succeeds(draw.states) is None else MISSED
 
 
 def _limit(lower: float, upper: float) -> str:

@@ -80,8 +80,7 @@ class TrialConsole(Observer):
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
         """Say what is odd about a policy, before hardware is spent on it."""
         self._remark(diagnostics.of_policy(theta, search, self._iterations))
-        self._remark(diagnostics.of_goal(theta, model, self._study.cost))
-        self._remark(diagnostics.of_model(theta, model, self._study.cost))
+        self._remark(diagnostics.of_prediction(theta, model, self._study))
         self._model = model
 
     def _remark(self, remarks: Iterable[Remark]) -> None:

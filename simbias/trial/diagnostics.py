@@ -11,9 +11,11 @@ import numpy as np
 
 from simbias.core import Cost, Model, Nominal
 from simbias.core.records import Array, Iteration, Search, Selection
+from simbias.lab.safety import exceeded
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
+from simbias.trial.study import Study
 
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 
@@ -46,7 +48,7 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
 def of_goal(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
     """Why a policy theta (p,) does not succeed on the model that it was made on, where the task says success.
 
-    Limits, time and how near to the goal it came: that of the quantities that are no rates.
+    Limits, time and what the task misses.
     """
     if model is None or not model.task.goals:
         return
@@ -58,20 +60,32 @@ def of_goal(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
         return
     times = task.time_step * np.arange(len(rollout.states))
     errors = np.abs(task.error(rollout.states, times))
-    places = [i for i, goal in enumerate(task.goals) if not goal.unit.endswith("/s")] or [0]
-    distances = np.linalg.norm(errors[:, places], axis=1)
-    nearest = int(np.argmin(distances))
-    aims = [(task.goals[i].name, errors[nearest, i].round(3), task.goals[i].unit) for i in places]
-    off = ", ".join(f"{name} {error:.3g} {unit}" for name, error, unit in aims)
+    places = [i for i, goal in enumerate(task.goals) if not goal.is_rate] or [0]
+    distances = np.linalg.norm(errors[:, places] / (errors[:, places].max(axis=0) + 1e-300), axis=1)
     lower, upper = task.input_bounds
     slack = np.nan_to_num(0.01 * (upper - lower), posinf=0.0)  # an input may have no limit
     full = np.mean(((rollout.inputs <= lower + slack) | (rollout.inputs >= upper - slack)).any(axis=1))
-    late = "; it was still coming nearer, so the horizon may be short" if nearest == rollout.frames else ""
+    coming = np.argmin(distances) == rollout.frames
+    late = "; it was still coming nearer, so the horizon may be short" if coming else ""
+    missed = task.missed(rollout.states)
     yield Remark(
         "a policy does not reach the goal in simulation",
-        f"this policy does not reach the goal in {times[-1]:g} s of simulation: it was nearest after "
-        f"{times[nearest]:.2f} s, off by {off}, its inputs at their limits in {full:.0%} of the frames{late}",
+        f"this policy does not reach the goal in {times[-1]:g} s of simulation: {missed}, "
+        f"its inputs at their limits in {full:.0%} of the frames{late}",
     )
+
+
+def of_safety(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
+    """Whether a policy theta (p,) goes beyond `hardware.safety` on the model that it was made on."""
+    if model is None or not study.conditions.safety.limits:
+        return
+    rollout = simulator(model, cost=study.cost).rollout(theta, model.task.start_mean)
+    if beyond := exceeded(rollout, model.task, study.conditions.safety.bounds(model.task)):
+        yield Remark(
+            "a policy goes beyond hardware.safety in simulation",
+            f"this policy goes beyond hardware.safety in simulation: {beyond}; experiments are "
+            "aborted there, but searches do not know these limits",
+        )
 
 
 def of_model(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
@@ -101,6 +115,13 @@ def of_model(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
             return
 
 
+def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
+    """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
+    yield from of_goal(theta, model, study.cost)
+    yield from of_safety(theta, model, study)
+    yield from of_model(theta, model, study.cost)
+
+
 def of_reset(iteration: Iteration, max_cost: float) -> Iterator[Remark]:
     """Why the model was cleared after an iteration's search, if it was (line 7 of Algorithm 1)."""
     search = iteration.search
@@ -125,23 +146,23 @@ def of_selection(selection: Selection) -> Iterator[Remark]:
     yield Remark("experiments without a sample to learn from", f"no samples to learn from: {why}")
 
 
-def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], cost: Cost) -> list[Remark]:
+def of_iteration(iteration: Iteration, earlier: Sequence[Iteration], study: Study) -> list[Remark]:
     """Everything odd about an iteration that has ended, but that the model was cleared, which is no fault."""
-    found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration, cost)]
+    found = [*of_policy(iteration.parameters, iteration.search, earlier), *_of_simulations(iteration, study)]
     if iteration.learning is not None and not iteration.succeeded:
         found += of_selection(iteration.learning.selection)
     return found
 
 
-def _of_simulations(iteration: Iteration, cost: Cost) -> tuple[Remark, ...]:
+def _of_simulations(iteration: Iteration, study: Study) -> tuple[Remark, ...]:
     """Remarks that take simulations of an iteration's policy; these are made once."""
     if iteration not in _simulated:
         theta, model = iteration.parameters, iteration.model
-        _simulated[iteration] = (*of_goal(theta, model, cost), *of_model(theta, model, cost))
+        _simulated[iteration] = tuple(of_prediction(theta, model, study))
     return _simulated[iteration]
 
 
-def of_trial(iterations: Sequence[Iteration], cost: Cost) -> list[Remark]:
+def of_trial(iterations: Sequence[Iteration], study: Study) -> list[Remark]:
     """Everything odd about the iterations of a trial."""
-    found = (of_iteration(each, iterations[:index], cost) for index, each in enumerate(iterations))
+    found = (of_iteration(each, iterations[:index], study) for index, each in enumerate(iterations))
     return [remark for remarks in found for remark in remarks]

@@ -157,7 +157,7 @@ class _Run(Observer):
         """The record of the trial so far, with how it ended."""
         method, test = self._study.method, self._policy_test
         before = self._kept.folder if self._kept else None
-        remarks = diagnostics.of_trial(self._iterations, self._study.cost)
+        remarks = diagnostics.of_trial(self._iterations, self._study)
         claim = claim_of(self._iterations[-1]) if outcome is Outcome.SUCCEEDED else None
         summary = TrialSummary(
             outcome=outcome,

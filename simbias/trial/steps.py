@@ -37,11 +37,12 @@ def search(
 ) -> Search:
     """Optimise the policy in simulation, on a corrected model (the dashed loop of Fig. 1).
 
-    A search that ends above the target cost, by default and at most Z_max, is made again with other random numbers, up to
-    `retries` times, each time on draws from a posterior whose deviations are `posterior_scale` times those
-    before. The best one is returned, with the evaluations of all. Each first evaluates the last policies
-    (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the best of
-    some trajectories (`simbias.search.optimizer.ilqr`) of the model, or without its bias if it has none.
+    A search that ends above the target cost, by default and at most Z_max, is made again with other random
+    numbers, up to `retries` times, each time on draws from a posterior whose deviations are `posterior_scale`
+    times those before. The best one is returned, with the evaluations of all. Each first evaluates the last
+    policies (p,), LQR policies of `lqr_candidates` models (`simbias.search.lqr`), and those that follow the
+    best of some trajectories (`simbias.search.optimizer.ilqr`) of the model, or without its bias if it has
+    none.
 
     Raises
     ------

@@ -159,10 +159,10 @@ def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) ->
     if failures:
         causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
         yield f"{len(failures)} of {counted(len(iteration.experiments), 'experiment')} failed: {causes}"
-    said = {remark.kind for remark in diagnostics.of_trial(earlier, study.cost)}
+    said = {remark.kind for remark in diagnostics.of_trial(earlier, study)}
     said |= {"model cleared" for each in earlier if each.learning and each.learning.reset}
     resets = diagnostics.of_reset(iteration, study.cost.max_cost)
-    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier, study.cost)):  # in full once
+    for remark in chain(resets, diagnostics.of_iteration(iteration, earlier, study)):  # in full once
         yield remark.kind if remark.kind in said else remark.words
 
 

@@ -20,7 +20,8 @@ from simbias.core.commands import SUCCEEDED, WAITING
 from simbias.core.records import Array, Rollout
 from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.safety import Safety, SafetyLimitedPolicy, UnsafeError
-from simbias.terminal.preview import first_prediction
+from simbias.terminal.preview import describe, first_prediction
+from simbias.trial.diagnostics import of_prediction
 from simbias.trial.folder import EXPERIMENT, OUTCOME, TrialFolder
 from simbias.trial.methods.ideal import Ideal
 from simbias.trial.observer import Observer
@@ -195,8 +196,24 @@ def test_preview_shows_and_draws_the_first_experiment(
     assert "velocity" in out
     assert " 0.3  m/s" in out
     assert "Predicted: 2.00 s, cost " in out
-    assert f"Of {DRAWS} draws of start and model, {DRAWS} succeed, 0 fail." in out
+    assert f"Of {DRAWS} draws of start and model, 0 succeed, {DRAWS} are aborted by hardware.safety, 0" in out
     assert [path.name for path in folder.iterdir()] == ["preview.png"]
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(point_mass: Study) -> None:
+    """Searches do not know them."""
+    safety = Safety(states={"velocity": 0.1}, input_rates={"force": 1e-3})
+    study = replace(point_mass, conditions=ExperimentConditions(safety=safety))
+    kind = "a policy goes beyond hardware.safety in simulation"
+    (remark,) = (each for each in of_prediction(THETA, study.first_model(), study) if each.kind == kind)
+    assert re.search(r"\|velocity\| of 0\.\d+ m/s \(limit 0\.1\), a change of force by", remark.words)
+    told = "\n".join(describe(study, predict(study, THETA, START), safety.bounds(study.task)))
+    assert "it is aborted by hardware.safety, beyond |velocity| of" in told
+    assert ": a success" not in told
+    assert f"0 succeed, {DRAWS} are aborted by hardware.safety, 0 fail." in told
+    calm = replace(study, conditions=ExperimentConditions())
+    assert kind not in {each.kind for each in of_prediction(THETA, study.first_model(), calm)}
 
 
 @pytest.mark.slow

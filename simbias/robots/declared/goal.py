@@ -12,6 +12,7 @@ import numpy as np
 from simbias.core import Criterion, Quantity
 from simbias.core.messages import quote
 from simbias.core.records import Array
+from simbias.robots.declared.declarations import Failure, criterion_of
 from simbias.simulation.compiler import Expressions
 
 TIME = "t"  # the name of the time in expressions, and of its column
@@ -117,15 +118,35 @@ class Success:
     Beside states, their expressions know the time t and `<name>_error` of each of the goal's quantities.
     """
 
-    def __init__(self, criteria: Sequence[Criterion], measures: Expressions, frames: int) -> None:
-        self._limits = np.array([criterion.limit for criterion in criteria])  # which measures are above
+    def __init__(
+        self, conditions: Mapping[str, Failure], measures: Expressions, frames: int, seconds: float
+    ) -> None:
+        self._conditions = conditions
+        limits = [criterion_of(name, each, ()).limit for name, each in conditions.items()]
+        self._limits = np.array(limits)  # which measures are above
         self._measures = measures
-        self._frames = frames
+        self._frames, self._seconds = frames, seconds
 
     def holds(self, states: Array, times: Array, errors: Array) -> bool:
         """Whether an episode of states (T+1, .) at times (T+1,), with errors (T+1, g), succeeds."""
+        return bool((self._least(states, times, errors) > self._limits).all())
+
+    def missed(self, states: Array, times: Array, errors: Array) -> str:
+        """The conditions that do not hold, each with the value that is furthest from its bound."""
+        least = self._least(states, times, errors)
+        missed = []
+        for (name, each), value, limit in zip(self._conditions.items(), least, self._limits, strict=True):
+            if not value > limit:
+                side, sign = ("above", 1) if each.below is None else ("below", -1)
+                worst = f"{sign * value:.3g} {each.unit}".strip()
+                missed.append(f"{name} is {worst}, not {side} {sign * limit:g}")
+        return f"in its last {self._seconds:g} s {'; '.join(missed)}"
+
+    def _least(self, states: Array, times: Array, errors: Array) -> Array:
+        """The least of each measure in the last frames."""
         rows = np.concatenate([states, times[:, None], errors], axis=1)[-self._frames :]
-        return bool((self._measures(rows) > self._limits).all())
+        least: Array = self._measures(rows).min(axis=0)
+        return least
 
 
 def success_names(states: Sequence[str], goals: Sequence[Quantity]) -> list[str]:

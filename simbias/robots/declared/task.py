@@ -211,8 +211,7 @@ class Declared(Task):
         names = success_names(self._known["variables"], self._goals)
         texts = {f"success.{name}": measure_of(f"success.{name}", each) for name, each in success.items()}
         measures = Expressions(texts, **{**self._known, "variables": names})
-        criteria = [criterion_of(name, each, ()) for name, each in success.items()]
-        self._success = Success(criteria, measures, self.frames(hold) + 1)
+        self._success = Success(success, measures, self.frames(hold) + 1, hold)
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
@@ -261,10 +260,18 @@ class Declared(Task):
 
     def succeeds(self, states: Array) -> bool | None:
         """Whether an episode of states (T+1, n) that has not failed succeeds; None without conditions."""
+        return None if self._success is None else self._success.holds(*self._episode(states))
+
+    def missed(self, states: Array) -> str:
+        """How an episode of states (T+1, n) misses the conditions of success, in words."""
         if self._success is None:
-            return None
+            return super().missed(states)
+        return self._success.missed(*self._episode(states))
+
+    def _episode(self, states: Array) -> tuple[Array, Array, Array]:
+        """What is seen in states (T+1, n), their times, and errors."""
         times = self.time_step * np.arange(len(states), dtype=np.float64)
-        return self._success.holds(self._seen(states), times, self.error(states, times))
+        return self._seen(states), times, self.error(states, times)
 
     def points(self, x: Array) -> dict[str, Array]:
         """The points (k, 2) of every part of the drawing at the state x (n,)."""
