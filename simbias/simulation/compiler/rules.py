@@ -9,7 +9,7 @@ import numpy as np
 from simbias.simulation.compiler.symbols import Symbol, TraceError, numeric
 
 
-def _truth(symbol: Symbol) -> Symbol:
+def truth(symbol: Symbol) -> Symbol:
     """A symbol as a condition."""
     return symbol if symbol.truth else symbol.trace.operation("is_true", symbol, truth=True)
 
@@ -27,7 +27,7 @@ def _of_bits(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
     """&, |, ^ and ~, of conditions alone."""
 
     def of_bits(*symbols: Symbol) -> Symbol:
-        if not all(symbol.truth or symbol.name == "number" for symbol in symbols):
+        if not all(symbol.truth for symbol in symbols):
             raise TraceError("it needs the bits of a value")
         return operation(*symbols)
 
@@ -35,11 +35,12 @@ def _of_bits(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
 
 
 add, subtract, multiply, quotient = map(_operation, ("add", "subtract", "multiply", "divide"))
-power, square_root, absolute, floor, negative = map(_operation, ("power", "sqrt", "abs", "floor", "negative"))
+power, square_root, absolute, negative = map(_operation, ("power", "sqrt", "abs", "negative"))
 less, less_equal = _operation("less", True), _operation("less_equal", True)
 equal, unequal = _operation("equal", True), _operation("not_equal", True)
-inverse, sign = _operation("inverse"), _operation("sign")
-both, either, neither = (_operation(name, True, of=_truth) for name in ("and", "or", "not"))
+inverse, sign, finite = _operation("inverse"), _operation("sign"), _operation("finite", True)
+rest, nearest, with_sign = map(_operation, ("fmod", "rint", "copysign"))
+both, either, neither = (_operation(name, True, of=truth) for name in ("and", "or", "not"))
 
 
 def _extreme(name: str, of_known: str) -> Callable[[Symbol, Symbol], Symbol]:
@@ -67,11 +68,39 @@ def cosine(a: Symbol) -> Symbol:
 
 
 def divide(a: Symbol, b: Symbol) -> Symbol:
-    """A quotient; the product with the inverse of a known number takes less time."""
+    """A quotient; the product with the inverse of a known number takes less time, but for `_rounded`."""
     if b.name == "number":
         with np.errstate(all="ignore"):
-            return multiply(a, b.trace.number(np.divide(1.0, b.value), b.whole))
+            product = multiply(a, b.trace.number(np.divide(1.0, b.value), b.whole))
+        product.quotient_of = a, b
+        return product
     return quotient(a, b)
+
+
+def _rounded(name: str) -> Callable[[Symbol], Symbol]:
+    """An operation that gives whole numbers: of a quotient itself, as its last bit decides at edges."""
+    operation = _operation(name)
+    return lambda a: operation(quotient(*a.quotient_of) if a.quotient_of else a)
+
+
+def _other_sign(r: Symbol, b: Symbol) -> Symbol:
+    """Whether a remainder of the dividend's sign is not of the divisor's, as NumPy's is."""
+    zero = r.trace.number(0)
+    return both(unequal(r, zero), _different(less(r, zero), less(b, zero)))
+
+
+def _remainder(a: Symbol, b: Symbol) -> Symbol:
+    """As NumPy has it: a - b floor(a / b) is off by b at edges."""
+    r, zero = rest(a, b), a.trace.number(0)
+    return choose(equal(r, zero), with_sign(zero, b), choose(_other_sign(r, b), add(r, b), r))
+
+
+def _floor_divide(a: Symbol, b: Symbol) -> Symbol:
+    """As NumPy has it: of a multiple of b, so that it has no edges."""
+    r, zero, share = rest(a, b), a.trace.number(0), quotient(a, b)
+    whole = nearest(subtract(quotient(subtract(a, r), b), _other_sign(r, b)))
+    whole = choose(equal(whole, zero), with_sign(zero, share), whole)
+    return choose(equal(b, zero), share, whole)
 
 
 def to_the_power(base: Symbol, exponent: Symbol) -> Symbol:
@@ -93,7 +122,12 @@ def choose(condition: Symbol, a: Symbol, b: Symbol) -> Symbol:
     """The first of two where a condition holds, else the second."""
     if a.truth and b.truth:
         return either(both(condition, a), both(neither(condition), b))
-    return a.trace.operation("chosen", _truth(condition), numeric(a), numeric(b))
+    return a.trace.operation("chosen", truth(condition), numeric(a), numeric(b))
+
+
+def _of_numbers_first(prefers: Callable[[Symbol, Symbol], Symbol]) -> Callable[[Symbol, Symbol], Symbol]:
+    """The lesser or the greater; of a number and one that is none, the number."""
+    return lambda a, b: choose(either(prefers(a, b), unequal(b, b)), a, b)
 
 
 def _scaled(factor: float) -> Callable[[Symbol], Symbol]:
@@ -106,6 +140,7 @@ def _different(a: Symbol, b: Symbol) -> Symbol:
     return either(both(a, neither(b)), both(neither(a), b))
 
 
+ROUNDED = ("floor", "ceil", "trunc", "rint")
 OF_NUMPY = (  # functions of one number, which are written as they are
     *("arcsin", "arccos", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
     *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p"),
@@ -128,11 +163,10 @@ RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.absolute: absolute,
     np.fabs: absolute,
     np.sign: sign,
-    np.floor: floor,
-    np.ceil: lambda a: negative(floor(negative(a))),
-    np.trunc: lambda a: multiply(sign(a), floor(absolute(a))),
-    np.floor_divide: lambda a, b: floor(divide(a, b)),
-    np.remainder: lambda a, b: subtract(a, multiply(b, floor(divide(a, b)))),
+    **{getattr(np, name): _rounded(name) for name in ROUNDED},
+    np.fmod: rest,
+    np.floor_divide: _floor_divide,
+    np.remainder: _remainder,
     np.deg2rad: _scaled(np.pi / 180),
     np.radians: _scaled(np.pi / 180),
     np.rad2deg: _scaled(180 / np.pi),
@@ -140,9 +174,12 @@ RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.sin: sine,
     np.cos: cosine,
     np.tan: lambda a: quotient(sine(a), cosine(a)),
-    **{getattr(np, name): _operation(name) for name in ("arctan", "arctan2", "copysign", *OF_NUMPY)},
+    np.copysign: with_sign,
+    **{getattr(np, name): _operation(name) for name in ("arctan", "arctan2", *OF_NUMPY)},
     np.minimum: lesser,
     np.maximum: greater,
+    np.fmin: _of_numbers_first(less_equal),
+    np.fmax: _of_numbers_first(lambda a, b: less_equal(b, a)),
     np.less: less,
     np.less_equal: less_equal,
     np.greater: lambda a, b: less(b, a),
@@ -150,7 +187,8 @@ RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.equal: equal,
     np.not_equal: unequal,
     np.isnan: lambda a: unequal(a, a),
-    np.isfinite: _operation("finite", True),
+    np.isfinite: finite,
+    np.isinf: lambda a: both(equal(a, a), neither(finite(a))),
     np.logical_and: both,
     np.logical_or: either,
     np.logical_not: neither,

@@ -44,6 +44,8 @@ class Trace:
         """A number that the code knows; one that is `whole`, or comes of such, is written as it is."""
         if isinstance(value, complex | np.complexfloating):
             raise TraceError("it computes with complex numbers")
+        if isinstance(value, bool | np.bool_):
+            return self.operation("is_true", self.number(float(value), whole), truth=True)
         if not whole and not isinstance(value, int | np.integer):
             return self._add("number", value=float(value))
         key = ("whole", float(value))
@@ -83,7 +85,7 @@ class Trace:
 class Symbol(NDArrayOperatorsMixin):
     """A number that is not known yet, or whether something holds."""
 
-    __slots__ = ("index", "name", "operands", "trace", "truth", "value", "whole")
+    __slots__ = ("index", "name", "operands", "quotient_of", "trace", "truth", "value", "whole")
 
     def __init__(
         self, trace: Trace, name: str, operands: tuple[Symbol, ...], value: Any, truth: bool, whole: bool
@@ -95,6 +97,7 @@ class Symbol(NDArrayOperatorsMixin):
         self.value = value  # of a number; the name of what is given
         self.truth = truth  # whether it is a condition
         self.whole = whole  # whether it is a number that is written as it is
+        self.quotient_of: tuple[Symbol, Symbol] | None = None  # of a product in its place
 
     def __hash__(self) -> int:
         return id(self)
@@ -135,7 +138,10 @@ def refusal(what: str) -> Callable:
 
 
 Symbol.__bool__ = refusal("it decides by a value; np.where does not")  # type: ignore[attr-defined]
-_NEEDS = "it needs a value, as float(), math and arrays of np.zeros do; np.zeros_like does not"
+_NEEDS = (
+    "it needs a value, as float(), math, np.asarray(x, float) and arrays of np.zeros do; "
+    "x.astype(float) and np.zeros_like do not"
+)
 for _name in ("float", "int", "index", "complex", "round", "trunc", "floor", "ceil"):
     setattr(Symbol, f"__{_name}__", refusal(_NEEDS))
 

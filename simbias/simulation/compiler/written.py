@@ -13,7 +13,7 @@ import numpy as np
 from simbias.core.records import Array
 from simbias.simulation.compiler.choices import at_least, at_most, chosen, greater, lesser
 from simbias.simulation.compiler.compilation import function_of
-from simbias.simulation.compiler.rules import OF_NUMPY
+from simbias.simulation.compiler.rules import OF_NUMPY, ROUNDED
 from simbias.simulation.compiler.symbols import LOOKED_UP, Symbol, Trace
 from simbias.simulation.compiler.trigonometry import arctan, sincos, tanh
 
@@ -34,10 +34,11 @@ _IN_ALL = {
     "equal": "{} == {}",
     "not_equal": "{} != {}",
 }
+_OF_TWO = ("arctan2", "copysign", "fmod", "power")
 _IN_NUMPY = {
     **_IN_ALL,
-    **{name: f"np.{name}({{}})" for name in ("sqrt", "floor", "arctan", "sign", *OF_NUMPY)},
-    **{name: f"np.{name}({{}}, {{}})" for name in ("arctan2", "copysign", "power", "minimum", "maximum")},
+    **{name: f"np.{name}({{}})" for name in ("sqrt", "arctan", "sign", *ROUNDED, *OF_NUMPY)},
+    **{name: f"np.{name}({{}}, {{}})" for name in (*_OF_TWO, "minimum", "maximum")},
     "angle": "{}",
     "sin": "np.sin({})",
     "cos": "np.cos({})",
@@ -82,11 +83,11 @@ _C_NAMES = {
     "arctanh": "atanh",
     "abs": "fabs",
 }
-_OF_ONE_IN_C = ("sqrt", "floor", "sin", "cos", "arctan", "abs")
+_OF_ONE_IN_C = ("sqrt", "sin", "cos", "arctan", "abs", *ROUNDED)
 _IN_C = {
     **_IN_ALL,
     **{name: f"{_C_NAMES.get(name, name)}({{}})" for name in (*_OF_ONE_IN_C, *OF_NUMPY)},
-    **{name: f"{_C_NAMES.get(name, name)}({{}}, {{}})" for name in ("arctan2", "copysign", "power")},
+    **{name: f"{_C_NAMES.get(name, name)}({{}}, {{}})" for name in _OF_TWO},
     "angle": "{}",
     "sign": "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     "minimum": "{0} < {1} || {0} != {0} ? {0} : {1}",
