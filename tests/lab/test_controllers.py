@@ -76,6 +76,14 @@ class SignsOfZeros(Integral):
         return np.asarray(u), policy_state
 
 
+class Periodic(Integral):
+    """A square wave and stairs, of periods that begin in frames, and a quantised look-up table."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        wave = np.where(t % 0.6 < 0.3, 1.0, -1.0) + 0.1 * (t // 0.1) - 0.1 * np.floor(t / 0.3)
+        return wave + np.interp(np.round(x[..., :1], 1), [-1.0, 0.0, 0.5], [0.2, -0.1, 0.3]), policy_state
+
+
 def controller(request: ExperimentRequest) -> Any:
     """The controller in Python."""
     names: dict[str, Any] = {}
@@ -98,13 +106,16 @@ def with_everything(study: Study) -> ExperimentRequest:
 
 @pytest.mark.slow
 def test_the_code_is_the_policy_over_hundreds_of_frames(study: Study) -> None:
-    """In Python and C; at limits, with its state, after what is no number, and of zeros that are equal."""
+    """In Python and C; at limits, with state and time, after what is no number, of zeros that are equal."""
     mass = PointMass()
     own = ExperimentRequest(mass, Integral(mass), np.array([3.0]), mass.start_mean)
-    zeros = ExperimentRequest(mass, SignsOfZeros(mass), np.zeros(1), mass.start_mean)
+    zeros, periods = (
+        ExperimentRequest(mass, policy(mass), np.zeros(1), mass.start_mean)
+        for policy in (SignsOfZeros, Periodic)
+    )
     halved = ExperimentRequest(mass, Halved(mass), np.array([3.0]), mass.start_mean)
     assert halved.content()["policy"]["class"] == "Halved"
-    for request in (with_everything(study), own, zeros, halved):
+    for request in (with_everything(study), own, zeros, periods, halved):
         assert request.why_no_code == ""
         assert {HEADER, MODULE} <= files(request).keys()
     states = 0.3 * np.random.default_rng(0).standard_normal((50, 6))

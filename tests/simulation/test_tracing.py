@@ -80,6 +80,14 @@ def filled(a: Array, b: Array) -> Array:
     return x
 
 
+def counted(a: Array, b: Array) -> Array:
+    """Conditions are numbers among numbers and where they are counted; the sum of two is a condition."""
+    x = np.zeros_like(a, dtype=float)
+    x[..., 0], x[..., 1] = a[..., 0] > 0, b[..., 0] > 0
+    total = x[..., :1] + x[..., 1:2] + np.sum([a > 0, b > 0], axis=0)
+    return total + ((a > 0) + (b > 0)) * b + (np.maximum(a > 0, b > 0) + (a > 1)) * a
+
+
 def solved(a: Array, b: Array) -> Array:
     M = SPD + 0.1 * np.abs(a)[..., None] * np.eye(3)
     return np.linalg.solve(M, b[..., None])[..., 0] + np.einsum("...ij,...j->...i", np.linalg.inv(M), a)
@@ -115,7 +123,11 @@ OPERATIONS: list[Callable[[Array, Array], Array]] = [
     lambda a, b: np.moveaxis(np.array([a[..., 0], a[..., 1] - b[..., 2], b[..., 0]]), 0, -1) + 0 * a,
     lambda a, b: np.asarray(a) * a.max(axis=-1, keepdims=True) + b.astype(float).min(axis=-1)[..., None],
     lambda a, b: np.any(a > 1, axis=-1, keepdims=True) * a + np.isfinite(b) * 1.0,
-    *(made_in_place, filled, solved, eliminated),
+    lambda a, b: np.clip(a, a_min=-0.5, a_max=0.5) + b.clip(max=0.3) + np.clip(a, min=b),
+    lambda a, b: np.rint(a) + np.round(b, 1) + np.fix(b) + np.fmod(a, 0.3) + a // 0.3 - b % -0.7,
+    lambda a, b: np.fmin(np.sqrt(a), b) + np.fmax(a, np.log(b)) + np.isinf(a / (b > 0)) * b,
+    lambda a, b: np.interp(a, [-1, 0, 0, 2], [1, 0, 3, -1]) + np.interp(b, [-1, 1], [1, 2], left=-7, right=9),
+    *(made_in_place, filled, counted, solved, eliminated),
 ]
 
 
@@ -124,6 +136,22 @@ def test_every_operation_is_traced() -> None:
         part = of_nominal(Stepping(operation), points)
         assert part.kernel, part.why_not
         expect_the_same(part.kernel, operation)
+
+
+def test_periods_and_tables_are_numpys_at_their_edges() -> None:
+    """To the last bit: whether a frame begins a period, and what lies at the end of a table or beyond."""
+    knots = [0.0, 0.3, 0.7, 1.1]
+    for period in (0.1, 0.3, 0.6):
+
+        def step(x: Array, u: Array, period: float = period) -> Array:
+            t, table = x[..., 0], np.interp(x[..., 0], knots, [0.1, 0.7, -0.3, 0.9])
+            return np.stack([np.floor(t / period) + np.ceil(t / period), t // period + t % period, table], -1)
+
+        x = np.append(np.append(0.02 * np.arange(-50, 300), knots), [np.inf, -np.inf])[:, None] * np.ones(3)
+        part = of_nominal(Stepping(step), points)
+        with np.errstate(all="ignore"):
+            columns = part.kernel.function(tuple(x.T), tuple(x.T), tuple(part.kernel.parameters))
+            np.testing.assert_array_equal(np.transpose(columns), step(x, x))
 
 
 @pytest.mark.slow
@@ -187,7 +215,15 @@ def by_mask(x: Array, u: Array) -> Array:
 
 WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
     (lambda x, u: x if x[0, 0] > 0 else u, "it decides by a value"),
-    (lambda x, u: np.sort(x, axis=-1), "it decides by a value"),
+    (lambda x, u: np.sort(x, axis=-1), "np.sort: it decides by a value"),
+    (lambda x, u: np.choose(x > 0, [x, u]), "np.choose of values is not known"),
+    (lambda x, u: np.clip(x, -1, 1, out=np.empty_like(x)), "np.clip: out= is not known"),
+    (lambda x, u: u.clip(-1, out=np.empty_like(x)), "np.clip: out= is not known"),
+    (lambda x, u: u * np.min(x, axis=-1, keepdims=True, initial=9.0), "np.min: np.minimum: initial= is not"),
+    (lambda x, u: np.add(x, u, where=np.array(True)), "np.add: where= is not known"),
+    (lambda x, u: x + np.zeros_like(x, int), "np.zeros_like: dtype= is not known"),
+    (lambda x, u: np.interp(x, [0, 1], u[0, :2]), "np.interp: a table of values"),
+    (lambda x, u: np.exp(x > 0), "np.exp of conditions is not known"),
     (into_numbers, "it needs a value"),
     (lambda x, u: CubicSpline(np.arange(9), np.arange(9) ** 2)(x), "it needs a value"),
     (by_mask, "IndexError: "),
@@ -198,7 +234,7 @@ WHY: list[tuple[Callable[[Array, Array], Array], str]] = [
     (lambda x, u: x / (u - u), "it gives what is not finite at most states"),
     (lambda x, u: x[..., :2], r"of one row it gives the shape \(1, 2\), not \(1, 3\)"),
     (lambda x, u: np.frexp(x)[0], "np.frexp of values is not known"),
-    (lambda x, u: x.astype(int), "it makes whole numbers or conditions"),
+    (lambda x, u: x.astype(int), "it makes whole numbers, conditions or single precision"),
     (lambda x, u: (x * 1j).imag, "it computes with complex numbers"),
 ]
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from typing import Any
 
 import numpy as np
 
-from simbias.simulation.compiler.rules import RULES, choose
+from simbias.simulation.compiler.rules import RULES, choose, truth
 from simbias.simulation.compiler.symbols import Symbol, Trace, TraceError, numeric, refusal
 
 
@@ -20,15 +21,18 @@ class Symbols(np.ndarray):
     def __array_function__(self, function: Callable, types: Any, arguments: Any, options: Any) -> Any:
         return called(function, arguments, options)
 
-    def clip(self, min: Any = None, max: Any = None, **_: Any) -> Any:  # type: ignore[override]  # noqa: A002
-        """The elements within bounds."""
-        return _clip(self, min, max)
+    def __setitem__(self, key: Any, value: Any) -> None:
+        super().__setitem__(key, value if all(_conditions(self)) else _numbers(value))
 
-    def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
-        """A copy, if it is to hold floating-point numbers."""
-        if np.dtype(dtype).kind not in "fO":
-            raise TraceError("it makes whole numbers or conditions of values")
-        return np.fromiter(map(_as_number, self.flat), object, self.size).reshape(self.shape).view(Symbols)
+    def clip(self, *bounds: Any, **options: Any) -> Any:
+        """The elements within bounds."""
+        return called(np.clip, (self, *bounds), options)
+
+    def astype(self, dtype: Any, *_: Any, copy: bool = True, **__: Any) -> Any:  # type: ignore[override]
+        """The elements as floating-point numbers."""
+        if not _double(dtype):
+            raise TraceError("it makes whole numbers, conditions or single precision of values")
+        return _numbers(self).view(Symbols) if copy or any(_conditions(self)) else self
 
 
 for _name in ("ctypes", "data", "__array_interface__", "__array_struct__", "tobytes"):  # it holds no numbers
@@ -50,9 +54,19 @@ def symbols_in(values: Any, trace: Trace) -> np.ndarray:
     return _ALL_NUMERIC(_known(np.asarray(values), trace))
 
 
-def _as_number(value: Any) -> Any:
-    """An element of an array as a number."""
-    return numeric(value) if isinstance(value, Symbol) else value
+def _conditions(values: Any) -> list[bool]:
+    """Whether each element is a condition."""
+    return [isinstance(each, Symbol) and each.truth for each in np.asarray(values, object).flat]
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """Values as a plain array of symbols and numbers, without conditions."""
+    return np.array(_AS_NUMBERS(np.asarray(values, object)), object)
+
+
+def _double(dtype: Any) -> bool:
+    """Whether numbers of this type are those of symbols."""
+    return dtype is None or np.dtype(dtype) in (np.float64, object)
 
 
 def _folding(ufunc: np.ufunc, rule: Callable) -> Callable:
@@ -80,16 +94,18 @@ _ELEMENTWISE = {
     for ufunc, rule in ({**RULES, **_FOLDED}).items()
 }
 _PRODUCTS = [getattr(np, name) for name in ("matmul", "vecdot", "matvec", "vecmat") if hasattr(np, name)]
-_ALL_NUMERIC, _CHOOSE = np.frompyfunc(numeric, 1, 1), np.frompyfunc(choose, 3, 1)
+_ALL_NUMERIC, _ALL_TRUE = np.frompyfunc(numeric, 1, 1), np.frompyfunc(truth, 1, 1)
+_AS_NUMBERS = np.frompyfunc(lambda each: numeric(each) if isinstance(each, Symbol) else each, 1, 1)
+_CHOOSE = np.frompyfunc(choose, 3, 1)
 _PASSED_ON = ("axis", "axes", "keepdims")  # options that say which operations there are
+_KNOWN = (*_PASSED_ON, "out", "casting", "order", "subok")  # the last three change no number
 
 
 def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mapping[str, Any]) -> Any:
     """An elementwise function of NumPy's, or a product of matrices, written down."""
     if ufunc not in _ELEMENTWISE and ufunc not in _PRODUCTS:
         raise TraceError(f"np.{ufunc.__name__} of values is not known here")
-    if options.get("where", True) is not True:
-        raise TraceError("where= is not known here, np.where is")
+    _check_options(ufunc, options)
     trace = _trace_of(inputs)
     passed_on = {name: options[name] for name in _PASSED_ON if name in options}
     if trace is None:
@@ -98,14 +114,38 @@ def applied(ufunc: np.ufunc, method: str, inputs: Sequence[Any], options: Mappin
         made = RULES[ufunc](*inputs)
     else:
         operands = [_known(each, trace) for each in inputs]
-        if ufunc is np.add and method != "__call__":
-            operands[0] = _ALL_NUMERIC(operands[0])  # conditions are counted
+        by_elements = method in ("__call__", "outer")
+        if options.get("dtype") is not None or (ufunc in (np.add, np.multiply) and not by_elements):
+            operands = list(map(_numbers, operands))  # conditions are counted
         made = getattr(_ELEMENTWISE.get(ufunc, ufunc), method)(*operands, **passed_on)
+        if by_elements and all(map(all, map(_conditions, operands))):
+            made = _of_conditions(ufunc, made)
     for target in options.get("out") or ():
-        if target is not None:
+        if target is not None and not isinstance(target, Symbol):
             target[...] = made
             return target
     return _viewed(made)
+
+
+def _check_options(ufunc: np.ufunc, options: Mapping[str, Any]) -> None:
+    """Refuse options that change what is computed."""
+    for option, value in options.items():
+        known = option in _KNOWN or (option == "where" and value is True)
+        if option == "dtype":
+            known = _double(value) or ufunc in (np.logical_and, np.logical_or)  # np.any says bool
+        if not known:
+            raise TraceError(f"np.{ufunc.__name__}: {option}= is not known here")
+
+
+def _of_conditions(ufunc: np.ufunc, made: Any) -> Any:
+    """The result for arrays of conditions, in the type that NumPy gives it: their sum is a condition."""
+    try:
+        dtype = ufunc.resolve_dtypes((np.dtype(bool),) * ufunc.nin + (None,) * ufunc.nout)[-1]
+    except TypeError:
+        dtype = np.dtype(np.float16)  # there is none
+    if dtype == np.float16:
+        raise TraceError(f"np.{ufunc.__name__} of conditions is not known here")
+    return _ALL_TRUE(np.asarray(made, object)) if dtype.kind == "b" else made
 
 
 def _plain(values: Any) -> Any:
@@ -138,10 +178,19 @@ def _known(values: Any, trace: Trace) -> np.ndarray:
 
 def called(function: Callable, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
     """Another function of NumPy's: one of those here, or as NumPy has it, which calls elementwise ones."""
-    if function in _FUNCTIONS:
-        return _FUNCTIONS[function](*arguments, **options)
-    arguments, options = _arrays(tuple(arguments)), {name: _arrays(each) for name, each in options.items()}
-    return _viewed(np.ndarray.__array_function__(_ANY, function, (Symbols,), arguments, options))
+    name = f"{function.__module__}.{function.__name__}".replace("numpy.", "np.", 1)
+    options = {option: value for option, value in options.items() if value is not None}
+    try:
+        if own := _FUNCTIONS.get(function):
+            if unknown := [option for option in options if option not in signature(own).parameters]:
+                raise TraceError(f"{unknown[0]}= is not known here")
+            return own(*arguments, **options)
+        arguments, options = _arrays(tuple(arguments)), {key: _arrays(each) for key, each in options.items()}
+        return _viewed(np.ndarray.__array_function__(_ANY, function, (Symbols,), arguments, options))
+    except TraceError as error:
+        raise TraceError(f"{name}: {error}") from error
+    except TypeError as error:
+        raise TraceError(f"{name} of values is not known here") from error
 
 
 _ANY = np.empty(0, object).view(Symbols)
@@ -157,7 +206,8 @@ def _arrays(values: Any) -> Any:
 def _viewed(made: Any) -> Any:
     """A result whose plain arrays of symbols are ours."""
     if isinstance(made, np.ndarray) and made.dtype == object:
-        return made.view(Symbols)
+        conditions = _conditions(made)
+        return (_numbers(made) if any(conditions) and not all(conditions) else made).view(Symbols)
     return type(made)(map(_viewed, made)) if type(made) in (list, tuple) else made
 
 
@@ -168,9 +218,9 @@ def _where(condition: Any, a: Any, b: Any) -> Any:
     return _viewed(_CHOOSE(*(_known(each, trace) for each in (condition, a, b))))
 
 
-def _clip(values: Any, low: Any = None, high: Any = None, **others: Any) -> Any:
-    low, high = others.get("min", low), others.get("max", high)
-    raised = values if low is None else np.maximum(low, values)  # in this order a zero keeps its sign
+def _clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:  # noqa: A002 (NumPy's)
+    low, high = (a_min if min is None else min), (a_max if max is None else max)
+    raised = a if low is None else np.maximum(low, a)  # in this order a zero keeps its sign
     return raised if high is None else np.minimum(high, raised)
 
 
@@ -180,13 +230,31 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.
     return default
 
 
+def _full_like(a: Any, fill_value: Any, dtype: Any = None, shape: Any = None) -> Symbols:
+    if not _double(dtype):
+        raise TraceError("dtype= is not known here")
+    return array(np.broadcast_to(fill_value, np.shape(a) if shape is None else shape))
+
+
 def _filled(value: float) -> Callable:
     """The function that makes an array of one's shape, filled with a number."""
+    return lambda a, dtype=None, shape=None: _full_like(a, value, dtype, shape)
 
-    def make(like: Any, *_: Any, shape: Any = None, **__: Any) -> Symbols:
-        return array(np.full(np.shape(like) if shape is None else shape, value))
 
-    return make
+def _interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
+    """Of a constant table: its row is chosen, and what it gives is computed as NumPy does."""
+    if _trace_of([xp, fp, left, right]) or np.size(xp) < 2:
+        raise TraceError("a table of values, or of one row, is not known here")
+    with np.errstate(all="ignore"):
+        rows = np.array([xp[:-1], fp[:-1], np.diff(fp) / np.diff(xp)], np.float64).T
+    start, value, slope = rows[0]
+    for row in rows[1:]:
+        start, value, slope = (
+            np.where(x >= row[0], *pair) for pair in zip(row, (start, value, slope), strict=True)
+        )
+    within = np.where(x >= xp[-1], fp[-1], value + slope * (x - start))
+    above = within if right is None else np.where(x > xp[-1], right, within)
+    return np.where(x < xp[0], fp[0] if left is None else left, above)
 
 
 def _norm(x: Any, ord: Any = None, axis: int | None = None, keepdims: bool = False) -> Any:  # noqa: A002 (NumPy's)
@@ -258,7 +326,8 @@ _FUNCTIONS: Mapping[Callable, Callable] = {
     np.zeros_like: _filled(0.0),
     np.empty_like: _filled(0.0),
     np.ones_like: _filled(1.0),
-    np.full_like: lambda like, value, *_, **__: array(np.broadcast_to(value, np.shape(like))),
+    np.full_like: _full_like,
+    np.interp: _interp,
     np.linalg.norm: _norm,
     np.linalg.det: lambda A: _determinant(np.asanyarray(A)),
     np.linalg.inv: lambda A: _inverse(np.asanyarray(A)),
