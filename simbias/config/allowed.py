@@ -7,6 +7,7 @@ allowed, by `--allow` or by `allow` in that folder's `components.yaml`.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import invalidate_caches
 from importlib.util import find_spec
@@ -92,11 +93,13 @@ def _module(name: Any, key: str) -> str:
 def own(config: Any, folders: Sequence[Path], prefixes: Sequence[str]) -> Own:
     """The modules that a config may name: of the prefixes, and those in, or beside, a folder of configs.
 
-    No deeper: an environment with everything that is installed may lie there too.
+    No deeper: an environment with everything that is installed may lie there too. From then on, Python finds
+    modules there, behind all others.
     """
-    homes = {home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())}
+    homes = [home for folder in folders for home in (folder.resolve(), folder.absolute().parent.resolve())]
+    sys.path += [path for path in dict.fromkeys(map(str, homes)) if path not in sys.path]
     names = {str(target).partition(".")[0] for target in targets(config)} - {OWN}
-    beside = sorted(name for name in names if homes and _homes(name) and _homes(name) <= homes)
+    beside = sorted(name for name in names if homes and _homes(name) and _homes(name) <= {*homes})
     return Own((*prefixes, *beside), tuple(str(folder.absolute()) for folder in folders))
 
 

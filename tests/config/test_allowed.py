@@ -66,6 +66,17 @@ def test_what_lies_beside_or_in_a_named_folder_or_is_in_its_list(project: Path) 
     assert bias_of("installed") == "Mine"
 
 
+def test_what_lies_beside_a_folder_is_found_from_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, {"lab/apart.py": CLASS, "lab/conf/bias/apart.yaml": "_target_: apart.Mine"})
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    loaded = simbias.load(["bias=apart", "tracking=none"], "lab/conf")
+    assert (type(loaded.bias).__name__, loaded.composition.own.modules) == ("Mine", ("apart",))
+    sys.modules.pop("apart", None)
+
+
 def test_what_is_not_allowed_is_not_imported(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sweep = "sweep: {trials: 1, axes: {}, figures: {one: {_target_: installed.Mine}}}"
     write(project, {"conf/sweeps/mine.yaml": sweep})
