@@ -16,6 +16,7 @@ from point_mass import PointMass
 import simbias
 from simbias.core import Policy, Quantity, Task
 from simbias.core.records import Array
+from simbias.lab.requests import verification
 from simbias.lab.requests.controller import c_header, harmless, python_module
 from simbias.lab.requests.folder import files
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
@@ -183,6 +184,22 @@ def test_code_that_is_not_the_policy_is_not_written(study: Study) -> None:
     assert not {HEADER, MODULE} & made.keys()
     said = f"This policy cannot be written out as code ({Different.why_no_code})"
     assert said in " ".join(made["README.txt"].split())
+
+
+def test_code_is_held_against_the_policy_after_an_abort_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose own frame, and the one after it, are aborted."""
+    task = PointMass()
+    states = np.repeat([[2.0, 0.0], [0.1, 0.2]], 2, axis=0)
+    monkeypatch.setattr(verification, "_sequences", lambda task: [states])
+    request = ExperimentRequest(task, SignsOfZeros(task), np.zeros(1), task.start_mean)
+    bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.ones(2), False)
+    law = formulas_of(request.policy, task, request.theta)
+    assert not isinstance(law, str)
+    header, module = c_header(task, law, "", bounds), python_module(task, law, "", bounds)
+    assert difference(request.policy, task, request.theta, bounds, header, module) == ""
+    wrong = module.replace("0.5 * ", "0.25 * ")
+    said = difference(request.policy, task, request.theta, bounds, header, wrong)
+    assert said.startswith("in Python, frame 2 gives abort, u = [0.0, ")
 
 
 def test_a_policy_that_decides_by_values_says_why() -> None:

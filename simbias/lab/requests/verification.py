@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,12 +30,18 @@ int main(void)
 {{
     double x[{n}], u[{m}];
     simbias_controller controller;
-    simbias_start(&controller);
+    int aborted, aborts = 2;
     for (;;) {{
         for (int i = 0; i < {n}; ++i)
             if (scanf("%lf", &x[i]) != 1)
                 return 0;
-        printf("%d", simbias_control(&controller, x, u));
+        if (aborts == 2) {{
+            simbias_start(&controller);
+            aborts = 0;
+        }}
+        aborted = simbias_control(&controller, x, u);
+        aborts += aborted;
+        printf("%d", aborted);
         for (int i = 0; i < {m}; ++i)
             printf(" %.17g", u[i]);
         printf("\\n");
@@ -49,11 +56,11 @@ def difference(policy: Policy, task: Task, theta: Array, bounds: Bounds, header:
     C is tried where there is a compiler, `cc`.
     """
     limited = SafetyLimitedPolicy(without_limits(policy), task, bounds)
-    sequences = _sequences(task)
-    expected = [_run(limited.controller(theta, task.time_step), states, task) for states in sequences]
+    sequences, start = _sequences(task), partial(limited.controller, theta, task.time_step)
+    expected = [_run(start, states, task) for states in sequences]
     names: dict[str, Any] = {}
     exec(compile(module, "<controller.py>", "exec"), names)
-    made = {"Python": [_run(names["Controller"](), states, task) for states in sequences]}
+    made = {"Python": [_run(names["Controller"], states, task) for states in sequences]}
     compiler = shutil.which("cc")
     if compiler:
         try:
@@ -86,15 +93,21 @@ def _sequences(task: Task) -> list[Array]:
     return sequences
 
 
-def _run(controller: Any, states: Array, task: Task) -> Array:
-    """Whether each frame is to be aborted, and its inputs: (k, 1 + m) of states (k, n)."""
-    rows = np.zeros((len(states), 1 + len(task.inputs)))
+def _run(start: Callable[[], Any], states: Array, task: Task) -> Array:
+    """Whether each frame is to be aborted, and its inputs: (k, 1 + m) of states (k, n).
+
+    An abort holds for the frame after it, too. Then another controller takes over, so that all frames count.
+    """
+    rows, aborts = np.zeros((len(states), 1 + len(task.inputs))), 2
     with np.errstate(all="ignore"):
         for row, x in zip(rows, states, strict=True):
+            if aborts == 2:
+                controller, aborts = start(), 0
             try:
                 row[1:] = controller(x)
             except (UnsafeError, ValueError):
                 row[0] = 1.0
+                aborts += 1
     return rows
 
 
