@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 JOBS = ("env", "help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
 WITHOUT_JOBS = [f"hydra/{group}=[]" for group in JOBS]  # which Hydra runs none of here: a fourth of its time
 
+SEVERAL = "has several values: a list needs brackets, many trials are a sweep (+sweep=NAME)"
+
 
 class Composed(NamedTuple):
     """A composition by Hydra."""
@@ -114,11 +116,17 @@ def in_one_line(error: Exception) -> ConfigError:
         return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
-    return unknown(re.findall("'(.+?)'", lines[0]), "", ": ".join(lines[:2]))
+    quoted = re.findall("'(.+?)'", lines[0])
+    if lines[0].startswith(("Sweep parameters", "Ambiguous value")):
+        return ConfigError(quoted[0], SEVERAL)
+    return unknown(quoted, "", ": ".join(lines[:2]))
 
 
 def _no_such_key(key: str) -> ConfigError:
     """The error of a key that the config has not."""
+    if re.match(r"sweep\.axes(\.|$)", key):
+        axis = key[len("sweep.axes.") :] or "NAME"
+        return ConfigError(key, f"no such key; '+sweep.axes={{{axis}: [...]}}' sets or adds an axis")
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
     return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

@@ -55,6 +55,14 @@ def read_axis(name: str, spec: Any) -> Axis:
         "values": Required[list[Any]],
         "labels": NotRequired[list[str | float]],
     }
+    if spec and not spec.keys() & fields.keys():
+        key, value = name, spec
+        while isinstance(value, Mapping) and value:
+            inner, value = next(iter(value.items()))
+            key += f".{inner}"
+        raise ConfigError(
+            where, f"must be a list of values; of a key with dots: '+sweep.axes={{{key}: [...]}}'"
+        )
     if not isinstance(spec.get("values"), list):
         raise ConfigError(where, f"must be a list of values, got {spec.get('values')!r}")
     checked = validate(spec, fields, where)

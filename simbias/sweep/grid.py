@@ -201,6 +201,12 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
                     problem = f"{key} is set elsewhere: {owner or 'each trial has its own'}"
                     raise ConfigError(f"sweep.axes.{axis.name}", problem)
         owners |= dict.fromkeys(axis.keys, axis.name)
+        for key, value in (each for point in axis.points for each in point.items()):
+            if key in groups and isinstance(value, Mapping):
+                problem = (
+                    f"{key} is a group, whose values are options; write {key}.{next(iter(value), 'key')}"
+                )
+                raise ConfigError(f"sweep.axes.{axis.name}", problem)
     for override in overridden(overrides):
         for key, axis_name in owners.items():
             if key != "seed" and _overlap(override, key, groups):

@@ -70,7 +70,8 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     parsed, behind = parser.parse_known_args(rest)
     words: Any = vars(parsed).get("words", vars(parsed).get("overrides"))
     if behind and (words is None or any(word.startswith("-") for word in behind)):
-        parser.error(f"unrecognized arguments: {' '.join(behind)}")
+        several = "; many trials are a sweep (+sweep=NAME)" if {"-m", "--multirun"} & {*behind} else ""
+        parser.error(f"unrecognized arguments: {' '.join(behind)}{several}")
     elif behind:
         words += behind  # an option of the command's own, where argparse takes no more of them
     return argparse.Namespace(**{**vars(parsed), **vars(known)})

@@ -36,6 +36,8 @@ BAD = {  # by override: its key, and what is said of it
     "+nosuch=1": ("nosuch", "no such group"),
     "~bias": ("bias", "missing"),
     "bias.d=[1": ("bias.d=[1", "cannot be parsed (no viable alternative at input '[1'); quotes keep"),
+    "bias=gp,none": ("bias=gp,none", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
+    "seed=range(1,3)": ("seed=range(1,3)", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
     "seed=-1": ("seed", "must be greater than or equal to 0, got -1"),
     "seed=${nosuch}": ("seed", "Interpolation key 'nosuch' not found"),

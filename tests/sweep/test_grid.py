@@ -124,6 +124,16 @@ def test_bad_sweep() -> None:
         "sweep.axes.x: hardware.gaps is set elsewhere: hardware.gaps.slope": [
             "+sweep={trials: 1, axes: {hardware.gaps.slope: [0.02], x: {points: {a: {hardware.gaps: {}}}}}}"
         ],
+        "sweep.axes.x: hardware is a group, whose values are options; write hardware.friction": [
+            "+sweep={trials: 1, axes: {x: {points: {a: {hardware: {}}}}}}",
+            "+sweep.axes.x.points.a.hardware.friction=0.5",
+        ],
+        "sweep.axes.bias.d: no such key; '+sweep.axes={bias.d: [...]}' sets or adds an axis": [
+            "+sweep=smoke", "sweep.axes.bias.d=[1.0]"
+        ],
+        "sweep.axes: no such key; '+sweep.axes={NAME: [...]}' sets or adds": [
+            "+sweep=smoke", "sweep.axes={bias: [gp]}"
+        ],
         "sweep.axes: 0 none and 0  none are the same": ["+sweep=smoke", "+sweep.axes.bias=[none, ' none']"],
         "sweep.axes.error: has 2 labels for 1 values": ["+sweep=table2", "sweep.axes.error.values=[0.1]"],
         "sweep.report.columns: no such axis: no": ["+sweep=smoke", "+sweep.report.columns=no"],
@@ -141,6 +151,7 @@ def test_bad_axis() -> None:
         "has no keys": {"keys": [], "values": [[]]},
         "names a key twice: x, +x": {"keys": ["x", "+x"], "values": [[1, 2]]},
         "must be a list of values, got 'gp'": "gp",
+        "must be a list of values; of a key with dots: '+sweep.axes={bias.a.d: [...]}'": {"a": {"d": [1, 2]}},
         "has a name or label with letters that cannot be printed": {
             "keys": "x", "values": ["gp"], "labels": ["a\tb"]
         },

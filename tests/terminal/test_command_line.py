@@ -42,6 +42,12 @@ def test_success_exits_0_and_says_how_many_experiments(new_store: Path, tmp_path
     assert process.wait() == 1
 
 
+def test_many_trials_are_no_multirun_of_hydras(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parse(["-m", "seed=1,2"], "0")
+    assert "unrecognized arguments: -m; many trials are a sweep (+sweep=NAME)" in capsys.readouterr().err
+
+
 def used() -> float:
     """Seconds of processor time of the processes that were started here and have ended."""
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
