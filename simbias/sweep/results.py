@@ -12,7 +12,7 @@ does on average.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -90,12 +90,22 @@ def published(sweep: Sweep, folder: str = "") -> pd.DataFrame:
     Raises
     ------
     ConfigError
-        If there are none, or their file lacks a column.
+        If there are none; others as of `read`.
     """
     path = resource_folder("sweeps") / "results" / (folder or sweep.name) / "trials.csv"
-    names = [axis.name for axis in sweep.axes]
     if not path.is_file():
         raise ConfigError("sweep", f"{sweep.name} has no published results")
+    return read(path, [axis.name for axis in sweep.axes])
+
+
+def read(path: Path, names: Sequence[str]) -> pd.DataFrame:
+    """The trials of a file as `csv` writes it, `names` those of the axes.
+
+    Raises
+    ------
+    ConfigError
+        If it lacks a column.
+    """
     numbers = (*COUNTS, "seconds", *(name for name in LATER if name not in EPISODES))
     types = {**dict.fromkeys((*names, *EPISODES), str), **dict.fromkeys(numbers, float)}
     blanks = {name: [""] for name in numbers}

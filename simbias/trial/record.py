@@ -243,10 +243,11 @@ def another(rng: np.random.Generator, times: int) -> np.random.Generator:
 
 
 def changed(path: Path) -> ConfigError:
-    """The error of a step that does not fit the trial."""
-    return ConfigError(
-        str(path), "does not fit the trial: its code has changed since. Move the folder away to begin again"
-    )
+    """The error of a step that does not fit the trial, as its code is another or a step before is gone."""
+    there = {*map(number, TrialFolder(path.parent).all_steps())}
+    gone = next((index for index in range(number(path)) if index not in there), None)
+    why = "its code has changed since" if gone is None else f"step {gone:04d} is missing"
+    return ConfigError(str(path), f"does not fit the trial: {why}. Move the folder away to begin again")
 
 
 def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:

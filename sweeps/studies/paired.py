@@ -1,13 +1,16 @@
 """What the points of an axis differ by, pair by pair, where their trials met the same seeds.
 
 `python sweeps/studies/paired.py SWEEP AXIS [--by AXIS]` compares every point of an axis with its first one,
-in the published trials of a sweep that has the axis among its `common_seeds`; for each point of another axis
-apart, if one is named. A trial that never succeeds counts all experiments that it may make.
+in the published trials of a sweep that has the axis among its `common_seeds`, or in those of your own one, if
+SWEEP is its `trials.csv`; for each point of another axis apart, if one is named. A trial that never succeeds
+counts all experiments that it may make.
 """
 
 from __future__ import annotations
 
 import argparse
+from itertools import takewhile
+from pathlib import Path
 
 import pandas as pd
 
@@ -27,10 +30,14 @@ HEAD = (
 
 def paired(name: str, axis: str, by: str | None = None) -> str:
     """A row for every point of the axis, in markdown."""
-    sweep = expand([f"+sweep={name}"])
-    trials = results.published(sweep)
-    others = [other.name for other in sweep.axes if other.name != axis]
-    keys = [*others, "repetition"]
+    if name.endswith(".csv"):
+        head = pd.read_csv(name, nrows=0).columns
+        axes = [*takewhile(lambda column: column != "hash", head)]
+        trials = results.read(Path(name), axes)
+    else:
+        sweep = expand([f"+sweep={name}"])
+        axes, trials = [each.name for each in sweep.axes], results.published(sweep)
+    keys = [*(each for each in axes if each != axis), "repetition"]
     groups = list(trials.groupby(by, sort=False)) if by else [("", trials)]
     names = [*([by] if by else []), axis]
     lines = [

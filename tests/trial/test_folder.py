@@ -238,6 +238,11 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         record = run_trial(short, folder)
         assert (record.outcome, message in record.summary.reason) == (Outcome.ERROR, True)
         assert step_names(folder)[1:] == step_names(whole[0])[1:]  # nothing is lost
+    (theta / "0000_search.json").unlink()
+    with pytest.raises(
+        ConfigError, match=r"0001_experiment\.npz: does not fit the trial: step 0000 is missing"
+    ):
+        read_trial(short, theta)
 
 
 def test_changed_code_is_said(whole: Whole, tmp_path: Path) -> None:
