@@ -186,6 +186,20 @@ def test_an_axis_may_add_a_key() -> None:
         expand(["+sweep=fig6", "preset=cartpole", noise, "+hardware.noise.force_variance=0.1"])
 
 
+@pytest.mark.slow
+def test_the_sweep_that_the_docs_show_is_one(tmp_path: Path) -> None:
+    text = (ROOT / "conf" / "README.md").read_text()
+    (shown,) = re.findall(r"^```yaml\n(defaults:.*?)^```", text, re.MULTILINE | re.DOTALL)
+    sweep = expand(["+sweep=mine"], write_sweep(tmp_path, "mine", shown))
+    assert [axis.labels for axis in sweep.axes] == [
+        ("0", "0.2"), ("no noise", "all noise"), ("nothing", "residual")
+    ]  # fmt: skip
+    assert (len(sweep.trials), len({trial.seed for trial in sweep.trials})) == (80, 40)
+    last = sweep.cells[-1].composition
+    assert (last.choices["evaluation"], last.config["bias"]["d"]) == ("domain_randomization", 2.0)
+    assert "experiments" in sweep.figures
+
+
 def test_a_dry_run_needs_no_plus(conf: Path) -> None:
     """Whether the sweep's file names it or not; nor may it have one only where the file leaves it out."""
     values = [f"sweep.axes.{axis}.values=[0.1]" for axis in ("torque", "error")]
