@@ -115,7 +115,7 @@ class CheckedHardware(Hardware):
         record: ExperimentRecord | None = None,
     ) -> None:
         self._hardware = hardware
-        self._task = task.without_targets
+        self._task, self._targets = task.without_targets, task.targets
         self._timeout = conditions.timeout
         self._bounds = conditions.safety.bounds(task.without_targets) if conditions.safety.limits else None
         self._ask = conditions.ask if conditions.confirm else None
@@ -151,7 +151,7 @@ class CheckedHardware(Hardware):
                 raise Waiting("the experiment was not confirmed (hardware.confirm=true)")
             self._ask = None
         start, targets = np.split(start, [len(self._task.states)])
-        policy = WithTargets(policy, targets) if len(targets) else policy
+        policy = WithTargets(policy, targets, self._targets) if len(targets) else policy
         returned = self._run(policy, theta.copy(), start.copy(), rng)  # it may write into its copies
         return beside(replace(self._checked(returned, theta, start), parameters=theta), targets)
 

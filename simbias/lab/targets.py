@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import final
 
 import numpy as np
 
-from simbias.core import Law, Policy
+from simbias.core import Law, Policy, Quantity
 from simbias.core.records import Array, Rollout
 
 
@@ -15,19 +16,21 @@ from simbias.core.records import Array, Rollout
 class WithTargets(Policy):
     """A policy of a task with targets as that of an episode, whose targets (k,) it knows."""
 
-    def __init__(self, policy: Policy, targets: Array) -> None:
-        self._policy, self.targets = policy, targets
+    def __init__(self, policy: Policy, targets: Array, quantities: Sequence[Quantity]) -> None:
+        self.policy, self.targets = policy, targets
+        named = zip(quantities, targets, strict=True)
+        self.told = [f"{quantity.name} = {value:g} {quantity.unit}" for quantity, value in named]
         self.n_parameters, self.bounds = policy.n_parameters, policy.bounds
         self.state_size = policy.state_size
 
     def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
         """Inputs u (..., m) at the robot's states x (..., n), and the policy state for the next frame."""
-        return self._policy.act(theta, self._seen(x), t, policy_state)
+        return self.policy.act(theta, self._seen(x), t, policy_state)
 
     def law(self, theta: Array) -> Law:
         """The policy's law, with the targets."""
-        law = self._policy.law(theta)
-        return Law(law.words, {**law.numbers, "targets": self.targets})
+        law = self.policy.law(theta)
+        return Law(f"{law.words}; targets: {', '.join(self.told)}", {**law.numbers, "targets": self.targets})
 
     def _seen(self, x: Array) -> Array:
         """The robot's states and the targets (..., n + k)."""

@@ -21,7 +21,7 @@ from simbias.lab.checked_hardware import ExperimentConditions
 from simbias.lab.requests.folder import write_request
 from simbias.lab.requests.manual import Manual
 from simbias.lab.requests.request import ExperimentRequest
-from simbias.lab.requests.trajectory import header
+from simbias.lab.requests.trajectory import header, read
 from simbias.lab.safety import Safety
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.trial.study import Study
@@ -153,6 +153,11 @@ def test_a_person_reads_start_limits_and_what_to_do(point_mass: Study, tmp_path:
     ):
         assert f"  {line}\n" in text
     assert "|position|" not in text
+    assert "If the controller aborted, end the\nfile with the row in which it did" in text
+    rows = np.array([[0.0, 0.5, 0.0, 1.0], [0.02, 0.5, 0.0, 0.0]])
+    table = lines(",".join([*header(point_mass.task), "failure"]), rows, "unsafe_rate_of_force")
+    request = requested(point_mass.task, np.array([0.5, 0.0]), safety)
+    assert read(written(folder, table), request).failure == "unsafe_rate_of_force"
     assert "The controller is in controller.h (C99) and controller.py (Python)" in text
 
 

@@ -14,6 +14,7 @@ from simbias.core import Hardware, Policy, Task
 from simbias.core.records import Array, Rollout, Transitions
 from simbias.cost.tracking import Tracking
 from simbias.lab.checked_hardware import CheckedHardware
+from simbias.lab.requests.folder import files
 from simbias.policy.network import Network
 from simbias.robots.declared.task import Declared
 from simbias.search.evaluation.nominal_start import NominalStart
@@ -163,7 +164,11 @@ def test_who_is_asked_is_told_a_robots_start_and_a_policy_that_knows_them(still:
     request = asking.ask()
     assert request is not None
     assert request.start.shape == (4,)
-    assert 0.1 < request.policy.law(request.theta).numbers["targets"][0] < 0.5
+    law = request.policy.law(request.theta)
+    assert 0.1 < law.numbers["targets"][0] < 0.5
+    assert law.words.endswith(f"; targets: place = {law.numbers['targets'][0]:g} m, pace = 2 1/s")
+    assert f"  place = {law.numbers['targets'][0]:g} m\n" in files(request)["README.txt"]
+    assert request.content()["policy"]["class"] == type(still.policy).__name__
     rollout = Still(still.task.without_targets).run(
         request.policy, request.theta, request.start, np.random.default_rng(0)
     )

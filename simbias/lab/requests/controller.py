@@ -5,6 +5,7 @@ Both are written of the trace of `Policy.act`, and keep the policy state and the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from textwrap import indent
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from simbias.core import Quantity, Task
 from simbias.core.records import Array
+from simbias.core.robot import NOT_A_NUMBER
 from simbias.lab.safety import Bounds
 from simbias.simulation.compiler import NUMPY, C, Formulas
 
@@ -23,8 +25,8 @@ HEADER = """\
  * Call simbias_start before an experiment, then simbias_control once a frame, every {time_step!r} s.
  *   x: {states}
  *   u: {inputs}
- * It returns 0, or 1 if a limit is exceeded or something is no number. Then u is zero, and it returns 1
- * until simbias_start is called again: abort the experiment.
+ * It returns 0, or 1 if a limit is exceeded or something is no number. Then u is zero, controller->failure
+ * names the limit, and it returns 1 until simbias_start is called again: abort the experiment.
  */
 #ifndef SIMBIAS_CONTROLLER_H
 #define SIMBIAS_CONTROLLER_H
@@ -38,7 +40,7 @@ HEADER = """\
 
 typedef struct {{
     long frame;
-    int aborted;
+    const char *failure; /* the limit that ended the experiment; 0 as long as there is none */
     double u[{m}]; /* in the frame before */
 {state_field}}} simbias_controller;
 
@@ -50,17 +52,23 @@ static inline void simbias_start(simbias_controller *controller)
 {functions}
 static inline int simbias_control(simbias_controller *controller, const double x[{n}], double u[{m}])
 {{
-{constants}{locals}{body}    int safe = !controller->aborted;
-    for (int i = 0; i < {n}; ++i)
-        safe = safe && fabs(x[i]) <= STATE_LIMIT[i];
-    for (int i = 0; i < {m}; ++i) {{
-        safe = safe && u[i] >= INPUT_LOWER[i] && u[i] <= INPUT_UPPER[i];
-        safe = safe && (controller->frame == 0 || fabs(u[i] - controller->u[i]) <= INPUT_CHANGE[i]);
-    }}
-{state_check}    controller->aborted = !safe;
+{constants}{locals}{body}    const char *failure = controller->failure;
+    for (int i = 0; !failure && i < {n}; ++i)
+        if (!(fabs(x[i]) <= STATE_LIMIT[i]))
+            failure = STATE_FAILURE[i];
+    for (int i = 0; !failure && i < {m}; ++i)
+        if (!isfinite(u[i]))
+            failure = NO_NUMBER;
+    for (int i = 0; !failure && i < {m}; ++i)
+        if (!(u[i] >= INPUT_LOWER[i] && u[i] <= INPUT_UPPER[i]))
+            failure = INPUT_FAILURE[i];
+    for (int i = 0; !failure && controller->frame && i < {m}; ++i)
+        if (!(fabs(u[i] - controller->u[i]) <= INPUT_CHANGE[i]))
+            failure = CHANGE_FAILURE[i];
+{state_check}    controller->failure = failure;
     for (int i = 0; i < {m}; ++i)
-        controller->u[i] = u[i] = safe ? u[i] : 0.0;
-    if (!safe)
+        controller->u[i] = u[i] = failure ? 0.0 : u[i];
+    if (failure)
         return 1;
 {state_update}    ++controller->frame;
     return 0;
@@ -77,8 +85,9 @@ static inline double simbias_interpolated(double position, int rows, const doubl
 }
 """
 STATE_CHECK = """\
-    for (int i = 0; i < {s}; ++i)
-        safe = safe && isfinite(next[i]);
+    for (int i = 0; !failure && i < {s}; ++i)
+        if (!isfinite(next[i]))
+            failure = NO_NUMBER;
 """
 STATE_UPDATE = """\
     for (int i = 0; i < {s}; ++i)
@@ -92,6 +101,7 @@ Make a Controller for each experiment, and call it once a frame, every {time_ste
   x: {states}
   u: {inputs}
 It raises ValueError if a limit is exceeded or something is no number, and ever after: abort the experiment.
+Its `failure` names the limit then.
 """
 
 import numpy as np
@@ -108,19 +118,23 @@ class Controller:
     """The inputs u ({m},) at states x ({n},), frame by frame."""
 
     def __init__(self):
-        self.frame, self.aborted = 0, False
+        self.frame, self.failure = 0, ""
         self.u, self.policy_state = np.zeros({m}), np.zeros({s})
 
     def __call__(self, x):
         x = np.asarray(x, dtype=float)
         with np.errstate(all="ignore"):
             u, policy_state = law(x, self.frame * TIME_STEP, self.policy_state)
-            safe = not self.aborted and (np.abs(x) <= STATE_LIMIT).all()
-            safe = safe and (u >= INPUT_LOWER).all() and (u <= INPUT_UPPER).all()
-            safe = safe and (self.frame == 0 or (np.abs(u - self.u) <= INPUT_CHANGE).all())
-        if not (safe and np.isfinite(policy_state).all()):
-            self.aborted = True
-            raise ValueError(f"abort: x = {{x}}, u = {{u}}")
+            safe = [
+                *zip(STATE_FAILURE, np.abs(x) <= STATE_LIMIT),
+                (NO_NUMBER, np.isfinite(u).all()),
+                *zip(INPUT_FAILURE, (INPUT_LOWER <= u) & (u <= INPUT_UPPER)),
+                *zip(CHANGE_FAILURE, (np.abs(u - self.u) <= INPUT_CHANGE) | (self.frame == 0)),
+                (NO_NUMBER, np.isfinite(policy_state).all()),
+            ]
+        self.failure = self.failure or next((failure for failure, fine in safe if not fine), "")
+        if self.failure:
+            raise ValueError(f"abort: {{self.failure}}: x = {{x}}, u = {{u}}")
         self.frame, self.u, self.policy_state = self.frame + 1, u, policy_state
         return u
 '''
@@ -138,6 +152,11 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
         f"static const double {name}[{len(values)}] = {{{', '.join(map(C.number, values.tolist()))}}};"
         for name, values in _limits(task, bounds).items()
     ]
+    constants += [
+        f"static const char *const {name}[{len(names)}] = {{{', '.join(map(_quoted, names))}}};"
+        for name, names in _failures(task).items()
+    ]
+    constants.append(f"static const char *const NO_NUMBER = {_quoted(_no_number(bounds))};")
     return HEADER.format(
         **_words(task, title),
         state_field=f"    double policy_state[{s}];\n" if s else "",
@@ -155,9 +174,9 @@ def python_module(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     lines, u, policy_state = law.written(NUMPY)
     return MODULE.format(
         **_words(task, title),
-        constants="".join(
-            f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items()
-        ),
+        constants="".join(f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items())
+        + "".join(f"{name} = [{', '.join(map(_quoted, names))}]\n" for name, names in _failures(task).items())
+        + f"NO_NUMBER = {_quoted(_no_number(bounds))}\n",
         s=len(policy_state),
         body=_indented(lines),
         u=", ".join(u),
@@ -181,6 +200,25 @@ def _limits(task: Task, bounds: Bounds) -> dict[str, Array]:
         "INPUT_UPPER": np.fmin(upper, largest),
         "INPUT_CHANGE": np.fmin(bounds.input_rates * task.time_step, largest),
     }
+
+
+def _failures(task: Task) -> dict[str, list[str]]:
+    """Names of the limits, as experiments that simbias aborts have them (`simbias.lab.safety`)."""
+    return {
+        "STATE_FAILURE": [f"unsafe_state_{state.name}" for state in task.states],
+        "INPUT_FAILURE": [f"unsafe_input_{each.name}" for each in task.inputs],
+        "CHANGE_FAILURE": [f"unsafe_rate_of_{each.name}" for each in task.inputs],
+    }
+
+
+def _no_number(bounds: Bounds) -> str:
+    """The name of an input that is no number, which it also is beyond failure criteria that abort."""
+    return "failed" if bounds.criteria else NOT_A_NUMBER
+
+
+def _quoted(name: str) -> str:
+    """A name as a string of generated code, of letters, digits and _ alone."""
+    return f'"{re.sub(r"[^A-Za-z0-9_]", "_", name)}"'
 
 
 def _words(task: Task, title: str) -> dict[str, object]:

@@ -23,8 +23,10 @@ Stop at once if
 Then save what was measured as {trajectory} in this folder, with the columns of {template}: a row for each
 frame, {rows} in all, the first at the start. An input is what was commanded from that time on; in the last
 row it may be empty. Rows may be more frequent, not rarer. If the robot failed, end the file with that row; if
-none of the limits above tells how, name it in that row's column `failure`. Columns are separated by commas,
-and numbers have decimal points; or columns by semicolons, and numbers have decimal commas or points.
+none of the limits above tells how, name it in that row's column `failure`. If the controller aborted, end the
+file with the row in which it did, and write there the name that it gives, {names}.
+Columns are separated by commas, and numbers have decimal points; or columns by semicolons, and numbers have
+decimal commas or points.
 
 Start the same command again: it resumes with the file, or says in one line what is wrong with it.
 
@@ -80,6 +82,9 @@ def _readme(request: ExperimentRequest) -> str:
     task, bounds = request.task, request.bounds
     why = request.why_no_code
     start = zip(task.states, request.start, request.start_tolerance, strict=True)
+    targets = f"\nto the targets, which the policy knows,\n{_indented(request.targets)}" * bool(
+        request.targets
+    )
     failures = [f"{each.words} ({each.name} above {each.limit:g} {each.unit})" for each in task.criteria]
     limits = [
         *(
@@ -97,7 +102,8 @@ def _readme(request: ExperimentRequest) -> str:
         frames=task.horizon,
         rows=task.horizon + 1,
         rate=1 / task.time_step,
-        start=_indented(f"{q.name} = {x:g} {q.unit}{_within(d)}" for q, x, d in start),
+        start=_indented(f"{q.name} = {x:g} {q.unit}{_within(d)}" for q, x, d in start) + targets,
+        names=f"as unsafe_rate_of_{task.inputs[0].name}",
         failures=_indented(failures or ["continuing is not safe"]),
         trajectory=TRAJECTORY,
         template=TEMPLATE,

@@ -16,6 +16,7 @@ from simbias.core.records import Array
 from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
 from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy, without_limits
+from simbias.lab.targets import WithTargets
 from simbias.simulation.compiler import Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
@@ -56,6 +57,12 @@ class ExperimentRequest:
         deviation = self.task.start_deviation
         return np.where(deviation > 0, START_DEVIATIONS * deviation, np.inf)
 
+    @property
+    def targets(self) -> list[str]:
+        """The targets of the experiment, which its policy knows, in words."""
+        policy = without_limits(self.policy)
+        return policy.told if isinstance(policy, WithTargets) else []
+
     @cached_property
     def formulas(self) -> Formulas | str:
         """The controller's formulas, or why it has none."""
@@ -88,11 +95,13 @@ class ExperimentRequest:
     def content(self) -> dict[str, Any]:
         """The content of the request, in plain containers."""
         task, law, bounds = self.task, self.policy.law(self.theta), self.bounds
+        policy = without_limits(self.policy)
+        policy = policy.policy if isinstance(policy, WithTargets) else policy
         states = zip(_named(task.states), self.start, self.start_tolerance, bounds.states, strict=True)
         inputs = zip(_named(task.inputs), *bounds.input_bounds, bounds.input_rates, strict=True)
         return {
             "policy": {
-                "class": type(without_limits(self.policy)).__name__,
+                "class": type(policy).__name__,
                 "law": law.words,
                 **{name: np.asarray(values).tolist() for name, values in law.numbers.items()},
                 "parameters": self.theta.tolist(),
