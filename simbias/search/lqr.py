@@ -1,8 +1,8 @@
 """Policies that come near to linear-quadratic regulators (LQR) of the model.
 
 Costs of policies that fall say little about which policies do not. For the model, linearised where the robot
-can rest, theory gives a regulator. It sees the whole state, with what a delay or a lag hides. A policy that
-sees less imitates it.
+can rest, near zero or at a goal that rests elsewhere, theory gives a regulator. It sees the whole state, with
+what a delay or a lag hides. A policy that sees less imitates it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 
 from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
+from simbias.search.goal import resting_goal
 from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
@@ -27,6 +28,12 @@ NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: th
 RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
 EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
+CLOSE = 0.1  # share of the goal, by which a state is off it: so little that a constant counts
+ALIKE = 0.5  # of the regulator's squared inputs, by which those of a policy may differ there
+NO_ERRORS = (
+    "{} does not regulate to the goal as LQR does: declare outputs that are zero there (position - 0.5), "
+    "or let it have a constant (dynamic_output_feedback, policy.constant)"
+)
 SETTLED = 1000  # frames, after which the model state is that of a steady input
 
 
@@ -83,9 +90,28 @@ def lqr_policies(
         return []
     limit = input_scale(model.task)
     each = [lqr_gains(linear, weight * np.diag(limit**-2.0)) for weight in input_weights]
-    records = _records(model, linear, [gains for gains in each if gains is not None])
-    imitations = [model.policy.imitating(states, inputs) for states, inputs in records]
-    return [theta for theta in imitations if theta is not None]
+    found = [gains for gains in each if gains is not None]
+    imitations = [model.policy.imitating(*record) for record in _records(model, linear, found)]
+    policies = [theta for theta in imitations if theta is not None]
+    goal = resting_goal(model.task)
+    if policies and goal is not None:
+        integrated = model.policy.integrated(goal) if integral_weight else np.zeros(0)
+        if (np.abs(integrated) > NEAR).any() or not _is_imitated(model, linear, found[0], goal):
+            warnings.warn(NO_ERRORS.format(type(model.policy).__name__), SlowWarning, stacklevel=2)
+    return policies
+
+
+def _is_imitated(model: Model, linear: Linear, gains: Array, goal: Array) -> bool:
+    """Whether the policy can do as a regulator K (m, l) does near a goal (n,) that is not zero."""
+    n = linear.states
+    off = CLOSE * np.random.default_rng(SEED).standard_normal((1, RECORDS, 1)) * goal
+    states, inputs = linear.rest[:n] + off, linear.inputs - off @ gains[:, :n].T
+    theta = model.policy.imitating(states, inputs)
+    if theta is None:
+        return False
+    u, _ = model.policy.act(theta, states, 0.0, np.zeros((*off.shape[:-1], model.policy.state_size)))
+    asked = np.clip(inputs, *model.task.input_bounds)
+    return bool(np.sum((u - asked) ** 2) <= ALIKE * np.sum((asked - linear.inputs) ** 2))
 
 
 def rest(model: Model, near: Array | None = None) -> tuple[Array, Array]:
@@ -109,7 +135,7 @@ def rest(model: Model, near: Array | None = None) -> tuple[Array, Array]:
 
 def linearised(model: Model) -> Linear:
     """The corrected model with its state, by central differences."""
-    x, u = rest(model)
+    x, u = rest(model, resting_goal(model.task))
     n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
     model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
     point = np.concatenate([x, model_state, u])

@@ -1,5 +1,9 @@
 """Policies that imitate LQR, and LQI, against what theory says of rests, of gains, and of closed loops."""
 
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from models import with_values
@@ -12,10 +16,12 @@ from simbias.core.parameters import values_at
 from simbias.core.records import Array
 from simbias.learning.bias.none import ZeroBias
 from simbias.learning.identification.identified import Identified
+from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.gains import signed_exponential
 from simbias.policy.integral_feedback import IntegralFeedback
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search.lqr import INPUT_WEIGHTS, linearised, lqr_candidates, lqr_gains, lqr_policies, rest
+from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
@@ -68,6 +74,35 @@ def test_a_bias_moves_the_rest() -> None:
     x, u = rest(Model(model.task, model.policy, model.nominal, Wind(2)))
     assert u == pytest.approx(-2.0, abs=1e-3)
     np.testing.assert_allclose(x, 0.0, atol=1e-3)
+
+
+class Elsewhere(PointMass):
+    """To be held at 0.3 m; a policy sees the errors of that, if at all."""
+
+    def __init__(self, errors: bool) -> None:
+        super().__init__()
+        self._errors = errors
+
+    def reference(self, t: Any, targets: Array | None = None) -> Array:
+        return np.array([0.3, 0.0])
+
+    def output(self, x: Array) -> Array:
+        return self.error(x, 0.0) if self._errors else x.copy()
+
+
+@pytest.mark.parametrize("errors", [True, False])
+def test_the_rest_is_at_a_goal_that_is_not_zero(errors: bool) -> None:
+    """A policy of errors regulates to it, one with a constant too; others are told to need these."""
+    task = Elsewhere(errors)
+    model = replace(point_mass(), task=task, policy=OutputFeedback(task))
+    constant = replace(model, policy=DynamicOutputFeedback(task, constant=5.0))
+    with nullcontext() if errors else pytest.warns(SlowWarning, match="OutputFeedback does not regulate to"):
+        policies = lqr_policies(model)
+    if errors:
+        np.testing.assert_allclose(policies, lqr_policies(point_mass()), rtol=1e-6)
+    (theta, *_) = lqr_policies(constant)
+    end = PlainSimulator([constant], [None]).rollout(theta, task.start_mean).states[-1]
+    np.testing.assert_allclose(end, [0.3, 0.0], atol=0.06)
 
 
 def test_a_late_model_is_regulated_with_its_memory() -> None:

@@ -13,8 +13,9 @@ import numpy as np
 from simbias.core import GoalWeights, Model, wrapped
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
+from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
-from simbias.search.optimizer.plan import Plan, Slopes, goal_along, moves
+from simbias.search.optimizer.plan import Plan, Slopes
 from simbias.search.optimizer.riccati import regulator, solved
 from simbias.simulation.linearization import linear_regulator, linearization
 

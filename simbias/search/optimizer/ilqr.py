@@ -18,9 +18,10 @@ from simbias.core import GoalWeights, Model, Policy, Task
 from simbias.core.errors import ConfigError
 from simbias.core.records import Array
 from simbias.policy.trajectory import Trajectory
+from simbias.search.goal import goal_along, moves
 from simbias.search.lqr import rest
 from simbias.search.optimizer.following import Following
-from simbias.search.optimizer.plan import Plan, goal_along, moves
+from simbias.search.optimizer.plan import Plan
 from simbias.search.optimizer.riccati import Quadratic, beside, solved
 from simbias.simulation.closed_loop import simulator
 

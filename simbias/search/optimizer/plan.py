@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simbias.core import Model, Task
+from simbias.core import Model
 from simbias.core.records import Array
-from simbias.core.robot import unwound
 from simbias.simulation.linearization import advanced, derivatives
 
 STEP = 1e-3  # of differences: of states, and of inputs over their limits
@@ -21,22 +20,6 @@ class Plan(NamedTuple):
     states: Array  # (T+1, n)
     inputs: Array  # (T, m)
     cost: float
-
-
-def goal_along(task: Task) -> Array:
-    """The goal's quantities (T+1, g), frame by frame.
-
-    Those that wrap are without jumps by a turn, and begin within half a turn of the mean start.
-    """
-    goal = np.array([task.reference(t) for t in task.time_step * np.arange(task.horizon + 1)])
-    turns = np.array([each.turn for each in task.goals])
-    away = task.aim(task.start_mean) - goal[0]
-    return unwound(goal, task.goals) + turns * np.round(away / np.where(turns, turns, 1.0))
-
-
-def moves(goal: Array) -> bool:
-    """Whether a goal (T+1, g) changes with time."""
-    return bool((goal != goal[0]).any())
 
 
 class Slopes:
