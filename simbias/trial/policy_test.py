@@ -141,16 +141,17 @@ def run_policy_test(
 
 
 def episodes_csv(result: PolicyTestResult, task: Task) -> str:
-    """A row for each episode: its start, how long it was to last and did, its failure, its errors.
+    """A row for each episode: its start, how long it was to last and did, failure, success, errors.
 
-    Errors are root mean squares, of each of the goal's quantities.
+    Success is 1 or 0. Errors are root mean squares, of each of the goal's quantities.
     """
     import pandas as pd  # lazily: workers do without it
 
-    ended = ("asked_seconds", "lasted_seconds", "failure")
+    ended = ("asked_seconds", "lasted_seconds", "failure", "succeeded")
     errors = (f"{goal.name}_rms_error" for goal in task.goals)
     names = [*(state.name for state in task.states), *ended, *errors]
     rows = [
-        (*e.start.tolist(), e.asked_seconds, e.seconds, e.failure or "", *e.errors) for e in result.episodes
+        (*e.start.tolist(), e.asked_seconds, e.seconds, e.failure or "", succeeded, *e.errors)
+        for e, succeeded in zip(result.episodes, result.successes, strict=True)
     ]
     return pd.DataFrame(rows, columns=names).to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -84,7 +84,8 @@ def test_its_result_in_numbers_and_words() -> None:
     assert "2 of 3 (21% to 94%) test episodes of 5 s, and in 1 of 2 (9% to 91%) of 60 s (" in result.words
     assert "they last 34 s on average" in result.words
     rows = episodes_csv(result, study().task).splitlines()
-    assert rows[0].endswith("asked_seconds,lasted_seconds,failure,position_rms_error,velocity_rms_error")
+    ended = "asked_seconds,lasted_seconds,failure,succeeded"
+    assert rows[0].endswith(f"{ended},position_rms_error,velocity_rms_error")
     assert [row.split(",", 2)[2] for row in rows[1:]] == [
-        f"{end},0.5,2" for end in ("60,60,", "60,7,distance", "5,3,distance")
+        f"{end},0.5,2" for end in ("60,60,,1", "60,7,distance,1", "5,3,distance,0")
     ]
