@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky
 
 from simbias.core import Task
 from simbias.core.records import Array
+
+FAR = 100.0  # length scales from zero, beyond which coordinates in single precision get coarse
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,7 @@ class Hyperparameters:
     noise_variance: float  # sigma^2
     d: float
     angles: tuple[int, ...] = ()  # columns of raw inputs that enter as sine and cosine, so that r > n + m
+    centre: Array | float = 0.0  # (r,) of scaled coordinates
 
     @property
     def prior_variance(self) -> float:
@@ -38,8 +41,13 @@ class Hyperparameters:
         return np.concatenate([sines, np.cos(inputs[:, angles])], axis=1)
 
     def scale(self, inputs: Array) -> Array:
-        """Raw inputs (k, n+m) as coordinates (k, r) in units of the length scales."""
-        return self.coordinates(inputs) / (self.input_scale * self.length_scale)
+        """Raw inputs (k, n+m) as coordinates (k, r) in units of the length scales, from the centre."""
+        return self.coordinates(inputs) / (self.input_scale * self.length_scale) - self.centre
+
+    def centred(self, inputs: Array) -> Hyperparameters:
+        """With raw inputs (k, n+m) around the centre, where they are far from it."""
+        mean = np.mean(self.scale(inputs), axis=0) if len(inputs) else np.zeros(len(self.length_scale))
+        return replace(self, centre=self.centre + np.where(np.abs(mean) > FAR, mean, 0.0))
 
     def covariance(self, a: Array, b: Array) -> Array:
         """Latent covariance (k, l) of scaled inputs (k, r) and (l, r): Eq. 3 without its noise."""

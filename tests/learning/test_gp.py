@@ -80,6 +80,18 @@ def test_kernel_agrees_with_plain_correction(study: Study) -> None:
 
 
 @pytest.mark.slow
+def test_far_from_zero_it_is_the_same(study: Study) -> None:
+    """At 1e4 length scales the compiled one would lose four digits in single precision."""
+    near, away = data(97), 2e4 * SCALE
+    gp, inputs = GaussianProcess(study.task, d=0.1, input_scale=list(2 * SCALE)), queries(LANES)
+    plain = gp.fit(near).correction(inputs[:, :6], inputs[:, 6:])
+    fitted = gp.fit(Transitions(near.inputs + away, near.residuals))
+    far = inputs + away
+    np.testing.assert_allclose(fitted.correction(far[:, :6], far[:, 6:]), plain, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(corrections(fitted, far), plain, rtol=0, atol=1e-7)
+
+
+@pytest.mark.slow
 def test_kernel_takes_more_states_than_its_panels_have_rows() -> None:
     rng = np.random.default_rng(0)
     transitions = Transitions(rng.standard_normal((40, 9)), rng.standard_normal((40, 8)))

@@ -45,20 +45,20 @@ def _pack(panels: list[Array]) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(panel.T.ravel() for panel in filled)]).astype(np.float32)
 
 
-def coordinates_of(x, u, inverse_scale, angles):
+def coordinates_of(x, u, inverse_scale, centre, angles):
     """Scaled coordinates (r, LANES) of states x (n, LANES) under u (m, LANES): `Hyperparameters.scale`."""
     n, r = x.shape[0], inverse_scale.shape[0]
     raw = r - angles.shape[0]
     coordinates = np.empty((r, LANES), np.float32)
     for i in range(raw):
         for lane in range(LANES):
-            coordinates[i, lane] = inverse_scale[i] * (x[i, lane] if i < n else u[i - n, lane])
+            coordinates[i, lane] = inverse_scale[i] * (x[i, lane] if i < n else u[i - n, lane]) - centre[i]
     for j in range(angles.shape[0]):
         i = angles[j]
         for lane in range(LANES):
             sine, cosine = sincos(x[i, lane])
-            coordinates[i, lane] = inverse_scale[i] * sine
-            coordinates[raw + j, lane] = inverse_scale[raw + j] * cosine
+            coordinates[i, lane] = inverse_scale[i] * sine - centre[i]
+            coordinates[raw + j, lane] = inverse_scale[raw + j] * cosine - centre[raw + j]
     return coordinates
 
 
@@ -138,13 +138,13 @@ def factor(norm, constants):
 def correct(x, u, data, correction):
     """exp(-d |sigma|^2) times the mean, for states x (n, LANES) under u (m, LANES).
 
-    The data are the points (N, r), U, W, the rows of U, 1 / scale, (alpha^2, prior, d n), the columns of
-    angles, and the frequencies and amplitudes of waves, which are added. With d n = 0 it is the mean alone,
-    and needs no U.
+    The data are the points (N, r), U, W, the rows of U, 1 / scale, the centre, (alpha^2, prior, d n), the
+    columns of angles, and the frequencies and amplitudes of waves, which are added. With d n = 0 it is the
+    mean alone, and needs no U.
     """
-    points, triangle, weights, rows, inverse_scale, constants, angles, frequencies, amplitudes = data
+    points, triangle, weights, rows, inverse_scale, centre, constants, angles, frequencies, amplitudes = data
     n = x.shape[0]
-    coordinates = coordinates_of(x, u, inverse_scale, angles)
+    coordinates = coordinates_of(x, u, inverse_scale, centre, angles)
     added = means(amplitudes, waves(coordinates, frequencies), n)
     k = correlations(coordinates, points)
     mean, norms = means(weights, k, n), squared_norms(triangle, k, rows)

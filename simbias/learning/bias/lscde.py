@@ -99,9 +99,9 @@ def _weights(H: Array, h: Array, regularisation: float) -> Array:
 
 def _correct(x, u, data, correction):
     """The means, for states x (n, LANES) under u (m, LANES)."""
-    points, sums, inverse_scale, floors, scale, angles = data
+    points, sums, inverse_scale, centre, floors, scale, angles = data
     n = x.shape[0]
-    both = means(sums, correlations(coordinates_of(x, u, inverse_scale, angles), points), 2 * n)
+    both = means(sums, correlations(coordinates_of(x, u, inverse_scale, centre, angles), points), 2 * n)
     for lane in range(LANES):
         for i in range(n):
             correction[i, lane] = scale[i] * both[i, lane] / (both[n + i, lane] + floors[i])
@@ -116,7 +116,8 @@ class FittedDensity(FittedBias):
         self._units, self._scale = units, scale  # (r,) of inputs, (n,) of residuals
         self._floors = NOTHING * weights.max(axis=1, initial=1e-12)
         points, sums = (u / width).astype(np.float32), np.concatenate([weights * v.T, weights])
-        data = (points, pack(sums), units / width, self._floors, scale, np.empty(0, np.int64))
+        centre, angles = np.zeros_like(units), np.empty(0, np.int64)
+        data = (points, pack(sums), units / width, centre, self._floors, scale, angles)
         self.kernel = Kernel(_correct, data)
 
     def density(self, inputs: Array, values: Array, state: int) -> Array:

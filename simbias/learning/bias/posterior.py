@@ -182,6 +182,7 @@ def _compiled(
         pack(W.T),
         len(U),
         1.0 / (hyper.input_scale * hyper.length_scale),
+        hyper.centre + np.zeros(points.shape[1]),
         np.array([hyper.signal_variance, hyper.prior_variance, d_n]),
         np.array(hyper.angles, np.int64),
         turns.astype(np.float32),
@@ -192,6 +193,7 @@ def _compiled(
 
 def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -> Posterior:
     """The posterior given all data: U = L^-1, W = K^-1 y, K = L L^T; its draws have Fourier features."""
+    hyper = hyper.centred(transitions.inputs)
     points = hyper.scale(transitions.inputs)
     K = hyper.covariance(points, points)
     K[np.diag_indices_from(K)] += hyper.noise_variance
@@ -213,6 +215,7 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing,
     fewer points. Its diagnostics are the greatest differences from the exact posterior, at training inputs,
     of the mean (in units of the residuals' root mean square) and of the weight of Eq. 7.
     """
+    hyper = hyper.centred(transitions.inputs)
     points = hyper.scale(transitions.inputs)
     chosen, for_variance = choose(hyper, points, inducing)
     seen = view(hyper, points, chosen)
