@@ -60,7 +60,9 @@ class Assessment:
         everything = [rollout for part in self.parts for rollout in part.rollouts]
         return {
             part.name: beyond(
-                self.task, part.rollouts, everything if self.held_out else others(self.parts, i)
+                self.task,
+                part.rollouts,
+                everything if self.held_out else others(self.parts, i).rollouts,
             )
             for i, part in enumerate(self.judged)
         }
@@ -93,20 +95,20 @@ def prepared(study: Study) -> Study:
         raise ConfigError("", words(error)) from error
     if not known.parameters:
         raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
-    return replace(study, identification=posterior.with_central_differences())
+    return replace(study, identification=posterior.of_recordings(held=known.state_size > 0))
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
 def assess(
     study: Study,
-    recordings: Mapping[str, Rollout],
-    held_out: Mapping[str, Rollout] | None = None,
+    recordings: Mapping[str, Sequence[Rollout]],
+    held_out: Mapping[str, Sequence[Rollout]] | None = None,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Assessment:
-    """Identify the nominal model of a study, which is `prepared`, from recordings by name, and judge it.
+    """Identify the nominal model of a study, which is `prepared`, from recordings, and judge it.
 
-    Without recordings that are held out, each recording (of a single one, each third) is predicted by a model
-    of all others.
+    Recordings are given by name, each as its pieces. Without ones that are held out, each recording (of a
+    single one, each third) is predicted by a model of all others.
 
     Raises
     ------
@@ -118,34 +120,37 @@ def assess(
     posterior = study.identification
     assert isinstance(posterior, Posterior)
     all_parts = parts(recordings)
-    _check_length(posterior, [*all_parts, *([Part("", tuple(held_out.values()))] if held_out else [])])
+    kept = Part.of("what was held out", held_out) if held_out else None
+    judged = [kept] if kept else all_parts
+    _check_length(posterior, [*all_parts, *judged])
 
-    def fit(rollouts: Sequence[Rollout], words: str, window: float = 1.0) -> Identified:
+    def fit(part: Part, words: str, window: float = 1.0) -> Identified:
         progress(words)
-        fitted = posterior.with_window(window * posterior.window).fit(study.nominal, rollouts)
+        fitting = posterior.with_window(window * posterior.window)
+        fitted = fitting.fit(study.nominal, part.rollouts, part.recordings)
         assert isinstance(fitted, Identified)
         return fitted
 
-    everything = list(recordings.values())
-    identified = fit(everything, "all recordings")
-    alone = [fit(part.rollouts, f"{part.name} alone") for part in all_parts]
+    everything = Part.of("all recordings", recordings)
+    identified = fit(everything, everything.name)
+    alone = [fit(part, f"{part.name} alone") for part in all_parts]
     by_window = [
         fit(everything, f"with windows of {factor * posterior.window:g} s", factor)
         for factor in OTHER_WINDOWS
     ]
-    kept = Part("what was held out", tuple(held_out.values())) if held_out else None
+    rest = [others(all_parts, i) for i in range(len(all_parts))]
     if kept:
         models = [identified]
     elif len(all_parts) == 2:
         models = alone[::-1]
     else:
-        models = [fit(others(all_parts, i), f"all but {part.name}") for i, part in enumerate(all_parts)]
-    judged = [kept] if kept else all_parts
+        models = [fit(each, each.name) for each in rest]
     if kept or len(recordings) > 1:
         models = [model.elsewhere() for model in models]
     else:  # parts of one recording, which are alike in what it has of its own
         models = [model.of_recording(0) for model in models]
-    learned = [(model.elsewhere(), others(all_parts, i)) for i, model in enumerate(alone)] if kept else []
+    pairs = zip(alone, rest, strict=True)
+    learned = [(model.elsewhere(), apart.rollouts) for model, apart in pairs] if kept else []
     return Assessment(
         study.task,
         study.nominal,
@@ -164,4 +169,4 @@ def _check_length(posterior: Posterior, all_parts: Sequence[Part]) -> None:
     longest = posterior.with_window(LONGEST * posterior.window)
     for part in all_parts:
         if not longest.windows(part.rollouts):
-            raise ConfigError(part.name or "held out", f"is shorter than a window of {longest.window:g} s")
+            raise ConfigError(part.name, f"is shorter than a window of {longest.window:g} s")

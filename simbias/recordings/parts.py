@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,20 +16,45 @@ class Part(NamedTuple):
     """Recordings that are held out together."""
 
     name: str
-    rollouts: tuple[Rollout, ...]
+    rollouts: tuple[Rollout, ...]  # their pieces
+    recordings: tuple[str, ...] = ()  # of which each rollout is a piece; by default each is one
+
+    @staticmethod
+    def of(name: str, recordings: Mapping[str, Sequence[Rollout]]) -> Part:
+        """A part of whole recordings."""
+        pieces = [(each, rollout) for each, rollouts in recordings.items() for rollout in rollouts]
+        return Part(name, tuple(rollout for _, rollout in pieces), tuple(each for each, _ in pieces))
 
 
-def parts(recordings: Mapping[str, Rollout]) -> list[Part]:
+def parts(recordings: Mapping[str, Sequence[Rollout]]) -> list[Part]:
     """Each recording, or the thirds of a single one; more than five are dealt into five parts."""
     if len(recordings) == 1:
-        ((name, whole),) = recordings.items()
-        cuts = [whole.frames * i // PIECES for i in range(PIECES + 1)]
-        return [Part(f"{name}, part {i + 1}", (whole.part(*cut),)) for i, cut in enumerate(pairwise(cuts))]
+        ((name, pieces),) = recordings.items()
+        frames = sum(piece.frames for piece in pieces)
+        cuts = pairwise(frames * i // PIECES for i in range(PIECES + 1))
+        return [
+            Part.of(f"{name}, part {i}", {name: list(_between(pieces, *cut))})
+            for i, cut in enumerate(cuts, start=1)
+        ]
     names = list(recordings)
     dealt = [names[i::MOST_PARTS] for i in range(min(MOST_PARTS, len(names)))]
-    return [Part(" + ".join(each), tuple(recordings[name] for name in each)) for each in dealt]
+    return [Part.of(" + ".join(each), {name: recordings[name] for name in each}) for each in dealt]
 
 
-def others(all_parts: Sequence[Part], index: int) -> list[Rollout]:
-    """The rollouts of all parts but one."""
-    return [rollout for i, part in enumerate(all_parts) if i != index for rollout in part.rollouts]
+def _between(pieces: Sequence[Rollout], begin: int, end: int) -> Iterator[Rollout]:
+    """The frames from `begin` up to `end` of pieces, as if one followed the other."""
+    for piece in pieces:
+        first, last = max(begin, 0), min(end, piece.frames)
+        if first < last:
+            yield piece.part(first, last)
+        begin, end = begin - piece.frames, end - piece.frames
+
+
+def others(all_parts: Sequence[Part], index: int) -> Part:
+    """All parts but one, together."""
+    rest = [part for i, part in enumerate(all_parts) if i != index]
+    return Part(
+        f"all but {all_parts[index].name}",
+        tuple(rollout for part in rest for rollout in part.rollouts),
+        tuple(name for part in rest for name in part.recordings),
+    )

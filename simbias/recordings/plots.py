@@ -77,12 +77,12 @@ def errors(assessment: Assessment) -> Figure:
 def forecasts(assessment: Assessment, index: int) -> Figure:
     """A judged part as it was measured and as both models predict it, from the measured state each second."""
     task, part = assessment.task, assessment.judged[index]
-    rollout = part.rollouts[0]
+    rollout = max(part.rollouts, key=lambda each: each.frames)
     window = min(task.frames(SECONDS), rollout.frames)
     frames = min(task.frames(DRAWN), rollout.frames) // window * window
     rollout = rollout.part(0, frames)
-    windows = Windows.of([rollout], window, 1)
     models = [assessment.nominal, assessment.models[index]]
+    windows = Windows.of([rollout], window, 1, held=True)
     made = [predict([PredictionModel(model)], windows)[0] for model in models]
     figure, (grid,) = panels(len(task.states), 1.1, 1)
     t = task.time_step * np.arange(frames + 1)
@@ -90,7 +90,7 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
         measured = rollout.states[:, i]
         axes.plot(t, measured, color=HARDWARE, linewidth=1.0)
         for values, color in zip(made, (NOMINAL, SIMULATION), strict=True):
-            for start, own in zip(windows.starts.tolist(), values[:, :, i], strict=True):
+            for start, own in zip(range(0, frames, window), values[:, :, i], strict=True):
                 shown = np.concatenate([[measured[start]], _clear(own, measured)])
                 axes.plot(t[start : start + window + 1], shown, color=color, linewidth=1.2)
         axes.set_ylabel(label(state), fontsize=SMALL)

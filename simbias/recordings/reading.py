@@ -13,6 +13,7 @@ from simbias.core.records import Array, Rollout
 from simbias.lab.recorded import CSV, Recorded
 from simbias.lab.signals import BAGS
 from simbias.learning.identification.posterior import Posterior
+from simbias.recordings.parts import Part
 from simbias.trial.study import Study
 
 ENDS = (*CSV, *BAGS)
@@ -21,9 +22,15 @@ ENDS = (*CSV, *BAGS)
 class Recordings(NamedTuple):
     """Rollouts read from files, with their measurement times and notes."""
 
-    rollouts: dict[str, Rollout]  # by name: a file's, with a number behind it where gaps cut it
-    times: dict[str, Array]  # (k,) when each was measured, in s from its start
+    rollouts: dict[str, tuple[Rollout, ...]]  # by file, the pieces that gaps leave
+    times: dict[str, tuple[Array, ...]]  # (k,) when each was measured, in s from its start
     notes: tuple[str, ...]  # what was done to the data, by file
+    extent: str  # how long each file is, and how often it was measured
+
+    @property
+    def pieces(self) -> Part:
+        """The pieces of all files."""
+        return Part.of("all recordings", self.rollouts)
 
 
 def read(
@@ -50,7 +57,8 @@ def read(
         except ValueError as error:
             raise ConfigError("columns", words(error).removeprefix("columns ")) from error
     kept, files = _by_place(held_out), _by_place(places)
-    rollouts, times, notes = dict[str, Rollout](), dict[str, Array](), list[str]()
+    rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
+    notes, extents = list[str](), list[str]()
     posterior = study.identification
     needed = None
     if windows and isinstance(posterior, Posterior):
@@ -66,17 +74,19 @@ def read(
             raise ConfigError("", words(error)) from error
         notes += [f"{name}: {note}" for note in recording.notes]
         pieces = [
-            (name if len(recording.pieces) == 1 else f"{name} ({i})", piece, when)
-            for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True), start=1)
+            (piece, when)
+            for piece, when in zip(recording.pieces, recording.times, strict=True)
             if not needed or needed.windows([piece])
         ]
         if needed and not pieces:
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
         if needed and (left := len(recording.pieces) - len(pieces)):
             notes.append(f"{name}: {counted(left, 'piece')} of less than {needed.window:g} s left out")
-        for name, piece, when in pieces:
-            rollouts[name], times[name] = piece, when
-    return Recordings(rollouts, times, tuple(notes))
+        rollouts[name], times[name] = zip(*pieces, strict=True)
+        seconds = study.task.time_step * sum(piece.frames for piece, _ in pieces)
+        samples = sum(len(when) - 1 for _, when in pieces)
+        extents.append(f"{name} {seconds:.3g} s at {samples / seconds:.3g} Hz")
+    return Recordings(rollouts, times, tuple(notes), ", ".join(extents))
 
 
 def columns(text: str) -> dict[str, str]:

@@ -104,7 +104,7 @@ def record(
 ) -> Rollout:
     """The rollout of a robot in a take until it fails, measured with noise (n,) at the take's times."""
     states = np.broadcast_to(take.start, (len(take.inputs) + 1, len(take.start)))
-    windows = Windows.of([Rollout(states, take.inputs)], len(take.inputs), 1)
+    windows = Windows.of([Rollout(states, take.inputs)], len(take.inputs), 1, held=True)
     x = np.vstack([take.start, predict([model], windows)[0, 0]])
     failed = np.flatnonzero(study.task.violated(x) >= 0)
     frames = max(0, failed[0] - 1) if len(failed) else len(take.inputs)

@@ -25,6 +25,7 @@ from simbias.simulation.compiler import (
     points_among,
 )
 
+HELD = 200  # frames before the first, in which a motor settles
 SOME = 5  # frames that tell whether a model remembers states
 
 
@@ -45,22 +46,33 @@ class Windows:
     window: int
     chunk: int
     noise: Array | float = 0.0  # (n,) standard deviations of the states' measurements, as far as known
+    recordings: Indices | None = None  # (r,) that experiments are pieces of; by default each is one
 
     @staticmethod
-    def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
-        """Windows of a whole number of chunks."""
+    def of(
+        rollouts: Sequence[Rollout],
+        window: int,
+        chunk: int,
+        noise: Array | float = 0.0,
+        held: bool = False,
+    ) -> Windows:
+        """Windows of a whole number of chunks; if `held`, the first input had acted before, else none."""
         window = max(1, round(window / chunk)) * chunk
-        states = [rollout.states for rollout in rollouts]
-        inputs = [np.concatenate([r.inputs, np.zeros((1, r.inputs.shape[1]))]) for r in rollouts]
+        before = np.array(
+            [HELD if held and rollout.inputs[:1].any() else 0 for rollout in rollouts], np.int64
+        )
+        each = list(zip(rollouts, before.tolist(), strict=True))
+        states = [np.pad(rollout.states, ((b, 0), (0, 0)), "edge") for rollout, b in each]
+        inputs = [np.pad(np.pad(r.inputs, ((b, 0), (0, 0)), "edge"), ((0, 1), (0, 0))) for r, b in each]
         k = np.array([rollout.frames for rollout in rollouts], np.int64)
-        begins = np.cumsum([0, *(k + 1)])[:-1]
-        leads = k % window
+        begins = np.cumsum([0, *(before + k + 1)])[:-1]
+        leads = before + k % window
         return Windows(
             np.concatenate(states),
             np.concatenate(inputs),
             firsts=begins + leads,
             leads=leads,
-            frames=k - leads,
+            frames=k - k % window,
             window=window,
             chunk=chunk,
             noise=noise,

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from simbias.config import ConfigError
 from simbias.core.records import Array, Rollout
+from simbias.learning.identification.posterior import Posterior
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import trajectory
 from simbias.recordings.noise import noise_of
@@ -35,10 +36,12 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
     console = Console(highlight=False)
     study, given, _ = request.opened(console)
-    recordings = list(given.rollouts.values())
+    learned = given.pieces
     with slowness_in_one_line(), console.status("looking for what tells most"):
-        model = study.identification.fit(study.nominal, recordings)
-        designer = Designer(study, model, _noise(study, recordings))
+        posterior = study.identification
+        assert isinstance(posterior, Posterior)
+        model = posterior.fit(study.nominal, learned.rollouts, learned.recordings)
+        designer = Designer(study, model, _noise(study, learned.rollouts))
         found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
     try:
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
@@ -69,12 +72,12 @@ def recovery(request: Request) -> bool:
     """
     console = Console(highlight=False)
     study, recordings, _ = request.opened(console)
-    rollouts = recordings.rollouts
+    rollouts, all_times = recordings.pieces.rollouts, [t for each in recordings.times.values() for t in each]
     if request.recordings and not rollouts:
         raise ConfigError("--held-out", "leaves no recording")
     with slowness_in_one_line(), console.status("") as status:
-        noise = _noise(study, list(rollouts.values()))
-        takes = [Take(each.states[0], each.inputs, recordings.times[name]) for name, each in rollouts.items()]
+        noise = _noise(study, rollouts)
+        takes = [Take(r.states[0], r.inputs, times) for r, times in zip(rollouts, all_times, strict=True)]
         if not takes:
             status.update("looking for what tells most")
             found = Designer(study, study.identification.fit(study.nominal, []), noise).design(

@@ -17,7 +17,9 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, KnownPrior
 from simbias.learning.identification.posterior import Posterior
+from simbias.learning.identification.problem import Comparison
 from simbias.learning.identification.rig import Motor, Rig, Sensor
+from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
@@ -114,6 +116,17 @@ def test_a_motors_zero_is_an_offset_of_one_recording(study: Study) -> None:
     by_zero, by_offset = with_values(rig, **{"tau1.zero": 0.05}), with_values(rig, **{"tau1.offset": 0.05})
     np.testing.assert_array_equal(by_zero.step(x, u), by_offset.step(x, u))
     assert [each.name for each in rig.parameters if each.of_recording] == ["tau1.zero"]
+
+
+def test_pieces_of_a_recording_share_its_own(study: Study) -> None:
+    posterior = Posterior(study.task, sensors={"pos2": Sensor(zero=0.05)})
+    rig, rollout = posterior.prior(study.nominal), Rollout(np.zeros((101, 4)), np.zeros((100, 2)))
+    windows = posterior.windows(3 * [rollout], ["one", "other", "one"])
+    comparison, p = Comparison(rig, windows, ErrorDistribution(np.empty((0, 0)))), len(rig.parameters)
+    np.testing.assert_array_equal(comparison.places[:, -1], [p - 1, p, p - 1])
+    z = np.append(np.zeros(p - 1), [1.0, 2.0])
+    fitted = Identified.of_recordings(rig, z, np.eye(p + 1), comparison.places, comparison.errors)
+    assert [each.mode[-1] for each in fitted.recordings] == [1.0, 2.0]
 
 
 SHARED = {"tau1.offset": 0.15, "tau1.lag": 0.015, "tau1.load": 0.25, "pos1.offset": 0.08}

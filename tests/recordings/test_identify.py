@@ -58,7 +58,7 @@ def robot(study: Study) -> Robot:
 
 @pytest.fixture(scope="module")
 def assessment(study: Study, robot: Robot) -> Assessment:
-    return assess(study, robot[1])
+    return assess(study, {name: (rollout,) for name, rollout in robot[1].items()})
 
 
 @pytest.mark.slow
@@ -105,19 +105,22 @@ def test_a_model_that_is_no_better_says_so(study: Study) -> None:
     """Learned from a robot; what is held out is the nominal model's, which nothing can improve."""
     rng = np.random.default_rng(3)
     model, _ = truth(study.nominal, rng)
-    found = assess(study, {"a": experiment(model, rng)}, {"b": experiment(study.nominal, rng)})
+    found = assess(study, {"a": (experiment(model, rng),)}, {"b": (experiment(study.nominal, rng),)})
     assert not found.better
     assert "no better than the nominal one on recordings that were held out" in verdict(found)
 
 
 def test_a_single_recording_is_cut_into_thirds() -> None:
     states = np.arange(20.0)[:, None]
-    made = parts({"one": Rollout(states, states[:-1])})
+    made = parts({"one": (Rollout(states, states[:-1]),)})
     assert [part.name for part in made] == ["one, part 1", "one, part 2", "one, part 3"]
     cut = [part.rollouts[0] for part in made]
     np.testing.assert_array_equal(np.concatenate([piece.inputs for piece in cut]), states[:-1])
     assert all(len(piece.states) == piece.frames + 1 for piece in cut)
-    assert len(parts({str(i): cut[0] for i in range(12)})) == 5
+    assert len(parts({str(i): cut[:1] for i in range(12)})) == 5
+    assert [part.recordings for part in parts({"one": cut, "two": cut[:1]})] == [("one",) * 3, ("two",)]
+    again = [part.rollouts for part in parts({"one": cut[:2] + cut[:1]})]
+    assert [sum(rollout.frames for rollout in each) for each in again] == [6, 6, 6]
 
 
 def test_regions_hold_what_they_promise() -> None:
@@ -209,7 +212,7 @@ def test_few_errors_give_regions_that_hold_another_one() -> None:
 def test_too_short_recordings_are_one_line(study: Study) -> None:
     short = Rollout(np.zeros((60, 4)), np.zeros((59, 2)))
     with pytest.raises(ConfigError, match=r"^short, part 1: is shorter than a window of 0\.2 s$"):
-        assess(study, {"short": short})
+        assess(study, {"short": (short,)})
     with pytest.raises(ConfigError, match="identification=posterior does"):
         prepared(pendulum())
 
@@ -392,6 +395,14 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     assert capsys.readouterr().err == "simbias: --held-out: leaves no recording\n"
 
 
+def test_only_recordings_begin_within_a_motion() -> None:
+    """Their motors' memory is of inputs before; an experiment of a trial begins with none."""
+    study = pendulum(*QUICK, "+identification.motors.tau1={delay: 0.01}")
+    rollout = Rollout(np.zeros((101, 4)), np.ones((100, 2)))
+    leads = [each.identification.windows([rollout]).leads for each in (study, prepared(study))]  # type: ignore[attr-defined]
+    assert [int(each[0]) for each in leads] == [0, 200]
+
+
 def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder: Path) -> None:
     """A gap behind 0.02 s and one behind 0.3 s leave two pieces that hold a window of 0.2 s."""
     write_csv(Rollout(np.zeros((401, 4)), np.zeros((400, 2))), folder / "cut.csv")
@@ -399,10 +410,8 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     rows.to_csv("cut.csv", index=False)
     study = replace(study, hardware=None)  # type: ignore[arg-type]
     found = read(study, ["cut.csv"], windows=2.0)
-    assert {name: piece.frames for name, piece in found.rollouts.items()} == {
-        "cut.csv (2)": 149,
-        "cut.csv (3)": 208,
-    }
+    assert [piece.frames for piece in found.rollouts["cut.csv"]] == [149, 208]
+    assert found.extent == "cut.csv 0.714 s at 500 Hz"
     assert "cut.csv: 1 piece of less than 0.2 s left out" in found.notes
     rows[:100].to_csv("cut.csv", index=False)
     with pytest.raises(ConfigError, match=r"^cut\.csv: is shorter than a window of 0\.2 s$"):
@@ -410,7 +419,7 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     (folder / "held.csv").write_bytes((folder / "cut.csv").read_bytes())
     request = Request(["cut.csv"], ["held.csv"], ["preset=double_pendulum"], None, folder, None, [])
     _, *opened = request.opened(Console())  # as excite, which needs 0.1 s
-    assert [list(each.rollouts) for each in opened] == [["cut.csv (2)"], ["held.csv (1)", "held.csv (2)"]]
+    assert [len(each.pieces.rollouts) for each in opened] == [1, 2]
 
 
 def test_files_hold_windows_of_whole_chunks(folder: Path) -> None:
@@ -419,7 +428,7 @@ def test_files_hold_windows_of_whole_chunks(folder: Path) -> None:
     study = simbias.load([*options, "tracking=none"])
     for rows in 33, 34:
         write_csv(Rollout(np.zeros((rows + 1, 4)), np.zeros((rows, 2))), folder / f"{rows}.csv")
-    (piece,) = read(study, ["34.csv"], windows=2.0).rollouts.values()
+    (piece,) = read(study, ["34.csv"], windows=2.0).pieces.rollouts
     assert piece.frames == 33
     with pytest.raises(ConfigError, match=r"^33\.csv: is shorter than a window of 0\.066 s$"):
         read(study, ["33.csv"], windows=2.0)

@@ -90,11 +90,11 @@ class Identified(Nominal):
     def of_recordings(
         prior: Nominal, z: Array, spread: Array, places: Indices, errors: ErrorDistribution
     ) -> Identified:
-        """The posterior of coordinates z (P,), among which are those of each recording at places (r, p).
+        """The posterior of coordinates z (P,), those of each piece of a recording at places (r, p).
 
         Where recordings have something of their own, and there are several, it is the model of yet others.
         """
-        each = tuple(Identified(prior, z[at], spread[at], {}, errors) for at in places)
+        each = tuple(Identified(prior, z[at], spread[at], {}, errors) for at in np.unique(places, axis=0))
         if len(z) == places.shape[1]:
             return each[0]
         fitted = each[0].elsewhere()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -109,6 +110,7 @@ class Posterior(Identification):
         self._evaluations = evaluations
         self._longer = longer_windows or []
         self._differences = differences
+        self._held = False
         self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
     def _set_window(self, window: float) -> None:
@@ -129,10 +131,13 @@ class Posterior(Identification):
         other._longer = [each * window / self.window for each in self._longer]
         return other
 
-    def with_central_differences(self) -> Posterior:
-        """A copy whose covariance also tells what strong motion does not determine."""
+    def of_recordings(self, held: bool) -> Posterior:
+        """A copy whose covariance also tells what strong motion does not determine.
+
+        If `held`, inputs acted before a recording as at its beginning, which may be within a motion.
+        """
         other = copy(self)
-        other._differences = "central"
+        other._differences, other._held = "central", held
         return other
 
     def with_known(self, known: Known) -> Posterior:
@@ -141,20 +146,25 @@ class Posterior(Identification):
         other._known = known
         return other
 
-    def windows(self, rollouts: Sequence[Rollout]) -> Windows:
+    def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
         """Experiments, cut as predictions are compared with them."""
-        return Windows.of(rollouts, self._window, self._chunk, self._noise)
+        windows = Windows.of(rollouts, self._window, self._chunk, self._noise, self._held)
+        if not recordings:
+            return windows
+        order = list(dict.fromkeys(recordings))
+        return replace(windows, recordings=np.array([order.index(each) for each in recordings]))
 
-    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+    def fit(self, nominal: Nominal, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Nominal:
         """The model at the mode, which draws from the posterior.
 
         Without a whole window it is the model itself, whose motors and sensors are uncertain as declared, or
-        the one that is known.
+        the one that is known. Rollouts that are pieces of a recording share what that has of its own;
+        `recordings` are names of these, by default each rollout is one.
         """
         if self._known is None:
-            return self._fit(self.prior(nominal), rollouts)
+            return self._fit(self.prior(nominal), rollouts, recordings)
         prior = KnownPrior(self.prior(nominal), self._known)
-        fitted = self._fit(prior, rollouts)
+        fitted = self._fit(prior, rollouts, recordings)
         return prior.posterior(fitted if isinstance(fitted, Identified) else None)
 
     def prior(self, nominal: Nominal) -> Nominal:
@@ -163,12 +173,12 @@ class Posterior(Identification):
             return nominal
         return Rig(self._task, nominal, self._motors, self._sensors, self._each)
 
-    def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout]) -> Nominal:
+    def _fit(self, nominal: Nominal, rollouts: Sequence[Rollout], recordings: Sequence[str]) -> Nominal:
         """The posterior, with the declared prior."""
-        windows = self.windows(rollouts) if rollouts else None
+        windows = self.windows(rollouts, recordings) if rollouts else None
         if not nominal.parameters or not windows:
             return nominal
-        longer = [self.with_window(each).windows(rollouts) for each in self._longer]
+        longer = [self.with_window(each).windows(rollouts, recordings) for each in self._longer]
         compared = [windows, *(each for each in longer if len(each))]
         z = self._start(nominal, windows)
         for freedom in (ROBUST_FREEDOM, FREEDOM):

@@ -24,15 +24,16 @@ LEAST_DEVIATION = 1e-9  # added to the standard deviation of a state
 SPREAD_ROUNDS = 2  # of estimating the errors' covariance, with the part that fitted parameters removed
 
 
-def coordinates_of(parameters: Sequence[Parameter], recordings: int) -> Indices:
-    """Places (recordings, parameters) of each recording's coordinates among those of all.
+def coordinates_of(parameters: Sequence[Parameter], recordings: Indices) -> Indices:
+    """Places (r, parameters) of coordinates of r experiments, each a piece of one of the recordings (r,).
 
     Those of the first recording come first, then what each other one has of its own.
     """
     p, own = len(parameters), np.flatnonzero([parameter.of_recording for parameter in parameters])
-    places = np.tile(np.arange(p), (recordings, 1))
-    for i in range(1, recordings):
-        places[i, own] = p + (i - 1) * len(own) + np.arange(len(own))
+    places = np.tile(np.arange(p), (len(recordings), 1))
+    for place, recording in zip(places, recordings.tolist(), strict=True):
+        if recording:
+            place[own] = p + (recording - 1) * len(own) + np.arange(len(own))
     return places
 
 
@@ -46,7 +47,8 @@ class Comparison:
         self._nominal = nominal
         self._windows = windows
         self._observed = windows.means
-        self.places = coordinates_of(nominal.parameters, len(windows.frames))  # (recordings, parameters)
+        recordings = np.arange(len(windows.frames)) if windows.recordings is None else windows.recordings
+        self.places = coordinates_of(nominal.parameters, recordings)  # (r, parameters)
         self.errors = errors
 
     def __len__(self) -> int:

@@ -88,7 +88,7 @@ def recordings(rng: random.Random, work: Path) -> list[Result]:
                     if not named:
                         return f"no file named: {error}"
                     raise
-            arrays = [array for each in found.rollouts.values() for array in (each.states, each.inputs)]
+            arrays = [array for each in found.pieces.rollouts for array in (each.states, each.inputs)]
             if not all(np.isfinite(array).all() for array in arrays):
                 return "taken in, and no numbers"
             if list(Path(name).rglob(HIT)) or (folder.parent / "secret.csv").read_text() != SECRET:

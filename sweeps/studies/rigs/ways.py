@@ -124,7 +124,9 @@ def residual(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
 def identified(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     """The posterior of the parameters."""
     pieces = [Part("", (rollout,)) for rollout in rollouts]
-    apart = [fit(rig, others(pieces, i)).elsewhere() for i in range(len(rollouts) * (len(rollouts) > 1))]
+    apart = [
+        fit(rig, others(pieces, i).rollouts).elsewhere() for i in range(len(rollouts) * (len(rollouts) > 1))
+    ]
     return _posterior_of(rig, rollouts)._replace(apart=apart)
 
 
@@ -141,9 +143,9 @@ def guarded(rig: Rig, rollouts: Sequence[Rollout]) -> Learned:
     without the residual. It is left out if it makes predictions of any of them worse, at any horizon.
     """
     found = with_residual(rig, rollouts)
-    pieces = parts({str(i): rollout for i, rollout in enumerate(rollouts)})
+    pieces = parts({str(i): (rollout,) for i, rollout in enumerate(rollouts)})
     for i, piece in enumerate(pieces):
-        of_rest = with_residual(rig, others(pieces, i))
+        of_rest = with_residual(rig, others(pieces, i).rollouts)
         if len(rollouts) == 1:  # thirds have its zeros
             of_rest = of_rest._replace(model=of_rest.own[0])
         for seconds in GUARDED:
