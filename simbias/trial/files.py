@@ -19,10 +19,11 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
 
     Compressed, it would be 5% smaller, and take 20 times as long.
 
-    Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, cost, failed_at,
-    failure, place.
+    Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, failed_at, failure,
+    place. Costs are not kept: they follow from these.
     """
     given: dict[str, Any] = {name: value for name, value in vars(rollout).items() if value is not None}
+    del given["cost"]
     file = io.BytesIO()
     np.savez(file, place=np.array(place, dtype=np.int64), **given)
     return file.getvalue()
