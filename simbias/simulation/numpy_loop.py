@@ -49,6 +49,7 @@ class PlainSimulator:
         """Costs (k,) of these rollouts, and their frames (k,)."""
         return costs_of(cost, self.rollouts(thetas, starts, scenarios))
 
+    @np.errstate(all="ignore")  # what overflows is not finite, and has failed
     def _together(self, thetas: Array, starts: Array, scenarios: Indices) -> list[Rollout]:
         """Rollouts in lockstep, frame by frame."""
         task, policy, k = self.models[0].task, self.models[0].policy, len(thetas)

@@ -113,15 +113,17 @@ def test_falls_agree_and_bad_starts_fail_at_once(study: Study) -> None:
         assert costs.shape == frames.shape == (0,)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_a_state_that_is_not_finite_fails_though_no_criterion_reads_it() -> None:
-    """The pole's rate; a criterion that is violated besides goes before."""
+    """The pole's rate, without a warning; a criterion that is violated besides goes before."""
     study = simbias.load(["preset=cartpole", "bias=none", "tracking=none"])
-    thetas, starts = np.zeros((2, 4)), np.array([[0.0, 0.1, 0.0, np.inf], [0.0, 0.3, 0.0, np.inf]])
-    loops = study.simulator(), PlainSimulator([study.model()], [None])
-    for loop in loops:
-        with interpreted():
-            made = loop.rollouts(thetas, starts)
-        assert [(each.failed_at, each.failure) for each in made] == [(0, NOT_A_NUMBER), (0, "falls")]
+    thetas, starts = np.full((3, 4), 10.0), np.zeros((3, 4))
+    starts[:, 1], starts[:, 3] = [0.1, 0.3, 0.1], [np.inf, np.inf, 1e308]
+    plain = PlainSimulator([study.model()], [None]).rollouts(thetas, starts)
+    with interpreted():
+        for made in (plain, study.simulator().rollouts(thetas, starts)):
+            failures = [(each.failed_at, each.failure) for each in made]
+            assert failures == [(0, NOT_A_NUMBER), (0, "falls"), (1, "falls")]
 
 
 def test_noise_acts_where_it_belongs(one_step: Study) -> None:
