@@ -156,6 +156,7 @@ def option_lines(identified: Identified, identification: dict[str, Any]) -> Iter
             yield f"{key}: {json.dumps(value)}"
     yield "known:"
     yield f"  parameters: {json.dumps(identified.known.parameters)}"
+    yield f"  declared: {json.dumps(identified.known.declared)}"
     yield f"  mode: {json.dumps(identified.known.mode)}"
     yield "  spread:"
     for row in identified.known.spread:

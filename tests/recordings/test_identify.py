@@ -233,6 +233,11 @@ def test_a_trial_begins_with_what_was_identified(
     first = attached.first_model().nominal
     assert isinstance(first, Identified)
     assert first.estimates == assessment.identified.estimates
+    moved = simbias.load([*options, "nominal.drives.damping_1=0.002"], tmp_path / "conf")
+    with pytest.raises(
+        ValueError, match=r"known is of damping_1 declared as \S+ N m s/rad .*; it is 0\.002 N m"
+    ):
+        moved.first_model()
     np.testing.assert_array_equal(first.covariance, assessment.identified.covariance)
     robot, _ = truth(study.nominal, np.random.default_rng(4))
     more = attached.identification.fit(attached.nominal, [experiment(robot, np.random.default_rng(9))])

@@ -26,6 +26,7 @@ class Known:
     parameters: list[str]  # their names, in the model's order
     mode: list[Coordinate]  # (p,)
     spread: list[list[Coordinate]]  # (p, p) a square root of the covariance
+    declared: list[str] | None = None  # (p,) the priors that coordinates are of, in words; None: not told
 
 
 @final
@@ -119,7 +120,8 @@ class Identified(Nominal):
     def known(self) -> Known:
         """The posterior as numbers."""
         names = [parameter.name for parameter in self.parameters]
-        return Known(names, self.mode.tolist(), self.spread.tolist())
+        declared = [_declared(parameter) for parameter in self.parameters]
+        return Known(names, self.mode.tolist(), self.spread.tolist(), declared)
 
     def with_spread(self, spread: Array) -> Identified:
         """The model at the same mode, with another square root (p, q) of the covariance."""
@@ -155,7 +157,7 @@ class KnownPrior(Nominal):
     Raises
     ------
     ValueError
-        If the posterior is of other parameters than the model has.
+        If the posterior is of other parameters than the model has, or of other declared values.
     """
 
     def __init__(self, nominal: Nominal, known: Known) -> None:
@@ -165,6 +167,10 @@ class KnownPrior(Nominal):
                 f"identification.known is of {', '.join(known.parameters)}; "
                 f"the nominal model's parameters are {', '.join(names) or 'none'}"
             )
+        declared = [_declared(parameter) for parameter in nominal.parameters]
+        for name, before, now in zip(names, known.declared or declared, declared, strict=True):
+            if before != now:
+                raise ValueError(f"identification.known is of {name} declared as {before}; it is {now}")
         self._nominal = nominal
         self._mode, self._spread = np.array(known.mode), np.array(known.spread)
         self.kernel, self.state_size, self.acting = nominal.kernel, nominal.state_size, nominal.acting
@@ -195,3 +201,8 @@ class KnownPrior(Nominal):
 
     def _coordinates(self, values: Array) -> Array:
         return self._mode + self._spread @ values
+
+
+def _declared(parameter: Parameter) -> str:
+    """A parameter's prior in words, which tell it from any other."""
+    return f"{parameter.value:.6g} {parameter.unit} ({parameter.prior} of spread {parameter.spread:.6g})"
