@@ -39,11 +39,12 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     option_files.register()
     if config_dir is not None:
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
-    values = {each.key_or_group: each.value() for each in parsed(overrides)}  # the last of each
+    given = parsed(overrides)
+    values = {each.key_or_group: each.value() for each in given}  # the last of each
     if isinstance(sweep := values.get("sweep"), str):
         register_sweep(sweep, config_dir, grid)
     with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
-        config = hydra.compose("config", [*WITHOUT_JOBS, *overrides], return_hydra_config=True)
+        config = hydra.compose("config", [*WITHOUT_JOBS, *map(_opened, given)], return_hydra_config=True)
     runtime: dict[str, str] = dict(config.hydra.runtime.choices)
     choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
     if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell
@@ -55,12 +56,13 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
 
 
 def set_value(config: DictConfig, key: str, value: Any) -> None:
-    """Set a value; a key that the config lacks begins with +."""
+    """Set a value; a key that the config lacks begins with +, if it is not within a mapping that is given."""
     from omegaconf import OmegaConf
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
     try:
-        OmegaConf.update(config, key.removeprefix("+"), value, force_add=key.startswith("+"))
+        force_add = key.startswith("+") or _adds(key, value)
+        OmegaConf.update(config, key.removeprefix("+"), value, force_add=force_add)
     except (ConfigAttributeError, ConfigKeyError) as error:
         raise _no_such_key(key) from error
 
@@ -81,6 +83,17 @@ def overridden(overrides: Sequence[str]) -> list[str]:
         raise in_one_line(error) from error
     except (RecursionError, ValueError) as error:  # also of a number with too many digits
         raise ConfigError(" ".join(overrides), reason(error)) from error
+
+
+def _opened(override: Override) -> str:
+    """An override as a line that may also add keys to a whole mapping."""
+    key, line = override.key_or_group, str(override.input_line)
+    return f"+{line}" if line.startswith(key) and _adds(key, override.value()) else line
+
+
+def _adds(key: str, value: Any) -> bool:
+    """Whether keys may be added, as by `hardware.noise={force_variance: 0.1}`: components know theirs."""
+    return isinstance(value, Mapping) and "." in key and not key.startswith("sweep.")
 
 
 def _quoted(text: str) -> str:

@@ -71,6 +71,22 @@ def test_bad_override() -> None:
         assert len(str(error.value)) < LONGEST + LONGEST_KEY + 3
 
 
+@pytest.mark.parametrize(
+    "beside", [[], ["+hardware.noise.angle_variance=0.1"]]
+)  # which Hydra sees to, or not
+def test_a_whole_mapping_adds_its_keys(beside: list[str]) -> None:
+    base = ["preset=cartpole", *beside]
+    given = compose([*base, "hardware.noise={force_variance: 0.1}", "hardware.values={swing.friction: 0.01}"])
+    config = given.config["hardware"]
+    assert config["noise"] == {**({"angle_variance": 0.1} if beside else {}), "force_variance": 0.1}
+    assert config["values"] == {"swing.friction": 0.01}
+    assert compose([*base, "hardware.noise={force_variance: 0.1}"]).config == (
+        compose([*base, "+hardware.noise.force_variance=0.1"]).config
+    )
+    with one_line(r"^hardware\.nosuch: no such key"):
+        simbias.load([*base, "hardware.nosuch={a: 1}"])
+
+
 def test_config_dir_must_exist() -> None:
     for folder in ("/no/such/folder", "[" * 400):  # the second is no name that a file system takes
         with pytest.raises(ConfigError, match="--config-dir: no such folder"):
