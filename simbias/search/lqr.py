@@ -59,11 +59,15 @@ def lqr_candidates(model: Model, count: int) -> Iterator[Array]:
     models = [model, *(replace(model, nominal=model.nominal.draw(rng)) for rng in rngs)][:count]
     policies = [theta for each in models for theta in lqr_policies(each, sticking=True)]
     if models and not policies:
-        reason = f"{type(model.policy).__name__} imitates none, or the model has none"
-        if model.task.targets:
-            reason = "targets ask for another one at each start"
-        warnings.warn(f"searches begin without LQR: {reason}", SlowWarning, stacklevel=2)
+        warnings.warn(f"searches begin without LQR: {why_none(model, 'none')}", SlowWarning, stacklevel=2)
     yield from policies
+
+
+def why_none(model: Model, regulator: str) -> str:
+    """Why there is no policy for a model that imitates a regulator."""
+    if model.task.targets:
+        return "targets ask for another regulator at each start"
+    return f"{type(model.policy).__name__} imitates {regulator}, or the model has none"
 
 
 def lqr_policies(

@@ -159,7 +159,9 @@ def test_what_has_no_lqr_has_no_policies_and_searches_say_so() -> None:
     assert list(lqr_candidates(point_mass(policy=Gain), 0)) == []
     to_a_target = point_mass()
     to_a_target.task.targets = (Quantity("place", "m"),)
-    with pytest.warns(SlowWarning, match="begin without LQR: targets ask for another one at each start"):
+    with pytest.warns(
+        SlowWarning, match="begin without LQR: targets ask for another regulator at each start"
+    ):
         assert list(lqr_candidates(to_a_target, 3)) == []
 
 
@@ -282,5 +284,9 @@ def test_what_cannot_be_is_named(cartpole: Study) -> None:
     lqi = simbias.load(["method=lqi", "tracking=none"])
     with pytest.raises(ConfigError, match=r"^method: OutputFeedback imitates no LQI"):
         run_trial(lqi)  # before it begins
+    for method, key in (("lqr", "method"), ("direct_search_lqr", r"method\.begin")):
+        moving = simbias.load(["preset=reacher", "~method.target_cost", "tracking=none", f"method={method}"])
+        with pytest.raises(ConfigError, match=f"^{key}: targets ask for another regulator at each start"):
+            moving.method.check(moving)
     with pytest.raises(ValueError, match=r"^outputs: none is called speed; there are position"):
         IntegralFeedback(cartpole.task, outputs=["speed"])

@@ -13,7 +13,7 @@ from simbias.core.extras import library
 from simbias.core.model import Model
 from simbias.core.ranges import Count, Deviation
 from simbias.core.records import Array, Iteration
-from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies, why_none
 from simbias.search.optimizer.cma import strategy
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
@@ -59,9 +59,8 @@ class DirectSearch(Method):
         """The policy (p,) that it begins with: the LQR of a model, or the middle of the bounds."""
         lower, upper = study.policy.bounds
         policies = [0.5 * (lower + upper)] if model is None else lqr_policies(model, INPUT_WEIGHTS[1:2])
-        if not policies:
-            problem = f"{type(study.policy).__name__} imitates no LQR, or the model has none"
-            raise ConfigError("method.begin", problem)
+        if model is not None and not policies:
+            raise ConfigError("method.begin", why_none(model, "no LQR"))
         return policies[0]
 
     def run(self, study: Study, rng: np.random.Generator, observer: Observer) -> Iterator[Iteration]:

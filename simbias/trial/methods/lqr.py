@@ -11,7 +11,7 @@ from simbias.core.errors import ConfigError
 from simbias.core.model import Model
 from simbias.core.ranges import Count, NonNegative, Scale
 from simbias.core.records import Array, Iteration, Rollout
-from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies
+from simbias.search.lqr import INPUT_WEIGHTS, lqr_policies, why_none
 from simbias.trial.claim import Confidence, passes_for
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
@@ -69,9 +69,7 @@ class Lqr(Method):
         """The policy (p,) that imitates the model's regulator."""
         policies = lqr_policies(model, (self.input_weight,), self.integral_weight, sticking=self.sticking)
         if not policies:
-            kind = "LQI" if self.integral_weight else "LQR"
-            problem = f"{type(model.policy).__name__} imitates no {kind}, or the model has none"
-            raise ConfigError("method", problem)
+            raise ConfigError("method", why_none(model, "no LQI" if self.integral_weight else "no LQR"))
         (theta,) = policies
         return theta
 
