@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from simbias.core import Nominal, Task
+from simbias.config import options
+from simbias.core import Task
 from simbias.core.errors import ConfigError
 from simbias.core.messages import brief
 from simbias.core.parameters import values_at
@@ -22,26 +23,36 @@ from simbias.recordings.excitation import Excitation
 from simbias.recordings.findings import at_bound
 from simbias.recordings.report import report
 from simbias.robots.mujoco.model import Mujoco
+from simbias.trial.study import Study
 
-OPTION = "identified"  # of the group `identification`
+GROUP, OPTION = "identification", "identified"
+FIRST_LINE = "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
 DRAWS, MODELS, SEED = 100, 10, 0  # of the posterior: rows of a table, files
 EXCITATION = "excitation.csv"
 OPTIONAL = (EXCITATION, f"{OPTION}.xml", *(f"draw_{i}.xml" for i in range(MODELS)))  # not of every model
 MECHANICS_ALONE = "<!-- Without motors and sensors: parameters.csv and draws.csv tell what they add. -->\n"
 
 
-def check_no_source(nominal: Nominal, folder: Path) -> None:
-    """Refuse a folder where what is written would replace a file that the nominal model is read from.
+def check_replaces_nothing(study: Study, folder: Path, option: Path) -> None:
+    """Make the folders; refuse one where what is written would replace what the study is read from.
 
     Raises
     ------
     ConfigError
-        Naming the file; the posterior is of that model, not of the one in its place.
+        Naming the file; a posterior is of that model, or of that prior, not of the one in its place.
     """
     written = {(folder / name).resolve() for name in OPTIONAL}
-    for file in getattr(nominal, "source_files", ()):
+    for file in getattr(study.nominal, "source_files", ()):
         if Path(file).resolve() in written:
             raise ConfigError("--into", f"would replace {file}, which the nominal model is read from")
+    own = option.is_file() and option.read_text().startswith(FIRST_LINE)
+    if option.stem == study.choices[GROUP] or (not own and option.stem in options(option.parents[1])[GROUP]):
+        raise ConfigError("--into", f"would replace {GROUP}={option.stem}: choose another folder")
+    try:
+        for made in folder, option.parent:
+            made.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError("--into", f"{made} cannot be written ({error.strerror})") from error
 
 
 def write(
@@ -49,12 +60,13 @@ def write(
     excitation: Excitation | str,
     identification: dict[str, Any],
     folder: Path,
-    configs: Path,
+    option: Path,
+    notes: Sequence[str] = (),
 ) -> None:
-    """Write everything into a folder, and the option `identification=identified` into a folder of configs.
+    """Write everything into a folder, and the option `identification=identified` into its file.
 
     In place of an excitation, there may be a reason why there is none. `identification` is the config that
-    the model was identified with.
+    the model was identified with, `notes` are those on the recordings.
 
     Raises
     ------
@@ -63,7 +75,7 @@ def write(
     """
     title = f"{type(assessment.nominal).__name__}, identified from recordings"
     texts = {  # all of them before any is written, or removed
-        "report.html": report(assessment, title, excitation),
+        "report.html": report(assessment, title, excitation, notes),
         "parameters.csv": parameters(assessment).to_csv(index=False),
         "errors.csv": errors(assessment).to_csv(index=False),
         "draws.csv": draws(assessment.identified).to_csv(index=False),
@@ -73,11 +85,8 @@ def write(
         texts[EXCITATION] = told.to_csv(index=False, float_format="%.6g")
     texts |= {f"{name}.xml": text for name, text in models(assessment.identified)}
     lines = list(option_lines(assessment.identified.elsewhere(), identification))
-    folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text)
-    option = configs / "identification" / f"{OPTION}.yaml"
-    option.parent.mkdir(parents=True, exist_ok=True)
     option.write_text("\n".join(lines) + "\n")
     for name in set(OPTIONAL) - set(texts):  # of the model before
         (folder / name).unlink(missing_ok=True)
@@ -147,7 +156,7 @@ def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:
 
 def option_lines(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
     """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
-    yield "# What recordings say of the nominal model's parameters; a trial's experiments add to it."
+    yield FIRST_LINE
     yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
         yield f"# {brief(e.name)}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {brief(e.unit)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from simbias.pictures.elements.html import heading, items, page, paragraph, picture, table
 from simbias.recordings import plots, words
@@ -12,12 +12,14 @@ from simbias.recordings.excitation import Excitation
 MOST = 5  # parts that are drawn
 
 
-def report(assessment: Assessment, title: str, excitation: Excitation | str) -> str:
-    """The report of an assessment, as HTML in one file."""
-    return page(title, _parts(assessment, excitation))
+def report(
+    assessment: Assessment, title: str, excitation: Excitation | str, notes: Sequence[str] = ()
+) -> str:
+    """The report of an assessment, as HTML in one file, with notes on its recordings."""
+    return page(title, _parts(assessment, excitation, notes))
 
 
-def _parts(assessment: Assessment, excitation: Excitation | str) -> Iterator[str]:
+def _parts(assessment: Assessment, excitation: Excitation | str, notes: Sequence[str]) -> Iterator[str]:
     """From the verdict to the predictions."""
     yield paragraph(words.verdict(assessment))
     yield heading("Which parameter may be trusted?")
@@ -30,13 +32,17 @@ def _parts(assessment: Assessment, excitation: Excitation | str) -> Iterator[str
         yield items(own)
     yield heading("What the data do not determine")
     lines = list(words.undetermined_lines(assessment))
-    yield items(lines) if lines else paragraph("All directions of the parameters are determined.")
+    yield items(lines) if lines else paragraph("All directions of what recordings share are determined.")
     yield heading("Errors of predictions that no model was fitted to")
     yield table(words.error_names(assessment), words.error_rows(assessment))
+    yield paragraph(words.ERRORS)
     if outside := list(words.reach_lines(assessment)):
         yield paragraph("Some predictions extrapolate beyond the data that their model was learned from:")
         yield items(outside)
     yield picture(plots.errors(assessment), "Root mean square errors by horizon")
+    if notes:
+        yield heading("What was done to the recordings")
+        yield items(notes)
     yield heading("What to record next")
     yield items(words.advice(assessment, excitation))
     yield heading("Predictions and measurements")

@@ -20,6 +20,7 @@ PARAMETER_NAMES = (
     "trust",
 )
 ERROR_NAMES = ("horizon (s)", "predictions", "over nominal", "90% region holds")
+ERRORS = "Of states, a of b: root mean square errors of the identified model (a) and of the nominal one (b)."
 WORTH = 0.1  # share by which an experiment has to narrow a parameter to be named
 REMEDY = "weigh or measure a part, or record with another load, and declare what is then known"
 
@@ -30,9 +31,10 @@ def verdict(assessment: Assessment) -> str:
     each = f" ({min(ratios.values()):.2f} to {max(ratios.values()):.2f})" if len(ratios) > 1 else ""
     what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
     if assessment.better:
+        none = "" if any(finding.trusted for finding in assessment.findings) else " No parameter is trusted."
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}."
+            f"the nominal one{each}.{none}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "

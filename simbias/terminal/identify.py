@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +17,7 @@ from simbias.config.hydra_config import overridden
 from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
-from simbias.recordings.files import OPTION, check_no_source, write
+from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
 from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import Recordings, read
 from simbias.terminal.lines import say
@@ -23,7 +25,6 @@ from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 40  # of what to record next
-GROUP = "identification"
 
 
 class Request(NamedTuple):
@@ -42,6 +43,12 @@ class Request(NamedTuple):
         """The folder of configs that the identified option is written to."""
         return Path(self.config_dir) if self.config_dir else self.folder / "conf"
 
+    @property
+    def option(self) -> Path:
+        """The option's file; beside options of one's own, it is named as the folder of results."""
+        name = re.sub(r"\W", "_", self.folder.name) if self.config_dir else ""
+        return self.configs / GROUP / f"{name or OPTION}.yaml"
+
     def opened(self, console: Console, windows: float = 1.0) -> tuple[Study, Recordings, Recordings]:
         """The study, its recordings and those that are held out; notes on them are printed.
 
@@ -56,12 +63,16 @@ class Request(NamedTuple):
         held_out = read(study, self.held_out, self.columns)
         for note in (*recordings.notes, *held_out.notes):
             say(console, note, "yellow")
+        if extent := ", ".join(filter(None, (recordings.extent, held_out.extent))):
+            say(console, extent)
         return study, recordings, held_out
 
     @property
     def again(self) -> list[str]:
         """The overrides of a trial that begins with what was identified."""
-        return [each for each in self.overrides if not each.startswith(f"{GROUP}=")] + [f"{GROUP}={OPTION}"]
+        return [each for each in self.overrides if not each.startswith(f"{GROUP}=")] + [
+            f"{GROUP}={self.option.stem}"
+        ]
 
 
 def identify(request: Request) -> bool:
@@ -75,22 +86,26 @@ def identify(request: Request) -> bool:
     console = Console(highlight=False)
     with slowness_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST)
-        check_no_source(study.nominal, request.folder)
+        check_replaces_nothing(study, request.folder, request.option)
         with console.status("") as status:
+            tell_of = status.update if console.is_terminal else partial(say, console)
             assessment = assess(
                 study,
                 recordings.rollouts,
                 held_out.rollouts,
-                lambda each: status.update(f"fitting {each}"),
+                lambda each: tell_of(f"fitting {each}"),
             )
             status.update("looking for what to record next")
             excitation = next_excitation(study, assessment)
+    notes = (*recordings.notes, *held_out.notes)
     try:
-        write(assessment, excitation, study.config[GROUP], request.folder, request.configs)
+        write(assessment, excitation, study.config[GROUP], request.folder, request.option, notes)
     except OSError as error:
         raise ConfigError(str(request.folder), f"cannot be written ({error.strerror})") from error
     tell(console, assessment, excitation)
     say(console, f"Look at it:  {request.folder / 'report.html'}")
+    again = f"--config-dir {request.configs} {GROUP}={request.option.stem}"
+    say(console, f"Begin a trial with it:  {again}  ({request.option})")
     return assessment.better
 
 
@@ -112,6 +127,7 @@ def tell(console: Console, assessment: Assessment, excitation: Excitation | str)
     for line in words.undetermined_lines(assessment):
         say(console, f"Not determined: {line}")
     table(console, words.error_names(assessment), list(words.error_rows(assessment)))
+    say(console, words.ERRORS)
     for line in words.reach_lines(assessment):
         say(console, f"Extrapolation: {line}")
     for line in words.advice(assessment, excitation):

@@ -23,7 +23,7 @@ from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
-from simbias.recordings.files import check_no_source, draws, models, option_lines, write
+from simbias.recordings.files import check_replaces_nothing, draws, models, option_lines, write
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -225,11 +225,18 @@ def test_a_trial_begins_with_what_was_identified(
     monkeypatch.setattr("simbias.recordings.files.report", lambda *_: "")  # drawn below
     for stale in ("excitation.csv", "identified.xml", "draw_9.xml"):
         (tmp_path / stale).touch()
-    write(assessment, "none", study.config["identification"], tmp_path, tmp_path / "conf")
+    option = tmp_path / "conf" / "identification" / "identified.yaml"
+    check_replaces_nothing(study, tmp_path, option)
+    write(assessment, "none", study.config["identification"], tmp_path, option)
+    check_replaces_nothing(study, tmp_path, option)  # of a run before
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {"report.html", "parameters.csv", "errors.csv", "draws.csv", "conf"}
     options = ["preset=double_pendulum", "tracking=none", "bias=none", "identification=identified"]
     attached = simbias.load(options, tmp_path / "conf")
+    with pytest.raises(
+        ConfigError, match=r"^--into: would replace identification=identified: choose another"
+    ):
+        check_replaces_nothing(attached, tmp_path, option)
     first = attached.first_model().nominal
     assert isinstance(first, Identified)
     assert first.estimates == assessment.identified.estimates
@@ -275,13 +282,21 @@ def test_an_identified_mjcf_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.step(x, u), changed.step(x, u), rtol=1e-4)
 
 
-def test_the_file_that_the_model_is_read_from_is_not_replaced(tmp_path: Path) -> None:
-    """The posterior is of that model: of the identified one, it would apply twice."""
+def test_the_file_that_the_model_is_read_from_is_not_replaced(study: Study, tmp_path: Path) -> None:
+    """The posterior is of that model: of the identified one, it would apply twice. Nor is an option's own."""
     file = Path(mjcf(tmp_path)).rename(tmp_path / "identified.xml")
-    model = Mujoco(cart_pole(), str(file))
-    check_no_source(model, tmp_path / "elsewhere")
+    study, option = (
+        replace(study, nominal=Mujoco(cart_pole(), str(file))),
+        tmp_path / "identification" / "a.yaml",
+    )
+    check_replaces_nothing(study, tmp_path / "elsewhere", option)
     with pytest.raises(ConfigError, match=r"^--into: would replace .*identified\.xml"):
-        check_no_source(model, tmp_path)
+        check_replaces_nothing(study, tmp_path, option)
+    for shipped in "delay", "posterior":
+        with pytest.raises(ConfigError, match=f"^--into: would replace identification={shipped}"):
+            check_replaces_nothing(study, tmp_path / "elsewhere", option.with_stem(shipped))
+    with pytest.raises(ConfigError, match=r"^--into: .*identified\.xml cannot be written \(File exists\)"):
+        check_replaces_nothing(study, file, option)
 
 
 def test_files_of_draws_are_of_the_table_of_draws(tmp_path: Path) -> None:
