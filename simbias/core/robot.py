@@ -302,9 +302,9 @@ class Hardware(ABC):
         """One experiment with theta (p,); cost and parameters of the rollout are not set.
 
         It begins at the start (n,), or as near to it as the robot can: the rollout's first state says where.
-        `policy.controller(theta, time_step)` computes the input of each frame. Any error but those listed
-        below, and any result that is no rollout of the task, ends the trial in one line,
-        and the result is kept; the same command goes on once the hardware is mended
+        `policy.controller(theta, time_step)` computes the input of each frame, also from a list of numbers.
+        Any error but those listed below, and any result that is no rollout of the task, ends the trial in one
+        line, and the result is kept; the same command goes on once the hardware is mended
         (`simbias.lab.checked_hardware`).
 
         Raises

@@ -1,7 +1,7 @@
 """A robot of your own: what is to be done, what you believe of it, and the robot itself.
 
 It is a pole on a motor, to be held upright: replace it by yours, piece by piece. `python -m simbias check`
-says what does not fit yet. simbias/core/ holds every contract; all arrays are in the task's units.
+says what does not fit yet. simbias/core/ holds every contract; all arrays are of floats, in the task's units.
 """
 
 from __future__ import annotations
