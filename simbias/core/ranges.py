@@ -24,7 +24,7 @@ DelayFrames = Annotated[int, Field(ge=0, le=1000)]
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 
 # What has a unit.
-TimeStep = Annotated[float, Field(ge=1e-6, le=1.0)]  # s
+TimeStep = Annotated[float, Field(ge=1e-6, le=3600.0)]  # s
 Seconds = Annotated[float, Field(gt=0, le=1e9)]  # 30 years
 RolloutSeconds = Annotated[float, Field(ge=0.01, le=1e5)]  # s; in less, nothing can fail
 Mass = Annotated[float, Field(ge=1e-6, le=1e6)]  # kg

@@ -3,6 +3,7 @@
 import importlib
 import sys
 import warnings
+from copy import copy
 from io import BytesIO
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from figures import texts
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
+from PIL import Image
 
 import simbias
 from simbias.core.records import Array, Iteration, Rollout
@@ -163,6 +165,11 @@ def test_an_animation_shows_all_scenes_and_all_places_of_lines(
         assert left < 0.0 < 5.0 < right
         assert -1e-9 < box.x0 < box.x1 < 1 + 1e-9
     assert len(shown) == 4
+    slow, file = copy(of_point_mass[0].task), BytesIO()
+    slow.time_step = 60.0
+    animation.animate(slow, [NamedRollout("one", moving)], "", file)  # 3 min are shown in 20 s
+    picture = Image.open(file)
+    assert (picture.n_frames, picture.info["duration"]) == (4, pytest.approx(20_000 / 3, abs=10))
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Every figure of a trial: its marks are the records' numbers, and its theory holds."""
 
 import warnings
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -107,6 +108,11 @@ def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
                 norms = np.linalg.norm(errors[column][:, states], axis=1)
                 assert mark[0, 1] == pytest.approx(np.median(norms))
     assert [axes.get_ylabel().split(" (")[-1] for axes in figure.axes[::2]] == ["rad)", "rad/s)"]
+    assert figure.axes[1].get_title() == "20 frames ahead (20 ms)"
+    slow = copy(short.task)
+    slow.time_step = 60.0
+    first, *_ = prediction_errors(replace(short, task=slow), trial, [1]).axes
+    assert first.get_title() == "1 frame ahead (60 s)"
 
 
 @pytest.mark.slow

@@ -175,6 +175,10 @@ def test_quantities_whose_columns_are_no_two_things(overrides: list[str], messag
         simbias.load(["preset=cartpole_swingup", "tracking=none", *overrides])
 
 
+def test_a_frame_may_take_minutes() -> None:
+    assert declared(time_step=60.0).frames(3600.0) == 60
+
+
 def test_a_file_is_linear_between_its_rows_blank_lines_or_not_and_then_stays(tmp_path: Path) -> None:
     file = table(tmp_path, "\nt,position\n0,0.1\n2,0.3\n3,0.2\n5,0.1\n\n")
     task = declared(reference=file)

@@ -35,6 +35,7 @@ from simbias.trial.study import Study
 
 WIDTH, EACH, DOTS_PER_INCH = 6.6, 2.2, 100  # in, of the picture at least and of each drawing
 HEAD, FOOT = 0.55, 0.4  # in, above and below the drawings
+MOST_SECONDS = 20.0  # what takes longer is shown faster than in real time
 PICTURE_SECONDS = 0.1  # GIF knows hundredths of a second
 LAST = 1500  # ms for which the last picture stays
 COLORS, NEARLY_WHITE = 24, 245
@@ -52,7 +53,7 @@ class Scene(NamedTuple):
 
 
 def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | str | IO[bytes]) -> None:
-    """Write a GIF, in real time, of the last policy in its worst experiment and in simulation.
+    """Write a GIF, in real time or `MOST_SECONDS`, of the last policy in simulation and worst experiment.
 
     All start at the experiment's start: the nominal model alone, the one with the learned bias that the
     policy was optimised on, if anything was learned, and the hardware. What has failed stays so, pale.
@@ -74,7 +75,7 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
 def animate(
     task: Task, rollouts: Sequence[NamedRollout], headline: str, file: Path | str | IO[bytes]
 ) -> None:
-    """Write a GIF, in real time, of rollouts side by side, each under its name, in its color.
+    """Write a GIF, in real time or `MOST_SECONDS`, of rollouts side by side, each under its name, in color.
 
     Raises
     ------
@@ -94,10 +95,11 @@ def animate(
         scenes.append(Scene(axes, rollout, artists, clock))
     _lay_out(figure, task, scenes, move)
     figure.suptitle(headline, fontsize="medium", fontweight="bold", y=0.98)
-    step = max(1, round(PICTURE_SECONDS / task.time_step))
     longest = max(scene.rollout.frames for scene in scenes)
+    faster = max(1.0, longest * task.time_step / MOST_SECONDS)
+    step = max(1, round(faster * PICTURE_SECONDS / task.time_step))
     pictures = list(_pictures(figure, task, scenes, move, [*range(0, longest, step), longest]))
-    each = round(1000 * seconds(task, step))
+    each = round(1000 * seconds(task, step) / faster)
     first, *others = pictures
     durations = [each] * len(others) + [LAST]
     first.save(file, "GIF", save_all=True, append_images=others, duration=durations, loop=0)

@@ -83,7 +83,9 @@ def prediction_errors(
         row[0].set_ylabel("error of " + ",\n".join(lines) + f" ({unit})", fontsize=SMALL)
         _share_scale(row)
     for axes, k in zip(grid[0], horizons, strict=True):
-        axes.set_title(f"{counted(k, 'frame')} ahead ({1000 * seconds(study.task, k):g} ms)", fontsize=SMALL)
+        ahead = seconds(study.task, k)
+        time = f"{1000 * ahead:g} ms" if ahead <= 1 else f"{ahead:g} s"
+        axes.set_title(f"{counted(k, 'frame')} ahead ({time})", fontsize=SMALL)
     for axes in grid[-1]:
         axes.set_xlabel("iteration")
     for axes in grid.flat:
