@@ -79,7 +79,7 @@ class SweepRun(RunExport):
         run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
         self._known = runs.nested(run.info.run_id) if found else {}
         for identity, known in self._known.items():
-            for each in known:
+            for each in known if identity else ():  # without a hash it is of a person's own
                 self._relabel(each, about["trials"].get(identity))
         runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
         self.run_id = run.info.run_id

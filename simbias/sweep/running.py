@@ -92,7 +92,7 @@ def prepare(store: Tracking, variations: Variations) -> tuple[Sweep, DataFrame]:
             study = build(cell.composition)
             study.method.check(study)
             if study.conditions.confirm:
-                raise ConfigError("hardware.confirm", "a sweep cannot ask; a trial that runs alone does")
+                raise ConfigError("hardware.confirm", "a sweep cannot ask; false runs it unasked")
         except ConfigError as error:
             where = f" (in the cell {' '.join(cell.labels)})" if cell.labels else ""
             raise ConfigError("", f"{error}{where}") from error
