@@ -31,6 +31,7 @@ from simbias.robots.mujoco.kernel import FREE, TAKEN
 from simbias.robots.mujoco.model import Mujoco
 from simbias.simulation.closed_loop import join, simulator
 from simbias.simulation.compiled import CompiledSimulator
+from simbias.simulation.compiler import formulas_of
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.simulation.open_loop import PredictionModel, Windows
 from simbias.trial.study import Study
@@ -338,6 +339,12 @@ def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Pat
     assert Mujoco(task, file).step(x, np.array([20.0]))[3] > 0
     with one_line("joints: hinge, slider are not in the order of task.figure or task.sensors", ValueError):
         Mujoco(cart_pole(figure={"file": file}), file, joints=["hinge", "slider"])
+
+
+def test_a_policy_that_predicts_by_the_engine_is_no_code_and_says_so() -> None:
+    study = simbias.load(["preset=double_cartpole", "policy=mlp", "policy.latency=0.02", "tracking=none"])
+    why = formulas_of(study.policy, study.task, np.zeros(study.policy.n_parameters))
+    assert "the policy predicts by MuJoCo's engine, which is no formula" in str(why)
 
 
 def test_without_mujoco_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

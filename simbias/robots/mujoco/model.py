@@ -74,7 +74,15 @@ class Mujoco(Nominal):
         self.parameters = uncertain(known, units, spreads)
 
     def step(self, x: Array, u: Array) -> Array:
-        """x_next (..., n), one frame after x (..., n) under u (..., m); what has blown up stays so."""
+        """x_next (..., n), one frame after x (..., n) under u (..., m); what has blown up stays so.
+
+        Raises
+        ------
+        TypeError
+            If x or u holds symbols, as where a policy that predicts is to be written down.
+        """
+        if object in (x.dtype, u.dtype):
+            raise TypeError("the policy predicts by MuJoCo's engine, which is no formula")
         leading = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         x, u = (np.broadcast_to(a, (*leading, a.shape[-1])).reshape(-1, a.shape[-1]) for a in (x, u))
         x_next = np.full_like(x, np.nan)
