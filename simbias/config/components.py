@@ -10,7 +10,6 @@ from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails
 from typing_extensions import TypedDict  # pydantic takes only this one before Python 3.12
 
 from simbias.config.allowed import NOTHING, TARGET, Own, check_allowed
@@ -170,7 +169,7 @@ def _check_numbers(given: Any, converted: Any, key: str) -> None:
             _check_numbers(*pair, f"{key}.{index}")
 
 
-def _path(key: str, error: ErrorDetails) -> str:
+def _path(key: str, error: Mapping[str, Any]) -> str:
     """The full name of the key that pydantic's error is about."""
     return ".".join(str(part) for part in ((key,) if key else ()) + error["loc"])
 
