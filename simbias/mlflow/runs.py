@@ -198,7 +198,7 @@ class RunExport(Export):
         metrics: Sequence[Sequence[Point]] = (),
         again: bool = False,
     ) -> None:
-        """Write numbers and texts; before them files that the run lacks or has in another size, `again` all."""
+        """Write numbers and texts; before them files that are not there in this size, `again` all."""
         known, self._uploaded = self._uploaded, None  # is looked up again after a failure
         if known is None:
             folders = {name.rpartition("/")[0] for name in files} if pages.NOTE in run.data.tags else ()
