@@ -269,7 +269,7 @@ class Declared(Task):
         return self._success.missed(*self._episode(states))
 
     def _episode(self, states: Array) -> tuple[Array, Array, Array]:
-        """What is seen in states (T+1, n), their times, and errors."""
+        """States (T+1, n) with what sensors say, their times, and errors."""
         times = self.time_step * np.arange(len(states), dtype=np.float64)
         return self._seen(states), times, self.error(states, times)
 
