@@ -51,7 +51,7 @@ def row(trace: Trace, name: str, size: int) -> Symbols:
 
 def symbols_in(values: Any, trace: Trace) -> np.ndarray:
     """A plain array of symbols: numbers become parameters, conditions 1 or 0."""
-    return _ALL_NUMERIC(_known(np.asarray(values), trace))
+    return _numbers(_known(np.asarray(values), trace))
 
 
 def _conditions(values: Any) -> list[bool]:
@@ -94,7 +94,7 @@ _ELEMENTWISE = {
     for ufunc, rule in ({**RULES, **_FOLDED}).items()
 }
 _PRODUCTS = [getattr(np, name) for name in ("matmul", "vecdot", "matvec", "vecmat") if hasattr(np, name)]
-_ALL_NUMERIC, _ALL_TRUE = np.frompyfunc(numeric, 1, 1), np.frompyfunc(truth, 1, 1)
+_ALL_TRUE = np.frompyfunc(truth, 1, 1)
 _AS_NUMBERS = np.frompyfunc(lambda each: numeric(each) if isinstance(each, Symbol) else each, 1, 1)
 _CHOOSE = np.frompyfunc(choose, 3, 1)
 _PASSED_ON = ("axis", "axes", "keepdims")  # options that say which operations there are
