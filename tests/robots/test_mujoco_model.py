@@ -194,7 +194,9 @@ def test_parameters_are_what_was_declared(tmp_path: Path) -> None:
     model = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty=declared)
     mass, damping = model.parameters
     assert mass[:5] == ("pole.mass", "kg", 0.5, 0.3, "log_normal")
-    assert damping[:5] == ("hinge.damping", "N m s/rad or N s/m", 0.0, 2.0, "half_normal")
+    assert damping[:5] == ("hinge.damping", "N m s/rad", 0.0, 2.0, "half_normal")
+    (sliding,) = Mujoco(cart_pole(), mjcf(tmp_path), uncertainty={"slider.damping": 2.0}).parameters
+    assert sliding.unit == "N s/m"
     changed = model.with_parameters(np.array([1.0, 0.7]))
     equal = Mujoco(cart_pole(), mjcf(tmp_path), values={"pole.mass": 1.0, "hinge.damping": 0.7})
     x, u = points(5)

@@ -16,7 +16,7 @@ from simbias.core.ranges import NonNegative
 from simbias.core.records import Array
 from simbias.robots.mujoco.kernel import ABSURD, EngineModel, Places, kernel
 from simbias.robots.mujoco.mjcf import Mechanism
-from simbias.robots.mujoco.parameters import QUANTITIES, Factors, Values, changes, mujoco, names_of, values_of
+from simbias.robots.mujoco.parameters import Factors, Values, changes, mujoco, names_of, unit_of, values_of
 
 FEW = 64  # states, for which threads take longer to begin than they save
 
@@ -70,7 +70,7 @@ class Mujoco(Nominal):
         self.kernel = kernel(self._robot, self._model, self._places)
         spreads = changes(self._robot.model, uncertainty or {}, {})
         known = values_of(self._robot.model, "*")
-        units = {name: QUANTITIES[name.rpartition(".")[2]].unit for name in known}
+        units = {name: unit_of(self._robot.model, name) for name in known}
         self.parameters = uncertain(known, units, spreads)
 
     def step(self, x: Array, u: Array) -> Array:

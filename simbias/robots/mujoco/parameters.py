@@ -139,6 +139,14 @@ def values_of(model: Any, pattern: str) -> dict[str, float]:
     return found
 
 
+def unit_of(model: Any, name: str) -> str:
+    """The unit of a parameter; that of a joint is of angles or, if it slides, of lengths."""
+    element, _, kind = name.rpartition(".")
+    turning, _, sliding = QUANTITIES[kind].unit.partition(" or ")
+    slides = bool(sliding) and model.joint(element).type[0] == mujoco().mjtJoint.mjJNT_SLIDE
+    return sliding if slides else turning
+
+
 def put_values(model: Any, values: Mapping[str, float], data: Any = None) -> None:
     """Set parameters of a compiled model, by name, in their units; masses first, inertias grow with them.
 
