@@ -325,7 +325,10 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert assessment.ratio < 0.5
     assert list(assessment.ratios) == ["one", "<script>two"]
     assert "the identified model errs 0." in verdict(assessment)
-    text = report(assessment, "<b>title</b>", "none")
+    doubted = [replace(each, doubts=("told in part",)) for each in assessment.findings]
+    assert verdict(replace(assessment, findings=doubted)) == f"{verdict(assessment)} No parameter is trusted."
+    text = report(assessment, "<b>title</b>", "none", ["one: vel2 is estimated from pos2"])
+    assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
     assert "<b>title" not in text
     assert "&lt;script&gt;two" in text
@@ -377,6 +380,8 @@ def test_the_command_tells_and_writes(
     assert re.search(r"^friction_1 +N m .* yes$", out, re.MULTILINE)
     assert "Not determined: " in out
     assert "On parts that it was not fitted to, the identified model errs 0." in out
+    assert "one.csv 2 s at 500 Hz\nfitting all recordings\n" in out
+    assert "identification=identified  (identified/conf/identification/identified.yaml)\n" in out
     written = {path.name for path in (folder / "identified").rglob("*") if path.is_file()}
     assert written == {
         *("report.html", "parameters.csv", "errors.csv", "draws.csv", "excitation.csv", "identified.yaml")
@@ -421,6 +426,19 @@ def test_only_recordings_begin_within_a_motion() -> None:
     rollout = Rollout(np.zeros((101, 4)), np.ones((100, 2)))
     leads = [each.identification.windows([rollout]).leads for each in (study, prepared(study))]  # type: ignore[attr-defined]
     assert [int(each[0]) for each in leads] == [0, 200]
+
+
+def test_an_option_beside_those_of_ones_own_is_named_as_the_folder() -> None:
+    options = [
+        Request([], [], [], None, Path(into), config_dir, [])
+        .option.relative_to(config_dir or into)
+        .as_posix()
+        for into, config_dir in (("a/day 2", None), ("a/day 2", "b"), (".", "b"))
+    ]
+    assert options == [
+        f"{each}.yaml"
+        for each in ("conf/identification/identified", "identification/day_2", "identification/identified")
+    ]
 
 
 def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder: Path) -> None:
