@@ -42,6 +42,7 @@ class Take(NamedTuple):
     start: Array  # (n,)
     inputs: Array  # (T, m)
     times: Array | None = None  # (k,) s after the start at which states are measured; None: in each frame
+    recording: str = ""  # that it is a piece of; "": it is one itself
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
@@ -70,18 +71,20 @@ def recover(
     true, modes, deviations = [], [], []
     for index in range(robots):
         progress(f"robot {index + 1} of {robots}")
-        z, made = known.draw_coordinates(rng), list[tuple[Array, Rollout]]()
+        z, drawn, made = known.draw_coordinates(rng), dict[str, Array](), list[tuple[str, Rollout]]()
         for i, take in enumerate(takes):
-            here = np.where(own, rng.standard_normal(len(z)), z) if i and own.any() else z
-            made.append((here, record(study, PredictionModel(known.at(here)), take, noise, rng)))
-        made = [(here, rollout) for here, rollout in made if rollout.frames]
+            name = take.recording or str(i)
+            if name not in drawn:
+                drawn[name] = np.where(own, rng.standard_normal(len(z)), z) if i and own.any() else z
+            made.append((name, record(study, PredictionModel(known.at(drawn[name])), take, noise, rng)))
+        made = [(name, rollout) for name, rollout in made if rollout.frames]
         rollouts = [rollout for _, rollout in made]
         if not rollouts or not len(posterior.windows(rollouts)):
             continue
-        fitted = posterior.fit(study.nominal, rollouts)
+        fitted = posterior.fit(study.nominal, rollouts, [name for name, _ in made])
         assert isinstance(fitted, Identified)
         first = fitted.of_recording(0)
-        true.append(made[0][0])
+        true.append(drawn[made[0][0]])
         modes.append(first.mode)
         deviations.append(np.sqrt(np.diag(first.covariance)))
     if not true:

@@ -72,12 +72,15 @@ def recovery(request: Request) -> bool:
     """
     console = Console(highlight=False)
     study, recordings, _ = request.opened(console)
-    rollouts, all_times = recordings.pieces.rollouts, [t for each in recordings.times.values() for t in each]
-    if request.recordings and not rollouts:
+    if request.recordings and not recordings.rollouts:
         raise ConfigError("--held-out", "leaves no recording")
     with slowness_in_one_line(), console.status("") as status:
-        noise = _noise(study, rollouts)
-        takes = [Take(r.states[0], r.inputs, times) for r, times in zip(rollouts, all_times, strict=True)]
+        noise = _noise(study, recordings.pieces.rollouts)
+        takes = [
+            Take(piece.states[0], piece.inputs, times, name)
+            for name, pieces in recordings.rollouts.items()
+            for piece, times in zip(pieces, recordings.times[name], strict=True)
+        ]
         if not takes:
             status.update("looking for what tells most")
             found = Designer(study, study.identification.fit(study.nominal, []), noise).design(

@@ -144,6 +144,20 @@ def test_robots_are_drawn_from_what_is_known() -> None:
         recover(known, [Take(np.zeros(4), u[:20])], NOISE, robots=1)
 
 
+def test_pieces_of_a_recording_have_the_same_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    study, made = limited("+identification.sensors={pos2: {zero: 0.1}}"), list[float]()
+
+    def recorded(_: Study, model: PredictionModel, *others: object) -> Rollout:
+        made.append(float(model.nominal.step(np.ones(4), np.zeros(2))[2]))
+        return Rollout(np.zeros((1, 4)), np.zeros((0, 2)))
+
+    monkeypatch.setattr("simbias.recordings.recovery.record", recorded)
+    takes = [Take(np.zeros(4), np.zeros((9, 2)), recording=name) for name in ("one", "two", "one")]
+    with pytest.raises(ConfigError, match="no robot that was drawn"):
+        recover(study, takes, NOISE, robots=1)
+    assert made[0] == made[2] != made[1]
+
+
 def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
     """Every fifth frame, with noise: between these times a recording is linear."""
     times = 0.01 * np.arange(101)
