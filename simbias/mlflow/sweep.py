@@ -12,7 +12,7 @@ import pandas as pd
 from simbias.core import markdown
 from simbias.mlflow import pages
 from simbias.mlflow.notes import with_table
-from simbias.mlflow.pages import NOTE, PARENT, RUN_NAME
+from simbias.mlflow.pages import NOTE, RUN_NAME
 from simbias.mlflow.runs import RunExport, Runs, readable
 from simbias.mlflow.trial import Nested, TrialExport, as_yaml, began_at, origin_tags
 from simbias.mlflow.writes import Point
@@ -78,18 +78,15 @@ class SweepRun(RunExport):
         found = runs.find(about["hash"])
         run = found[-1] if found else runs.create(f"sweep {about['name']}", tags)
         self._known = runs.nested(run.info.run_id) if found else {}
-        for identity, known in self._known.items():
-            for each in known if identity else ():  # without a hash it is of a person's own
-                self._relabel(each, about["trials"].get(identity))
+        for identity, trial in about["trials"].items():
+            for each in self._known.get(identity, ()):
+                self._relabel(each, trial)
         runs.client.set_experiment_tag(runs.experiment_id, *pages.trials_view(about, run.info.run_id))
         self.run_id = run.info.run_id
         return run
 
-    def _relabel(self, run: Run, about: dict[str, Any] | None) -> None:
-        """Give a run of an earlier export its trial's place; without one (None), it leaves the sweep."""
-        if about is None:
-            self.runs.client.delete_tag(run.info.run_id, PARENT)
-            return
+    def _relabel(self, run: Run, about: dict[str, Any]) -> None:
+        """Give a run of an earlier export its trial's place."""
         for key, value in {RUN_NAME: about["name"], **_place(about)}.items():
             if run.data.tags.get(key) != value:
                 self.runs.client.set_tag(run.info.run_id, key, value)

@@ -302,7 +302,7 @@ def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
 
 
 def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Path, store: str) -> None:
-    """A trial that is not of it any more stays in the store, in no sweep; so does a figure in its folder."""
+    """A trial that is not of it any more keeps its run, in case it is of it again; a figure its file."""
     figures = "experiments: {_target_: simbias.sweep.figures.experiments.Experiments}"
     axis = "error: {keys: hardware.inertia_error, values: [0.0, 0.2], labels: [none, some]}"
     whole = f"sweep: {{trials: 1, axes: {{{axis}}}, figures: {{{figures}}}}}"
@@ -311,9 +311,12 @@ def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Pa
     for text in (whole, fewer):
         write_sweep(folder, "mine", text)
         assert main([*command, "tracking.pictures=false"]) == 0
-    (parent,), (trial,) = runs(folder)
+    (parent,), trials = runs(folder)
     assert parent.data.metrics["trials/succeeded"] == 1
-    assert (trial.info.run_name, trial.data.tags["axis.error"]) == ("more #0", "more")
+    assert "1 of 1 [trials]" in parent.data.tags["mlflow.note.content"]
+    assert {(run.info.run_name, run.data.tags["axis.error"]) for run in trials} == {
+        ("none #0", "none"), ("more #0", "more"),
+    }  # fmt: skip
     assert "experiments.png" not in parent.data.tags["mlflow.note.content"]
     assert list((sweep_folder(folder) / "figures").iterdir())
     assert SweepFolder(sweep_folder(folder)).figures() == []
@@ -323,3 +326,6 @@ def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Pa
     assert histories(folder) == before
     config = Path(client_of(folder).download_artifacts(parent.info.run_id, "sweep.yaml"))
     assert "most" in config.read_text()
+    write_sweep(folder, "mine", whole)
+    assert main([*command, "tracking.pictures=false"]) == 0
+    assert {run.info.run_id for run in runs(folder)[1]} == {run.info.run_id for run in trials}
