@@ -73,7 +73,8 @@ class SweepState:
             tuple(TrialFolder(Path(store.folder or "", name)).platforms()) for name in self.finished["hash"]
         )
         self._platforms = Counter(filter(None, ran_on))  # trials of each
-        self._captions: dict[str, str] = {}  # of figures
+        drawn = self.folder.state().get("captions", {})  # by an earlier run, until they are drawn anew
+        self._captions = {name: caption for name, caption in drawn.items() if name in sweep.figures}
         self._due = 0.0
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
         self.folder.begin(_description(sweep, again))

@@ -175,6 +175,19 @@ def test_a_folder_that_is_moved_while_its_sweep_runs_stops_it(folder: Path) -> N
     assert not (folder / "trials").exists()
 
 
+def test_figures_stay_while_a_sweep_grows_and_once_it_is_interrupted(folder: Path) -> None:
+    class Interrupting(SweepObserver):
+        def ended(self, trial: Trial, result: Result) -> None:
+            assert len(SweepFolder(sweep_folder(folder)).figures()) == 4
+            raise KeyboardInterrupt
+
+    one_cell = [*SMOKE, "sweep.axes={hardware.inertia_error: [0.2]}"]
+    simbias.run_sweep([*one_cell, "sweep.trials=1"])
+    with pytest.raises(KeyboardInterrupt):
+        simbias.run_sweep([*one_cell, "sweep.trials=2"], observer=Interrupting())
+    assert len(SweepFolder(sweep_folder(folder)).figures()) == 4
+
+
 def test_a_sweep_that_is_interrupted_before_its_trials_are_read_counts_none(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
