@@ -25,6 +25,7 @@ from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 40  # of what to record next
+CHOSEN = r"(?!(true|false|null|nan|inf)$)[a-z]"  # begins an option that Hydra takes for no number or constant
 
 
 class Request(NamedTuple):
@@ -46,8 +47,10 @@ class Request(NamedTuple):
     @property
     def option(self) -> Path:
         """The option's file; beside options of one's own, it is named as the folder of results."""
-        name = re.sub(r"\W", "_", self.folder.name) if self.config_dir else ""
-        return self.configs / GROUP / f"{name or OPTION}.yaml"
+        name = re.sub(r"[^A-Za-z0-9_]", "_", self.folder.name) if self.config_dir else ""
+        if not re.match(CHOSEN, name, re.IGNORECASE):
+            name = f"{OPTION}_{name}" if name else OPTION
+        return self.configs / GROUP / f"{name}.yaml"
 
     def opened(self, console: Console, windows: float = 1.0) -> tuple[Study, Recordings, Recordings]:
         """The study, its recordings and those that are held out; notes on them are printed.

@@ -429,15 +429,17 @@ def test_only_recordings_begin_within_a_motion() -> None:
 
 
 def test_an_option_beside_those_of_ones_own_is_named_as_the_folder() -> None:
+    """Hydra chooses none that is a number or constant, or has other letters."""
+    intos = ("a/day 2", ".", "2026-11-26", "1e5", "Null", "größe")
     options = [
         Request([], [], [], None, Path(into), config_dir, [])
         .option.relative_to(config_dir or into)
         .as_posix()
-        for into, config_dir in (("a/day 2", None), ("a/day 2", "b"), (".", "b"))
+        for into, config_dir in (("a/day 2", None), *((into, "b") for into in intos))
     ]
+    names = ("day_2", "identified", "identified_2026_11_26", "identified_1e5", "identified_Null", "gr__e")
     assert options == [
-        f"{each}.yaml"
-        for each in ("conf/identification/identified", "identification/day_2", "identification/identified")
+        f"{each}.yaml" for each in ("conf/identification/identified", *(f"identification/{n}" for n in names))
     ]
 
 
