@@ -19,7 +19,7 @@ from simbias.simulation.compiler import (
     of_cost,
     parts_of,
 )
-from simbias.simulation.numpy_loop import costs_of, record
+from simbias.simulation.numpy_loop import costs_of, record, shaped
 
 RECORDED = 256  # rollouts recorded at once: their records take memory
 
@@ -116,6 +116,7 @@ class CompiledSimulator:
     ) -> RolloutBatch:
         """Rollouts, recorded or not; the cost's terms are summed up, if they can be traced."""
         k, task = len(thetas), self.task
+        starts = shaped("starts", starts, k, len(task.states))
         rows = k if recorded else 0
         batch = RolloutBatch(
             np.empty((rows, task.horizon + 1, len(task.states))),
@@ -135,8 +136,7 @@ class CompiledSimulator:
             *(self.nominal.parameters, self.bias.parameters, terms.parameters if terms else np.empty(0)),
             self.noise.reshape(-1, len(task.inputs) + len(task.states)),
             np.zeros(k, np.int64) if scenarios is None else scenarios,
-            np.ascontiguousarray(starts, dtype=np.float64),
-            *(batch.states, batch.inputs, batch.totals, batch.frames, batch.violated),
+            *(starts, batch.states, batch.inputs, batch.totals, batch.frames, batch.violated),
         )
         in_threads(loop, k)
         return batch

@@ -56,7 +56,7 @@ class PlainSimulator:
         states = np.empty((k, task.horizon + 1, len(task.states)))
         inputs = np.empty((k, task.horizon, len(task.inputs)))
         frames, violated = np.full(k, task.horizon), np.full(k, -1)
-        states[:, 0] = starts
+        states[:, 0] = shaped("starts", starts, k, len(task.states))
         going, policy_state = np.arange(k), np.zeros((k, policy.state_size))
         model_state = np.zeros((k, self.models[0].nominal.state_size))
         for t in range(task.horizon + 1):
@@ -117,6 +117,14 @@ def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
         got = costs[~np.isfinite(costs)][0]
         raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
     return costs, frames
+
+
+def shaped(name: str, given: Any, *shape: int) -> Array:
+    """An argument as floats of this shape: compiled loops read past the end of what is shorter."""
+    values = np.asarray(given, dtype=np.float64, order="C")
+    if values.shape != shape:
+        raise ValueError(f"{name}: expected the shape {shape}, got {values.shape}")
+    return values
 
 
 def record(criteria: Sequence, states: Array, inputs: Array, frames: int, violated: int) -> Rollout:

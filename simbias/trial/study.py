@@ -30,6 +30,7 @@ from simbias.core.records import Array, Iteration, Rollout, Selection, Transitio
 from simbias.lab.checked_hardware import DEFAULT_CONDITIONS, CheckedHardware, ExperimentConditions
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.simulation.closed_loop import simulator
+from simbias.simulation.numpy_loop import shaped
 from simbias.trial.ask_tell import AskTell
 from simbias.trial.budget import NO_LIMITS, Budget, BudgetSpent, Spending
 from simbias.trial.method import Method
@@ -142,8 +143,8 @@ class Study:
         ValueError
             If theta or the start has another shape.
         """
-        theta = _vector("theta", theta, self.policy.n_parameters)
-        begin = _vector("start", self.task.start_mean if start is None else start, len(self.task.states))
+        theta = shaped("theta", theta, self.policy.n_parameters)
+        begin = shaped("start", self.task.start_mean if start is None else start, len(self.task.states))
         return self._judged(self.simulator(fitted_bias, nominal).rollout(theta, begin), theta)
 
     def experiment(
@@ -167,9 +168,9 @@ class Study:
         ValueError
             If theta or the start has another shape.
         """
-        theta = _vector("theta", theta, self.policy.n_parameters)
+        theta = shaped("theta", theta, self.policy.n_parameters)
         begin = self.task.draw_start(rng) if start is None else start
-        begin = _vector("start", begin, len(self.task.states))
+        begin = shaped("start", begin, len(self.task.states))
         watching = observer or Observer()
         self.spending.check()
         watching.experimenting(theta, begin)
@@ -284,11 +285,3 @@ class Study:
     def no_data(self) -> Transitions:
         """D = {}."""
         return Transitions.empty(len(self.task.without_targets.states), len(self.task.inputs))
-
-
-def _vector(name: str, given: Array, length: int) -> Array:
-    """An argument as floats (length,): compiled loops read past the end of what is shorter."""
-    vector = np.asarray(given, dtype=np.float64)
-    if vector.shape != (length,):
-        raise ValueError(f"{name}: expected the shape ({length},), got {vector.shape}")
-    return vector

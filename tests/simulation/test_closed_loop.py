@@ -213,6 +213,15 @@ def test_worlds_in_step_are_worlds_apart(study: Study) -> None:
             assert several[scenario].costs(study.cost, theta[None], start[None]) == (cost, frames)
 
 
+def test_starts_of_another_shape_are_refused(study: Study) -> None:
+    """Compiled loops would read foreign memory, and plain ones take one number for all states."""
+    thetas, starts = drawn(study, np.random.default_rng(0), 3)
+    for loop in both(study, ZeroBias(6)):
+        for others in (starts[:, :5], starts[:, :1], starts[:1]):
+            with pytest.raises(ValueError, match=r"^starts: expected the shape \(3, 6\), got \("):
+                loop.costs(study.cost, thetas, others)
+
+
 @pytest.mark.slow
 def test_costs_are_those_of_the_rollouts(study: Study) -> None:
     """Summed up frame by frame in the one, read from the record in the other; to failure or horizon."""
