@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any, NotRequired, Required, get_type_hints
 
@@ -58,11 +59,7 @@ def build(composition: Composition) -> Study:
     values = validate({key: config[key] for key in VALUES if key in config}, VALUES, "")
     timeout = values.pop("experiment_timeout", None)
     own = composition.own
-    task = _typed(construct(config["task"], Task, "task", own))
-    try:
-        check_quantities(task)
-    except ValueError as error:
-        raise ConfigError("task", words(error)) from error
+    task = build_task(config["task"], own)
     config[HARDWARE], _ = split(whole := config[HARDWARE])
     nominal = construct(config["nominal"], Nominal, "nominal", own, task=task.without_targets)
     given = {"task": task, "nominal": nominal, "hardware_from": partial(_hardware, own=own, task=task)}
@@ -84,23 +81,44 @@ def build(composition: Composition) -> Study:
     )
 
 
-def _typed(task: Task) -> Task:
-    """A task, its sequences made tuples and arrays of floats: authors write lists and integers, too.
+def build_task(config: Any, own: Own) -> Task:
+    """A task from its config.
 
     Raises
     ------
     ConfigError
+        As of `construct`, and if an attribute has another type or shape than tasks have.
+    """
+    task: Task = construct(config, Task, "task", own)
+    try:
+        _convert(task)
+        check_quantities(task)
+    except Exception as error:  # also of an own class that lacks them, or whose properties raise
+        raise ConfigError("task", words(error)) from error
+    return task
+
+
+def _convert(task: Task) -> None:
+    """Make a task's sequences tuples and arrays of floats: authors write lists and integers, too.
+
+    What cannot be set, as a property, stays a list or integers.
+
+    Raises
+    ------
+    ValueError
         Naming the attribute that is neither.
     """
 
     def keep(name: str, expected: str, convert: Callable[[Any], Any]) -> None:
-        given = getattr(task, name, None)
+        given = getattr(task, name)
         try:
-            if (converted := convert(given)) is not given:
-                setattr(task, name, converted)
-        except (TypeError, ValueError, AttributeError) as error:  # the last one of a property
+            converted = convert(given)
+        except (TypeError, ValueError) as error:
             problem = f"{type(task).__name__}.{name}: expected {expected}, got {quote(given)}"
-            raise ConfigError("task", problem) from error
+            raise ValueError(problem) from error
+        if converted is not given:
+            with suppress(AttributeError):
+                setattr(task, name, converted)
 
     kinds = dict.fromkeys(("states", "targets", "inputs", "outputs"), Quantity)
     for name, kind in {**kinds, "criteria": Criterion, "pushes": Push}.items():
@@ -108,7 +126,6 @@ def _typed(task: Task) -> Task:
     vectors = {"input_limit": task.inputs, "start_mean": task.states, "start_deviation": task.states}
     for name, parts in vectors.items():
         keep(name, f"numbers of the shape ({len(parts)},)", partial(_numbers, len(parts)))
-    return task
 
 
 def _tuple(kind: type, given: Any) -> tuple[Any, ...]:

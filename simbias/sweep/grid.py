@@ -16,10 +16,10 @@ from pydantic import Field
 
 from simbias.config import Composition, ConfigError, Variations
 from simbias.config.allowed import Own
+from simbias.config.build import build_task
 from simbias.config.components import construct, validate
 from simbias.config.composition import NOT_HASHED
 from simbias.config.hydra_config import overridden
-from simbias.core import Task
 from simbias.core.digest import short_digest
 from simbias.core.ranges import Share
 from simbias.sweep.axes import Axis, label, read_axis
@@ -288,7 +288,7 @@ def _report(spec: Mapping[str, Any], axes: Sequence[Axis]) -> Report:
 def _figures(specs: Mapping[str, Any], cells: Sequence[Cell], own: Own) -> Iterator[tuple[str, SweepFigure]]:
     """The figures, by the name of their files; arguments named `task` and `cells` are provided."""
     first = cells[0].composition
-    task = construct(first.config["task"], Task, "task", first.own)
+    task = build_task(first.config["task"], first.own)
     for name, spec in specs.items():
         yield name, construct(spec, SweepFigure, f"sweep.figures.{name}", own, task=task, cells=cells)
 

@@ -20,6 +20,7 @@ from simbias.__main__ import main
 from simbias.config import ConfigError, compose
 from simbias.config.own_code import digests
 from simbias.config.sent_code import packed
+from simbias.sweep.grid import expand
 from simbias.trial.folder import TrialFolder
 
 SMALL = ["hardware=mine", "task.horizon=200", "optimizer.max_evaluations=20", *FOLDERS]
@@ -118,6 +119,15 @@ def test_attributes_of_an_own_task_may_be_lists_and_integers(
     np.testing.assert_array_equal(made, kept)
 
 
+def test_properties_of_an_own_task_may_be_lists_and_integers_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("states", list(PointMass.states)), ("input_limit", np.array([5]))):
+        monkeypatch.setattr(PointMass, name, property(lambda _, value=value: value))
+    assert simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF).task.input_limit == [5]
+    monkeypatch.setattr(PointMass, "criteria", property(lambda task: task.lost))
+    with pytest.raises(ConfigError, match=r"^task: 'PointMass' object has no attribute 'lost'$"):
+        simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
+
+
 @pytest.mark.parametrize(
     ("attribute", "given", "line"),
     [
@@ -131,5 +141,6 @@ def test_an_attribute_of_an_own_task_of_another_kind_is_one_line(
     attribute: str, given: Any, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(PointMass, attribute, given)
-    with pytest.raises(ConfigError, match=rf"^task: PointMass\.{line}"):
-        simbias.load([*POINT_MASS, "tracking=none"], OWN_CONF)
+    for load in (simbias.load, expand):
+        with pytest.raises(ConfigError, match=rf"^task: PointMass\.{line}"):
+            load([*POINT_MASS, "tracking=none", "+sweep={trials: 1, axes: {}}"], OWN_CONF)
