@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
-from simbias.core import Task
+from simbias.core import SlowWarning, Task, wrapped
 from simbias.core.records import Array
 from simbias.core.robot import unwound
 
@@ -26,8 +28,17 @@ def moves(goal: Array) -> bool:
 
 
 def resting_goal(task: Task) -> Array | None:
-    """The states (n,) that are the goal, where it is about all of them, does not move and is not zero."""
-    if task.goals != task.states:
-        return None
+    """The states (n,) of a goal that does not move; those that it is not about are zero.
+
+    None where all are zero, and where the goal is about outputs, which a warning says.
+    """
     goal = goal_along(task)
-    return goal[0] if goal[0].any() and not moves(goal) else None
+    if moves(goal):
+        return None
+    named = dict(zip((each.name for each in task.goals), goal[0], strict=True))
+    x = np.array([named.get(state.name, 0.0) for state in task.states])
+    if not np.allclose(wrapped(task.aim(x) - goal[0], task.goals), 0.0):
+        words = f"LQR regulates to zero: the goal is about outputs ({', '.join(named)}), not states"
+        warnings.warn(words, SlowWarning, stacklevel=2)
+        return None
+    return x if x.any() else None

@@ -25,14 +25,15 @@ INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
 STEADY = 0.03  # share of the limits of steady inputs that disturb records of a regulator with an integral
 NEAR = 1e-3  # weight of being away from zero, that of accelerations being 1: the nearest rest is taken
+NEARER = 1e-6  # of being away from a goal, that of changes in a frame being 1: slow processes rest there, too
 RECORDS, SECONDS = 16, 1.0  # records of the regulated model that are imitated, and how long each takes,
 EXCITATION = 0.01  # with random inputs of this share of the limits
 SEED = 0  # of these records: the same model has the same policies
 CLOSE = 0.1  # share of the goal, by which a state is off it: so little that a constant counts
 ALIKE = 0.5  # of the regulator's squared inputs, by which those of a policy may differ there
 NO_ERRORS = (
-    "{} does not regulate to the goal as LQR does: declare outputs that are zero there (position - 0.5), "
-    "or let it have a constant (dynamic_output_feedback, policy.constant)"
+    "{} does not regulate to the goal as LQR does, but to zero: declare outputs that are zero there "
+    "(position - 0.5), or let it have a constant (dynamic_output_feedback, policy.constant)"
 )
 SETTLED = 1000  # frames, after which the model state is that of a steady input
 
@@ -86,8 +87,20 @@ def lqr_policies(
         return []
     if not sticking:
         model = replace(model, nominal=model.nominal.without_dry_friction())
+    goal = resting_goal(model.task)
+    policies = _regulating(model, goal, input_weights, integral_weight)
+    if policies is None:
+        warnings.warn(NO_ERRORS.format(type(model.policy).__name__), SlowWarning, stacklevel=2)
+        policies = _regulating(model, None, input_weights, integral_weight)
+    return policies or []
+
+
+def _regulating(
+    model: Model, goal: Array | None, input_weights: Sequence[float], integral_weight: float
+) -> list[Array] | None:
+    """Policies (p,) that imitate regulators to a goal (n,) or zero; None if the policy cannot at a goal."""
     try:
-        linear = linearised(model)
+        linear = linearised(model, goal)
         if integral_weight:
             linear = _with_integrals(model, linear, integral_weight)
     except (ValueError, np.linalg.LinAlgError):  # it is not finite even at rest, as a draw may be
@@ -97,11 +110,10 @@ def lqr_policies(
     found = [gains for gains in each if gains is not None]
     imitations = [model.policy.imitating(*record) for record in _records(model, linear, found)]
     policies = [theta for theta in imitations if theta is not None]
-    goal = resting_goal(model.task)
     if policies and goal is not None:
         integrated = model.policy.integrated(goal) if integral_weight else np.zeros(0)
         if (np.abs(integrated) > NEAR).any() or not _is_imitated(model, linear, found[0], goal):
-            warnings.warn(NO_ERRORS.format(type(model.policy).__name__), SlowWarning, stacklevel=2)
+            return None
     return policies
 
 
@@ -118,8 +130,11 @@ def _is_imitated(model: Model, linear: Linear, gains: Array, goal: Array) -> boo
     return bool(np.sum((u - asked) ** 2) <= ALIKE * np.sum((asked - linear.inputs) ** 2))
 
 
-def rest(model: Model, near: Array | None = None) -> tuple[Array, Array]:
-    """States (n,) and inputs (m,) that the model keeps, nearest to zero, or to states (n,) without input."""
+def rest(model: Model, near: Array | None = None, exactly: bool = False) -> tuple[Array, Array]:
+    """States (n,) and inputs (m,) that the model keeps, nearest to zero, or to states (n,) without input.
+
+    What is slow is kept only `exactly`.
+    """
     from scipy.optimize import least_squares  # lazily: few searches begin with LQR
 
     task, limit = model.task, input_scale(model.task)
@@ -127,19 +142,21 @@ def rest(model: Model, near: Array | None = None) -> tuple[Array, Array]:
     begin = np.zeros(n + len(task.inputs))
     begin[:n] = 0.0 if near is None else near
 
-    def residuals(both: Array) -> Array:
+    def residuals(both: Array, scale: float, weight: float) -> Array:
         x, u = both[:n], both[n:] * limit
         moved = model.nominal.step(x, u) + model.bias.correction(x, u) - x
-        return np.concatenate([rates * moved, NEAR * (both - begin)])
+        return np.concatenate([scale * moved, weight * (both - begin)])
 
     with np.errstate(all="ignore"):  # some of what it tries is absurd
-        found = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12).x
+        found = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12, args=(rates, NEAR)).x
+        if exactly:
+            found = least_squares(residuals, found, xtol=1e-12, ftol=1e-12, gtol=None, args=(1.0, NEARER)).x
     return found[:n], found[n:] * limit
 
 
-def linearised(model: Model) -> Linear:
-    """The corrected model with its state, by central differences."""
-    x, u = rest(model, resting_goal(model.task))
+def linearised(model: Model, goal: Array | None = None) -> Linear:
+    """The corrected model with its state, by central differences, at rest near zero or a goal (n,)."""
+    x, u = rest(model, goal, exactly=goal is not None)
     n, size, limit = len(x), model.nominal.state_size, input_scale(model.task)
     model_state = model.nominal.model_states(np.tile(x, (SETTLED, 1)), np.tile(u, (SETTLED, 1)))[-1]
     point = np.concatenate([x, model_state, u])

@@ -20,6 +20,7 @@ from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.policy.gains import signed_exponential
 from simbias.policy.integral_feedback import IntegralFeedback
 from simbias.policy.output_feedback import OutputFeedback
+from simbias.search.goal import resting_goal
 from simbias.search.lqr import INPUT_WEIGHTS, linearised, lqr_candidates, lqr_gains, lqr_policies, rest
 from simbias.simulation.numpy_loop import PlainSimulator
 from simbias.trial.run import run_trial
@@ -92,17 +93,53 @@ class Elsewhere(PointMass):
 
 @pytest.mark.parametrize("errors", [True, False])
 def test_the_rest_is_at_a_goal_that_is_not_zero(errors: bool) -> None:
-    """A policy of errors regulates to it, one with a constant too; others are told to need these."""
+    """A policy of errors regulates to it, one with a constant too; others are told, and regulate to zero."""
     task = Elsewhere(errors)
     model = replace(point_mass(), task=task, policy=OutputFeedback(task))
     constant = replace(model, policy=DynamicOutputFeedback(task, constant=5.0))
     with nullcontext() if errors else pytest.warns(SlowWarning, match="OutputFeedback does not regulate to"):
         policies = lqr_policies(model)
-    if errors:
-        np.testing.assert_allclose(policies, lqr_policies(point_mass()), rtol=1e-6)
+    np.testing.assert_allclose(policies, lqr_policies(point_mass()), rtol=1e-6)
     (theta, *_) = lqr_policies(constant)
     end = PlainSimulator([constant], [None]).rollout(theta, task.start_mean).states[-1]
     np.testing.assert_allclose(end, [0.3, 0.0], atol=0.06)
+
+
+class Aimed(Elsewhere):
+    """A goal about the position alone, or about an output of it, which is nowhere among the states."""
+
+    goals = PointMass.states[:1]
+
+    def __init__(self, scale: float) -> None:
+        super().__init__(errors=True)
+        self._scale = scale
+
+    def aim(self, x: Array) -> Array:
+        return self._scale * x[..., :1]
+
+    def reference(self, t: Any, targets: Array | None = None) -> Array:
+        return np.array([0.3])
+
+
+def test_goals_are_placed_among_the_states_and_those_of_outputs_are_told() -> None:
+    np.testing.assert_array_equal(resting_goal(Aimed(1.0)), [0.3, 0.0])
+    with pytest.warns(SlowWarning, match=r"regulates to zero: the goal is about outputs \(position\)"):
+        assert resting_goal(Aimed(2.0)) is None
+
+
+@pytest.mark.parametrize("seconds", [1.0, 1e5])
+def test_a_slow_process_rests_at_its_goal(seconds: float) -> None:
+    """Its frames are as slow as it is."""
+
+    class Leaking(WithoutWind):
+        def step(self, x: Array, u: Array) -> Array:
+            return 0.98 * x + self._dt * u
+
+    task = Elsewhere(errors=True)
+    task.time_step, task.input_limit = 0.02 * seconds, np.array([1.0 / seconds])
+    model = replace(point_mass(), task=task, nominal=Leaking(task))
+    linear = linearised(model, np.array([0.3, 0.3]))
+    np.testing.assert_allclose(model.nominal.step(linear.rest, linear.inputs), linear.rest, rtol=1e-6)
 
 
 def test_a_late_model_is_regulated_with_its_memory() -> None:
