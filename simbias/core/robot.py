@@ -135,10 +135,10 @@ def check_quantities(task: Task) -> None:
     names = ["time", *(each.name for each in (*task.states, *task.inputs)), "failure"]
     if twice := [name for i, name in enumerate(names) if name in names[:i]]:
         raise ValueError(f"{twice[0]}: two of time, states, targets, inputs and failure have this name")
-    for state in task.states:
-        if state.wraps and state.unit not in TURNS:
+    for each in (*task.states, *task.goals):
+        if each.wraps and each.unit not in TURNS:
             units = ", ".join(TURNS)
-            raise ValueError(f"{state.name} wraps: expected an angle in {units}, got the unit {state.unit}")
+            raise ValueError(f"{each.name} wraps: expected an angle in {units}, got the unit {each.unit}")
 
 
 def failure_name(criteria: Sequence[Criterion], index: int) -> str:

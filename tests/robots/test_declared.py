@@ -12,13 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from interpreted import assert_alike, interpreted
 from mechanisms import CARTPOLE, DOUBLE, declared, shipped_task
+from point_mass import PointMass
 
 import simbias
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
-from simbias.core import Model, Task, wrapped
+from simbias.core import Model, Quantity, Task, wrapped
 from simbias.core.records import Rollout
-from simbias.core.robot import unwound
+from simbias.core.robot import check_quantities, unwound
 from simbias.lab.checks import check_rollout
 from simbias.simulation.compiled import CompiledSimulator
 from simbias.simulation.compiler import Expressions
@@ -173,6 +174,14 @@ def test_a_goal_moves_and_an_angle_wraps_by_a_turn_in_its_unit(unit: str, half: 
 def test_quantities_whose_columns_are_no_two_things(overrides: list[str], message: str) -> None:
     with one_line(message):
         simbias.load(["preset=cartpole_swingup", "tracking=none", *overrides])
+
+
+def test_an_own_goal_that_wraps_has_a_turn() -> None:
+    class Heading(PointMass):
+        goals = (Quantity("heading", "degrees", wraps=True),)
+
+    with pytest.raises(ValueError, match=r"^heading wraps: expected an angle in rad, .*got the unit degrees"):
+        check_quantities(Heading())
 
 
 def test_a_frame_may_take_minutes() -> None:
