@@ -44,22 +44,23 @@ class Safety:
         return bool(self.inputs or self.input_rates or self.states or self.criteria)
 
     def bounds(self, task: Task) -> Bounds:
-        """The limits as arrays.
+        """The limits as arrays; of targets, whose kinds may be those of states, there is none.
 
         Raises
         ------
         ValueError
-            If a limit names no quantity of the task.
+            If a limit names no quantity of the robot.
         """
 
         def arranged(key: str, values: Mapping[str, float] | None, quantities: Sequence[Quantity]) -> Array:
             return by_quantity(values or {}, quantities, np.inf, f"{key}: nothing is called")
 
         inputs = arranged("inputs", self.inputs, task.inputs)
+        states = arranged("states", self.states, task.without_targets.states)
         return Bounds(
             (np.fmax(-inputs, task.input_bounds[0]), np.fmin(inputs, task.input_bounds[1])),
             arranged("input_rates", self.input_rates, task.inputs),
-            arranged("states", self.states, task.states),
+            np.concatenate([states, np.full(len(task.targets), np.inf)]),
             self.criteria,
         )
 

@@ -149,6 +149,14 @@ def test_a_limit_of_nothing_is_bad_input() -> None:
 
 
 @pytest.mark.slow
+def test_a_limit_of_a_kind_is_none_of_targets() -> None:
+    targets = "+task.targets.bearing={kind: angle, uniform: [2.9, 3.1]}"
+    limit = "+hardware.safety.states.angle=2.95"
+    study = simbias.load(["preset=reacher", targets, limit, "tracking=none"])
+    limits = study.conditions.safety.bounds(study.task).states
+    np.testing.assert_array_equal(limits, [2.95, 2.95] + [np.inf] * 4)
+
+
 def test_limits_are_part_of_a_trials_identity_and_the_question_is_not() -> None:
     def loaded(*overrides: str) -> Study:
         return simbias.load([*overrides, "tracking=none"])
