@@ -14,7 +14,7 @@ from simbias.search.optimizer.following import Following
 from simbias.search.optimizer.ilqr import Shooting
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.trial.diagnostics import of_goal
+from simbias.trial.diagnostics import of_prediction
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
 
@@ -92,16 +92,17 @@ def test_a_trial_swings_up_a_cart_pole_with_friction_and_a_weak_motor() -> None:
 @pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyPatch) -> None:
     study = simbias.load(["preset=cartpole_swingup", "tracking=none"])
-    (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
+    (remark,) = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), study)
     missed = (
         "does not reach the goal in 5 s of simulation: in its last 1 s upright is 3.14 rad, not below 0.2"
     )
     assert f"{missed}, its inputs at their limits in 0% of" in remark.words
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
-    assert not list(of_goal(np.zeros(balancing.policy.n_parameters), balancing.first_model(), balancing.cost))
+    still = np.zeros(balancing.policy.n_parameters)
+    assert not list(of_prediction(still, balancing.first_model(), balancing))
     unlimited = property(lambda task: (-task.input_limit, np.full(1, np.inf)))
     monkeypatch.setattr(type(study.task), "input_bounds", unlimited)
-    (remark,) = of_goal(np.zeros(study.policy.n_parameters), study.first_model(), study.cost)
+    (remark,) = of_prediction(np.zeros(study.policy.n_parameters), study.first_model(), study)
     assert "its inputs at their limits in 0% of" in remark.words
     assert Task.missed(study.task, np.zeros((101, 4))) == (
         "at its end off by position 0 m, angle 0 rad, d_position 0 m/s, d_angle 0 rad/s"

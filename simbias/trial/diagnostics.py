@@ -9,9 +9,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from simbias.core import Cost, Model, Nominal
-from simbias.core.records import Array, Iteration, Search, Selection
-from simbias.lab.safety import exceeded
+from simbias.core import Cost, Model, Nominal, Task
+from simbias.core.records import Array, Iteration, Rollout, Search, Selection
+from simbias.lab.safety import Safety, exceeded
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
@@ -45,18 +45,9 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
         )
 
 
-def of_goal(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
-    """Why a policy theta (p,) does not succeed on the model that it was made on, where the task says success.
-
-    Limits, time and what the task misses.
-    """
-    if model is None or not model.task.goals:
-        return
-    task = model.task
-    if task.succeeds(np.tile(task.start_mean, (task.horizon + 1, 1))) is None:
-        return
-    rollout = simulator(model, cost=cost).rollout(theta, task.start_mean)  # in the loop that searches compile
-    if rollout.failed_at is not None or task.succeeds(rollout.states) is not False:
+def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
+    """Why a simulated rollout does not succeed, where the task says success: limits, time, what it misses."""
+    if not task.goals or rollout.failed_at is not None or task.succeeds(rollout.states) is not False:
         return
     times = task.time_step * np.arange(len(rollout.states))
     errors = np.abs(task.error(rollout.states, times))
@@ -75,12 +66,9 @@ def of_goal(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
     )
 
 
-def of_safety(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
-    """Whether a policy theta (p,) goes beyond `hardware.safety` on the model that it was made on."""
-    if model is None or not study.conditions.safety.limits:
-        return
-    rollout = simulator(model, cost=study.cost).rollout(theta, model.task.start_mean)
-    if beyond := exceeded(rollout, model.task, study.conditions.safety.bounds(model.task)):
+def of_safety(rollout: Rollout, task: Task, safety: Safety) -> Iterator[Remark]:
+    """Whether a simulated rollout goes beyond `hardware.safety`."""
+    if beyond := exceeded(rollout, task, safety.bounds(task)):
         yield Remark(
             "a policy goes beyond hardware.safety in simulation",
             f"this policy goes beyond hardware.safety in simulation: {beyond}; experiments are "
@@ -88,13 +76,13 @@ def of_safety(theta: Array, model: Model | None, study: Study) -> Iterator[Remar
         )
 
 
-def of_model(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
+def of_model(theta: Array, model: Model, cost: Cost) -> Iterator[Remark]:
     """Whether a policy theta (p,) stands on what the data do not determine of its identified model.
 
     It does if it lasts in simulation on the most probable model, but not on one that lies a standard
     deviation of the posterior aside, in a direction along which the prior is hardly narrowed.
     """
-    if model is None or not isinstance(nominal := model.nominal, Identified):
+    if not isinstance(nominal := model.nominal, Identified):
         return
 
     def fails(other: Nominal) -> bool:
@@ -117,8 +105,15 @@ def of_model(theta: Array, model: Model | None, cost: Cost) -> Iterator[Remark]:
 
 def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[Remark]:
     """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
-    yield from of_goal(theta, model, study.cost)
-    yield from of_safety(theta, model, study)
+    if model is None:
+        return
+    task, safety = model.task, study.conditions.safety
+    start = task.start_mean
+    if safety.limits or task.succeeds(np.tile(start, (task.horizon + 1, 1))) is not None:
+        rollout = simulator(model, cost=study.cost).rollout(theta, start)  # in the loop that searches compile
+        yield from of_goal(rollout, task)
+        if safety.limits:
+            yield from of_safety(rollout, task, safety)
     yield from of_model(theta, model, study.cost)
 
 
