@@ -185,7 +185,8 @@ def _in_one_line(error: ValidationError, key: str) -> ConfigError:
         if ")" in where:  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
             hint = "; quotes keep an expression with commas together"
         elif where.count(".") == 1:  # of a component that took the place of a preset's
-            hint = f"; what a preset sets is left out by {' '.join(f'~{each}' for each in typos)}"
+            it, leaves = ("it", "leaves") if len(typos) == 1 else ("them", "leave")
+            hint = f"; if a preset sets {it}, {' '.join(f'~{each}' for each in typos)} {leaves} {it} out"
         return unknown([where], where, f"no such key{hint}")
     if first["type"] == "missing":
         return ConfigError(where, "missing")

@@ -44,7 +44,7 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     if isinstance(sweep := values.get("sweep"), str):
         register_sweep(sweep, config_dir, grid)
     with hydra.initialize_config_dir(str(resource_folder("conf")), version_base="1.3"):
-        config = hydra.compose("config", [*WITHOUT_JOBS, *map(_opened, given)], return_hydra_config=True)
+        config = _by_hydra(_opened(given))
     runtime: dict[str, str] = dict(config.hydra.runtime.choices)
     choices = {group: option for group, option in runtime.items() if not group.startswith("hydra/")}
     if isinstance(presets := values.get("preset"), list):  # of which Hydra does not tell
@@ -56,12 +56,13 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
 
 
 def set_value(config: DictConfig, key: str, value: Any) -> None:
-    """Set a value; a key that the config lacks begins with +, if it is not within a mapping that is given."""
+    """Set a value; a key that the config lacks begins with +, or is within a whole mapping."""
     from omegaconf import OmegaConf
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError
 
     try:
-        force_add = key.startswith("+") or _adds(key, value)
+        opened = _is_whole(key, value) and OmegaConf.select(config, key) is not None
+        force_add = key.startswith("+") or opened
         OmegaConf.update(config, key.removeprefix("+"), value, force_add=force_add)
     except (ConfigAttributeError, ConfigKeyError) as error:
         raise _no_such_key(key) from error
@@ -85,14 +86,28 @@ def overridden(overrides: Sequence[str]) -> list[str]:
         raise ConfigError(" ".join(overrides), reason(error)) from error
 
 
-def _opened(override: Override) -> str:
-    """An override as a line that may also add keys to a whole mapping."""
-    key, line = override.key_or_group, str(override.input_line)
-    return f"+{line}" if line.startswith(key) and _adds(key, override.value()) else line
+def _by_hydra(lines: Sequence[str]) -> DictConfig:
+    """Hydra's config of overrides."""
+    import hydra
+
+    return hydra.compose("config", [*WITHOUT_JOBS, *lines], return_hydra_config=True)
 
 
-def _adds(key: str, value: Any) -> bool:
-    """Whether keys may be added, as by `hardware.noise={force_variance: 0.1}`: components know theirs."""
+def _opened(given: Sequence[Override]) -> list[str]:
+    """Overrides as lines; those that set a mapping that there is may also add keys to it."""
+    from omegaconf import OmegaConf
+
+    lines = [(str(each.input_line), each.key_or_group, each.value()) for each in given]
+    whole = {line: key for line, key, value in lines if line.startswith(key) and _is_whole(key, value)}
+    beside: Any = _by_hydra([line for line, *_ in lines if line not in whole]) if whole else None
+    return [
+        f"+{line}" if line in whole and OmegaConf.select(beside, key) is not None else line
+        for line, key, _ in lines
+    ]
+
+
+def _is_whole(key: str, value: Any) -> bool:
+    """Whether a mapping is set, as by `hardware.noise={force_variance: 0.1}`: components know its keys."""
     return isinstance(value, Mapping) and "." in key and not key.startswith("sweep.")
 
 
@@ -137,9 +152,11 @@ def in_one_line(error: Exception) -> ConfigError:
 
 def _no_such_key(key: str) -> ConfigError:
     """The error of a key that the config has not."""
-    if re.match(r"sweep\.axes(\.|$)", key):
+    of_an_axis = re.search(r"\.(keys|values|labels)$|\.points(\.|$)", key)
+    if re.match(r"sweep\.axes(\.|$)", key) and not of_an_axis:
         axis = key[len("sweep.axes.") :] or "NAME"
-        return ConfigError(key, f"no such key; '+sweep.axes={{{axis}: [...]}}' sets or adds an axis")
+        adds = f"'+sweep.axes={{{axis}: [...]}}' sets or adds an axis"
+        return ConfigError(key, f"no such key; {adds}, whose own keys are keys, values, labels and points")
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
     return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")

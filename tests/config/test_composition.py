@@ -27,8 +27,11 @@ BAD = {  # by override: its key, and what is said of it
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than 0, got -1"),
     "bias.dd=1": ("bias.dd", "no such key"),
-    "+bias.dd=1": ("bias.dd", "no such key; what a preset sets is left out by ~bias.dd"),
-    "++bias={dd: 1, ee: 2}": ("bias.dd", "no such key; what a preset sets is left out by ~bias.dd ~bias.ee"),
+    "+bias.dd=1": ("bias.dd", "no such key; if a preset sets it, ~bias.dd leaves it out"),
+    "++bias={dd: 1, ee: 2}": (
+        "bias.dd",
+        "no such key; if a preset sets them, ~bias.dd ~bias.ee leave them out",
+    ),
     "bias.length_scale=[1,2]": ("bias", "length_scale has 2 values; the task has 7"),
     "optimizer=unknown": ("optimizer=unknown", "no such option; optimizer has "),
     "preset=[cartpole,unknown]": ("preset=unknown", "no such option"),
@@ -83,8 +86,9 @@ def test_a_whole_mapping_adds_its_keys(beside: list[str]) -> None:
     assert compose([*base, "hardware.noise={force_variance: 0.1}"]).config == (
         compose([*base, "+hardware.noise.force_variance=0.1"]).config
     )
-    with one_line(r"^hardware\.nosuch: no such key"):
-        simbias.load([*base, "hardware.nosuch={a: 1}"])
+    for key in ("hardware.nosuch", "tracking.nosuch", "engine.nosuch", "hydra.nosuch", "seed.x"):
+        with one_line(rf"^{key}: no such key; --cfg job shows them all"):
+            compose([*base, f"{key}={{a: 1}}"])
 
 
 def test_config_dir_must_exist() -> None:

@@ -131,6 +131,15 @@ def test_bad_sweep() -> None:
         "sweep.axes.bias.d: no such key; '+sweep.axes={bias.d: [...]}' sets or adds an axis": [
             "+sweep=smoke", "sweep.axes.bias.d=[1.0]"
         ],
+        "sweep.axes.x.labels: no such key; +sweep.axes.x.labels=... if the sweep": [
+            "+sweep={trials: 1, axes: {x: {keys: bias.d, values: [1.0]}}}", "sweep.axes.x.labels=[a]"
+        ],
+        "adds an axis, whose own keys are keys, values, labels and points": [
+            "+sweep=table2", "sweep.axes.error.valus=[0.1]"
+        ],
+        "sweep.axes.x.keys: hardware.nosuch: no such key": [
+            "+sweep={trials: 1, axes: {x: {points: {a: {hardware.nosuch: {b: 1}}}}}}"
+        ],
         "sweep.axes: no such key; '+sweep.axes={NAME: [...]}' sets or adds": [
             "+sweep=smoke", "sweep.axes={bias: [gp]}"
         ],
