@@ -95,7 +95,7 @@ def prepared(study: Study) -> Study:
         raise ConfigError("", words(error)) from error
     if not known.parameters:
         raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
-    return replace(study, identification=posterior.of_recordings(held=known.state_size > 0))
+    return replace(study, identification=posterior.with_central_differences())
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
@@ -122,7 +122,7 @@ def assess(
     all_parts = parts(recordings)
     kept = Part.of("what was held out", held_out) if held_out else None
     judged = [kept] if kept else all_parts
-    _check_length(posterior, [*all_parts, *judged])
+    _check_length(posterior, [*all_parts, kept] if kept else all_parts)
 
     def fit(part: Part, words: str, window: float = 1.0) -> Identified:
         progress(words)

@@ -104,12 +104,12 @@ def predictions(
 
     def ahead(k: int) -> Prediction:
         pairs = list(zip(identified, parts, strict=True))
-        wrong = tuple(errors(model, part, k, held=True) for model, part in pairs)
+        wrong = tuple(errors(model, part, k) for model, part in pairs)
         return Prediction(
             float(f"{k * task.time_step:.6g}"),
-            tuple(errors(nominal, part, k, held=True) for part in parts),
+            tuple(errors(nominal, part, k) for part in parts),
             wrong,
-            tuple(spread(model, part, k, held=True) for model, part in pairs),
+            tuple(spread(model, part, k) for model, part in pairs),
             _known(learned, k) if learned else None,
             tuple(changes(*each, k) for each in zip(wrong, parts, strict=True)) if learned else (),
         )
@@ -120,7 +120,7 @@ def predictions(
 def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) -> Known:
     """Errors of models this number of frames ahead, each on the rollouts beside it."""
     wrong, spreads = (
-        np.concatenate([of(model, rollouts, frames, held=True) for model, rollouts in learned])
+        np.concatenate([of(model, rollouts, frames) for model, rollouts in learned])
         for of in (errors, spread)
     )
     return Known(wrong, spreads)
@@ -131,10 +131,9 @@ def errors(
     rollouts: Sequence[Rollout],
     frames: int,
     bias: FittedBias | None = None,
-    held: bool = False,
 ) -> Array:
     """Errors (w, n) of predictions this number of frames ahead; infinite where a model has blown up."""
-    windows = _windows(rollouts, frames, held and nominal.state_size > 0)
+    windows = _windows(rollouts, frames)
     if not windows:
         return np.empty((0, rollouts[0].states.shape[1]))
     wrong = predict([PredictionModel(nominal)], windows, bias)[0, :, -1] - windows.means[:, -1]
@@ -147,11 +146,9 @@ def changes(wrong: Array, rollouts: Sequence[Rollout], frames: int) -> Array:
     return wrong + windows.means[:, -1] - windows.states[windows.starts] if windows else wrong
 
 
-def spread(
-    model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True, held: bool = False
-) -> Array:
+def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True) -> Array:
     """Covariance (w, n, n) of each prediction among draws of the model, from starts with noise if `noisy`."""
-    windows = _windows(rollouts, frames, held and model.state_size > 0)
+    windows = _windows(rollouts, frames)
     n = rollouts[0].states.shape[1]
     if not windows:
         return np.empty((0, n, n))
@@ -162,11 +159,11 @@ def spread(
     return np.einsum("kwi,kwj->wij", e, e) / DRAWS
 
 
-def _windows(rollouts: Sequence[Rollout], frames: int, held: bool = False) -> Windows | None:
+def _windows(rollouts: Sequence[Rollout], frames: int) -> Windows | None:
     """Windows of this number of frames, also shifted by half of it; None if no rollout lasts as long."""
     shifts = sorted({round(share * frames) for share in SHIFTS})
     cut = [r.part(0, r.frames - shift) for r in rollouts for shift in shifts if r.frames - shift >= frames]
-    return Windows.of(cut, frames, 1, held=held) if cut else None
+    return Windows.of(cut, frames, 1) if cut else None
 
 
 def regions(spreads: Array, known: Array, known_spreads: Array) -> Array:

@@ -82,7 +82,7 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
     frames = min(task.frames(DRAWN), rollout.frames) // window * window
     rollout = rollout.part(0, frames)
     models = [assessment.nominal, assessment.models[index]]
-    windows = Windows.of([rollout], window, 1, held=True)
+    windows = Windows.of([rollout], window, 1)
     made = [predict([PredictionModel(model)], windows)[0] for model in models]
     figure, (grid,) = panels(len(task.states), 1.1, 1)
     t = task.time_step * np.arange(frames + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,8 +75,8 @@ def read(
             raise ConfigError("", words(error)) from error
         notes += [f"{name}: {note}" for note in recording.notes]
         pieces = [
-            (piece, when)
-            for piece, when in zip(recording.pieces, recording.times, strict=True)
+            (replace(piece, continues=i > 0), when)
+            for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True))
             if not needed or needed.windows([piece])
         ]
         if needed and not pieces:

@@ -43,6 +43,7 @@ class Take(NamedTuple):
     inputs: Array  # (T, m)
     times: Array | None = None  # (k,) s after the start at which states are measured; None: in each frame
     recording: str = ""  # that it is a piece of; "": it is one itself
+    continues: bool = False  # as `Rollout.continues`
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
@@ -107,7 +108,7 @@ def record(
 ) -> Rollout:
     """The rollout of a robot in a take until it fails, measured with noise (n,) at the take's times."""
     states = np.broadcast_to(take.start, (len(take.inputs) + 1, len(take.start)))
-    windows = Windows.of([Rollout(states, take.inputs)], len(take.inputs), 1, held=True)
+    windows = Windows.of([Rollout(states, take.inputs, continues=take.continues)], len(take.inputs), 1)
     x = np.vstack([take.start, predict([model], windows)[0, 0]])
     failed = np.flatnonzero(study.task.violated(x) >= 0)
     frames = max(0, failed[0] - 1) if len(failed) else len(take.inputs)
@@ -119,4 +120,5 @@ def record(
     e = noise * rng.standard_normal((len(times), len(noise)))
     seen = [np.interp(times, at, x[:, i]) + e[:, i] for i in range(len(noise))]
     measured = np.array([np.interp(at, times, each) for each in seen]).T
-    return Rollout(measured, take.inputs[:frames], measured=measured, sensed=True)
+    inputs = take.inputs[:frames]
+    return Rollout(measured, inputs, measured=measured, sensed=True, continues=take.continues)

@@ -49,17 +49,11 @@ class Windows:
     recordings: Indices | None = None  # (r,) that experiments are pieces of; by default each is one
 
     @staticmethod
-    def of(
-        rollouts: Sequence[Rollout],
-        window: int,
-        chunk: int,
-        noise: Array | float = 0.0,
-        held: bool = False,
-    ) -> Windows:
-        """Windows of a whole number of chunks; if `held`, the first input had acted before, else none."""
+    def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
+        """Windows of a whole number of chunks; no input acted before a rollout, unless it continues."""
         window = max(1, round(window / chunk)) * chunk
         before = np.array(
-            [HELD if held and rollout.inputs[:1].any() else 0 for rollout in rollouts], np.int64
+            [HELD if rollout.continues and rollout.inputs[:1].any() else 0 for rollout in rollouts], np.int64
         )
         each = list(zip(rollouts, before.tolist(), strict=True))
         states = [np.pad(rollout.states, ((b, 0), (0, 0)), "edge") for rollout, b in each]

@@ -77,7 +77,7 @@ def recovery(request: Request) -> bool:
     with slowness_in_one_line(), console.status("") as status:
         noise = _noise(study, recordings.pieces.rollouts)
         takes = [
-            Take(piece.states[0], piece.inputs, times, name)
+            Take(piece.states[0], piece.inputs, times, name, piece.continues)
             for name, pieces in recordings.rollouts.items()
             for piece, times in zip(pieces, recordings.times[name], strict=True)
         ]

@@ -20,10 +20,10 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
     Compressed, it would be 5% smaller, and take 20 times as long.
 
     Fields: parameters (p,), states (k+1, n), inputs (k, m), measured (k+1, n), sensed, failed_at, failure,
-    place. Costs are not kept: they follow from these.
+    place. Costs are not kept: they follow from these; nor that none `continues`.
     """
     given: dict[str, Any] = {name: value for name, value in vars(rollout).items() if value is not None}
-    del given["cost"]
+    del given["cost"], given["continues"]
     file = io.BytesIO()
     np.savez(file, place=np.array(place, dtype=np.int64), **given)
     return file.getvalue()

@@ -168,6 +168,19 @@ def test_recordings_are_measured_when_the_lab_measures(study: Study) -> None:
     assert set(np.flatnonzero(bends) % 5) == {4}
 
 
+def test_a_late_motor_acts_at_once_only_where_a_recording_continues() -> None:
+    study = limited("+identification.motors.tau1={delay: 0.02}")
+    rig = study.identification.prior(study.nominal)  # type: ignore[attr-defined]
+    values = [0.02 if each.name == "tau1.delay" else each.value for each in rig.parameters]
+    model = PredictionModel(rig.with_parameters(np.array(values)))
+    take, rng = Take(np.zeros(4), np.ones((20, 2)) * [1.0, 0.0]), np.random.default_rng(0)
+    from_rest, on = (
+        record(study, model, take._replace(continues=each), np.zeros(4), rng) for each in (False, True)
+    )
+    assert from_rest.states[5, 2] == 0.0 < on.states[5, 2]
+    assert (from_rest.continues, on.continues) == (False, True)
+
+
 def test_a_robot_that_fails_is_recorded_until_then(study: Study) -> None:
     wild = Take(np.array([0.0, 0.0, 59.0, 0.0]), np.full((500, 2), 10.0))
     made = record(limited(), PredictionModel(study.nominal), wild, np.zeros(4), np.random.default_rng(0))

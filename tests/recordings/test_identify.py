@@ -117,6 +117,7 @@ def test_a_single_recording_is_cut_into_thirds() -> None:
     cut = [part.rollouts[0] for part in made]
     np.testing.assert_array_equal(np.concatenate([piece.inputs for piece in cut]), states[:-1])
     assert all(len(piece.states) == piece.frames + 1 for piece in cut)
+    assert [piece.continues for piece in cut] == [False, True, True]
     assert len(parts({str(i): cut[:1] for i in range(12)})) == 5
     assert [part.recordings for part in parts({"one": cut, "two": cut[:1]})] == [("one",) * 3, ("two",)]
     again = [part.rollouts for part in parts({"one": cut[:2] + cut[:1]})]
@@ -420,14 +421,6 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
     assert capsys.readouterr().err == "simbias: --held-out: leaves no recording\n"
 
 
-def test_only_recordings_begin_within_a_motion() -> None:
-    """Their motors' memory is of inputs before; an experiment of a trial begins with none."""
-    study = pendulum(*QUICK, "+identification.motors.tau1={delay: 0.01}")
-    rollout = Rollout(np.zeros((101, 4)), np.ones((100, 2)))
-    leads = [each.identification.windows([rollout]).leads for each in (study, prepared(study))]  # type: ignore[attr-defined]
-    assert [int(each[0]) for each in leads] == [0, 200]
-
-
 def test_an_option_beside_those_of_ones_own_is_named_as_the_folder() -> None:
     """Hydra chooses none that is a number or constant, or has other letters."""
     intos = ("a/day 2", ".", "2026-11-26", "1e5", "Null", "größe")
@@ -451,6 +444,7 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     study = replace(study, hardware=None)  # type: ignore[arg-type]
     found = read(study, ["cut.csv"], windows=2.0)
     assert [piece.frames for piece in found.rollouts["cut.csv"]] == [149, 208]
+    assert all(piece.continues for piece in found.rollouts["cut.csv"])  # after the one that is left out
     assert found.extent == "cut.csv 0.714 s at 500 Hz"
     assert "cut.csv: 1 piece of less than 0.2 s left out" in found.notes
     rows[:100].to_csv("cut.csv", index=False)
@@ -459,7 +453,8 @@ def test_short_pieces_are_left_out_and_short_files_refused(study: Study, folder:
     (folder / "held.csv").write_bytes((folder / "cut.csv").read_bytes())
     request = Request(["cut.csv"], ["held.csv"], ["preset=double_pendulum"], None, folder, None, [])
     _, *opened = request.opened(Console())  # as excite, which needs 0.1 s
-    assert [len(each.pieces.rollouts) for each in opened] == [1, 2]
+    continue_ = [[piece.continues for piece in each.pieces.rollouts] for each in opened]
+    assert continue_ == [[True], [False, True]]  # the first one of a file begins without a torque
 
 
 def test_files_hold_windows_of_whole_chunks(folder: Path) -> None:

@@ -1,5 +1,7 @@
 """Predictions of recorded experiments: compiled against plain, and what they are made of."""
 
+from dataclasses import replace
+
 import numpy as np
 from interpreted import interpreted, predicted_as_plain
 
@@ -84,17 +86,18 @@ def test_memory_runs_on_where_the_state_is_reset() -> None:
     assert np.abs(alone[2, 0] - made[2, 2]).max() > 1e-3
 
 
-def test_where_a_record_begins_within_a_motion_its_first_input_was_held() -> None:
-    """As if it had lasted before; one that begins without an input stays as it is."""
+def test_where_a_record_continues_its_first_input_was_held() -> None:
+    """As if it had lasted before; without an input, or where nothing came before, it stays as it is."""
     rng = np.random.default_rng(0)
     rollout = Rollout(rng.standard_normal((21, 2)), rng.standard_normal((20, 1)))
     longer = Rollout(*(np.pad(each, ((300, 0), (0, 0)), "edge") for each in (rollout.states, rollout.inputs)))
     models = [PredictionModel(Lagging(share)) for share in (1.0, 0.3)]
-    made = predicted_as_plain(models, Windows.of([rollout], 10, 5, held=True), 1e-12)
+    within = replace(rollout, continues=True)
+    made = predicted_as_plain(models, Windows.of([within], 10, 5), 1e-12)
     np.testing.assert_allclose(made, predict(models, Windows.of([longer], 10, 5))[:, -2:], rtol=1e-12)
-    rollout.inputs[0] = 0.0
-    windows = [Windows.of([rollout], 10, 5, held=held) for held in (False, True)]
-    np.testing.assert_array_equal(windows[0].states, windows[1].states)
+    assert Windows.of([rollout], 10, 5).leads == 0
+    within.inputs[0] = 0.0
+    assert Windows.of([within], 10, 5).leads == 0
 
 
 def test_memory_of_states_is_that_of_the_record() -> None:

@@ -110,7 +110,6 @@ class Posterior(Identification):
         self._evaluations = evaluations
         self._longer = longer_windows or []
         self._differences = differences
-        self._held = False
         self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
     def _set_window(self, window: float) -> None:
@@ -131,13 +130,10 @@ class Posterior(Identification):
         other._longer = [each * window / self.window for each in self._longer]
         return other
 
-    def of_recordings(self, held: bool) -> Posterior:
-        """A copy whose covariance also tells what strong motion does not determine.
-
-        If `held`, inputs acted before a recording as at its beginning, which may be within a motion.
-        """
+    def with_central_differences(self) -> Posterior:
+        """A copy whose covariance also tells what strong motion does not determine."""
         other = copy(self)
-        other._differences, other._held = "central", held
+        other._differences = "central"
         return other
 
     def with_known(self, known: Known) -> Posterior:
@@ -148,7 +144,7 @@ class Posterior(Identification):
 
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
         """Experiments, cut as predictions are compared with them."""
-        windows = Windows.of(rollouts, self._window, self._chunk, self._noise, self._held)
+        windows = Windows.of(rollouts, self._window, self._chunk, self._noise)
         if not recordings:
             return windows
         order = list(dict.fromkeys(recordings))
