@@ -141,11 +141,13 @@ def test_every_operation_is_traced() -> None:
 def test_periods_and_tables_are_numpys_at_their_edges() -> None:
     """To the last bit: whether a frame begins a period, and what lies at the end of a table or beyond."""
     knots = [0.0, 0.3, 0.7, 1.1]
-    for period in (0.1, 0.3, 0.6):
+    for period in (0.1, 0.18, 0.3, 0.6):
 
         def step(x: Array, u: Array, period: float = period) -> Array:
             t, table = x[..., 0], np.interp(x[..., 0], knots, [0.1, 0.7, -0.3, 0.9])
-            return np.stack([np.floor(t / period) + np.ceil(t / period), t // period + t % period, table], -1)
+            turns, share = t / period, (t / period + 0.25) % 1 + np.fmod(-(t / period), 1)
+            whole = np.floor(turns) + np.ceil(turns) - np.floor(-turns) + np.floor(2 * turns + 0.5)
+            return np.stack([whole + turns // 1, t // period + t % period + turns % 1 + share, table], -1)
 
         x = np.append(np.append(0.02 * np.arange(-50, 300), knots), [np.inf, -np.inf])[:, None] * np.ones(3)
         part = of_nominal(Stepping(step), points)

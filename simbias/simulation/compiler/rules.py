@@ -68,7 +68,7 @@ def cosine(a: Symbol) -> Symbol:
 
 
 def divide(a: Symbol, b: Symbol) -> Symbol:
-    """A quotient; the product with the inverse of a known number takes less time, but for `_rounded`."""
+    """A quotient; the product with the inverse of a known number takes less time, but for `_at_edges`."""
     if b.name == "number":
         with np.errstate(all="ignore"):
             product = multiply(a, b.trace.number(np.divide(1.0, b.value), b.whole))
@@ -77,10 +77,18 @@ def divide(a: Symbol, b: Symbol) -> Symbol:
     return quotient(a, b)
 
 
-def _rounded(name: str) -> Callable[[Symbol], Symbol]:
-    """An operation that gives whole numbers: of a quotient itself, as its last bit decides at edges."""
-    operation = _operation(name)
-    return lambda a: operation(quotient(*a.quotient_of) if a.quotient_of else a)
+def _itself(a: Symbol, most: int = 4) -> Symbol:
+    """A number with the quotient in it itself, also of up to `most` sums and products with what is given."""
+    if most and a.quotient_of:
+        return quotient(_itself(a.quotient_of[0], most - 1), a.quotient_of[1])
+    if most and a.name in LINEAR and sum(bool(each.operands) for each in a.operands) == 1:
+        return a.trace.operation(a.name, *(_itself(each, most - 1) for each in a.operands))
+    return a
+
+
+def _at_edges(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
+    """An operation of quotients themselves, as their last bit decides at its edges."""
+    return lambda *symbols: operation(*map(_itself, symbols))
 
 
 def _other_sign(r: Symbol, b: Symbol) -> Symbol:
@@ -140,6 +148,7 @@ def _different(a: Symbol, b: Symbol) -> Symbol:
     return either(both(a, neither(b)), both(neither(a), b))
 
 
+LINEAR = ("add", "subtract", "multiply", "negative")
 ROUNDED = ("floor", "ceil", "trunc", "rint")
 OF_NUMPY = (  # functions of one number, which are written as they are
     *("arcsin", "arccos", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh"),
@@ -163,10 +172,10 @@ RULES: Mapping[np.ufunc, Callable[..., Symbol]] = {
     np.absolute: absolute,
     np.fabs: absolute,
     np.sign: sign,
-    **{getattr(np, name): _rounded(name) for name in ROUNDED},
-    np.fmod: rest,
-    np.floor_divide: _floor_divide,
-    np.remainder: _remainder,
+    **{getattr(np, name): _at_edges(_operation(name)) for name in ROUNDED},
+    np.fmod: _at_edges(rest),
+    np.floor_divide: _at_edges(_floor_divide),
+    np.remainder: _at_edges(_remainder),
     np.deg2rad: _scaled(np.pi / 180),
     np.radians: _scaled(np.pi / 180),
     np.rad2deg: _scaled(180 / np.pi),
