@@ -83,31 +83,30 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     for quantity, change, limit in zip(
         task.inputs, prediction.largest_change(task.time_step), bounds.input_rates, strict=True
     ):
-        beyond = (
-            f" (limit {limit:.4g}: {'ABORTS' if change > limit else 'kept'})" if np.isfinite(limit) else ""
-        )
-        yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{beyond}."
+        limited = f" (limit {limit:.4g})" if np.isfinite(limit) else ""
+        yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{limited}."
     seconds = expected.frames * task.time_step
     end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
     cost = f"cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})"
     success = "a success" if study.passes(expected) else "no success"
     if beyond := exceeded(expected, task, bounds):
-        success = f"it is aborted by hardware.safety, beyond {beyond}"
+        end, success = "", f"it is aborted by hardware.safety, beyond {beyond}"
     yield f"Predicted: {seconds:.2f} s{end}, {cost}: {success}."
-    counts = Counter(map(task.words, prediction.failures))
+    ends = [_end(study, draw, bounds) for draw in prediction.draws]
+    failures = [draw.failure for draw, end in zip(prediction.draws, ends, strict=True) if end == FAILED]
+    counts = Counter(task.words(failure or "failed") for failure in failures)
     failed = ", ".join(f"{words} ({count})" for words, count in counts.most_common())
-    ends = Counter(_end(study, draw, bounds) for draw in prediction.draws)
-    missed = "".join(f", {ends[end]} {end}" for end in (ABORTED, MISSED, DEAR) if ends[end])
-    fail = f"{ends[FAILED]} fail{failed and f': {failed}'}"
-    yield f"Of {DRAWS} draws of start and model, {ends[SUCCEEDED]} succeed{missed}, {fail}."
+    missed = "".join(f", {ends.count(end)} {end}" for end in (ABORTED, MISSED, DEAR) if end in ends)
+    fail = f"{len(failures)} fail{failed and f': {failed}'}"
+    yield f"Of {DRAWS} draws of start and model, {ends.count(SUCCEEDED)} succeed{missed}, {fail}."
 
 
 def _end(study: Study, draw: Rollout, bounds: Bounds) -> str:
     """How a simulated experiment ends."""
+    if exceeded(draw, study.task, bounds):  # before it fails, as that ends it
+        return ABORTED
     if draw.failed_at is not None:
         return FAILED
-    if exceeded(draw, study.task, bounds):
-        return ABORTED
     if study.passes(draw):
         return SUCCEEDED
     return DEAR if study.task.succeeds(draw.states) is None else MISSED

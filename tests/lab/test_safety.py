@@ -216,10 +216,18 @@ def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(poin
     kind = "a policy goes beyond hardware.safety in simulation"
     (remark,) = (each for each in of_prediction(THETA, study.first_model(), study) if each.kind == kind)
     assert re.search(r"\|velocity\| of 0\.\d+ m/s \(limit 0\.1\), a change of force by", remark.words)
-    told = "\n".join(describe(study, predict(study, THETA, START), safety.bounds(study.task)))
-    assert "it is aborted by hardware.safety, beyond |velocity| of" in told
-    assert ": a success" not in told
-    assert f"0 succeed, {DRAWS} are aborted by hardware.safety, 0 fail." in told
+    prediction = predict(study, THETA, START)
+    failing = [
+        replace(each, failed_at=each.frames, failure="distance")
+        for each in (prediction.expected, *prediction.draws)
+    ]
+    for each in (prediction, replace(prediction, expected=failing[0], draws=tuple(failing[1:]))):
+        told = "\n".join(describe(study, each, safety.bounds(study.task)))  # before it fails
+        assert "it is aborted by hardware.safety, beyond |velocity| of" in told
+        assert ": a success" not in told
+        assert "then fails" not in told
+        assert "ABORTS" not in told
+        assert f"0 succeed, {DRAWS} are aborted by hardware.safety, 0 fail." in told
     calm = replace(study, conditions=ExperimentConditions())
     assert kind not in {each.kind for each in of_prediction(THETA, study.first_model(), calm)}
 
