@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def check_replaces_nothing(study: Study, folder: Path, option: Path) -> None:
     for file in getattr(study.nominal, "source_files", ()):
         if Path(file).resolve() in written:
             raise ConfigError("--into", f"would replace {file}, which the nominal model is read from")
-    own = option.is_file() and option.read_text().startswith(FIRST_LINE)
+    own = option.is_file() and option.read_text().startswith(head(folder, option))
     if option.stem == study.choices[GROUP] or (not own and option.stem in options(option.parents[1])[GROUP]):
         raise ConfigError("--into", f"would replace {GROUP}={option.stem}: choose another folder")
     try:
@@ -84,7 +85,7 @@ def write(
         told = trajectory(assessment.task, excitation.rollout)
         texts[EXCITATION] = told.to_csv(index=False, float_format="%.6g")
     texts |= {f"{name}.xml": text for name, text in models(assessment.identified)}
-    lines = list(option_lines(assessment.identified.elsewhere(), identification))
+    lines = [head(folder, option), *option_lines(assessment.identified.elsewhere(), identification)]
     for name, text in texts.items():
         (folder / name).write_text(text)
     option.write_text("\n".join(lines) + "\n")
@@ -154,9 +155,14 @@ def trajectory(task: Task, rollout: Rollout) -> pd.DataFrame:
     return pd.DataFrame(table | {u.name: rollout.inputs[:, i] for i, u in enumerate(task.inputs)})
 
 
+def head(folder: Path, option: Path) -> str:
+    """The option's first lines; they name the folder of its results, whose runs alone may replace it."""
+    results = os.path.relpath(folder.resolve(), option.parent.resolve())
+    return f"{FIRST_LINE}\n# Results: {json.dumps(results)}"
+
+
 def option_lines(identified: Identified, identification: dict[str, Any]) -> Iterator[str]:
     """The option's lines: how it was identified, and the posterior in coordinates of the declared priors."""
-    yield FIRST_LINE
     yield "# 5% .. most probable .. 95%:"
     for e in identified.estimates:
         yield f"# {brief(e.name)}: {e.low:.5g} .. {e.value:.5g} .. {e.high:.5g} {brief(e.unit)}"

@@ -23,7 +23,7 @@ from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
-from simbias.recordings.files import check_replaces_nothing, draws, models, option_lines, write
+from simbias.recordings.files import check_replaces_nothing, draws, head, models, option_lines, write
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -298,6 +298,11 @@ def test_the_file_that_the_model_is_read_from_is_not_replaced(study: Study, tmp_
             check_replaces_nothing(study, tmp_path / "elsewhere", option.with_stem(shipped))
     with pytest.raises(ConfigError, match=r"^--into: .*identified\.xml cannot be written \(File exists\)"):
         check_replaces_nothing(study, file, option)
+    monday, tuesday = (tmp_path / day / "out" for day in ("monday", "tuesday"))
+    option.write_text(head(monday, option) + "\nwindow: 0.1")
+    check_replaces_nothing(study, monday, option)
+    with pytest.raises(ConfigError, match=r"^--into: would replace identification=a: choose another folder"):
+        check_replaces_nothing(study, tuesday, option)
 
 
 def test_files_of_draws_are_of_the_table_of_draws(tmp_path: Path) -> None:
