@@ -11,10 +11,11 @@ That takes arithmetic, elementary functions, indices, sums, products of matrices
 in it, `np.clip`, `np.stack`, arrays of `np.zeros_like` and `x.copy()` that are filled, `np.linalg.solve` of
 small matrices, `np.interp` of a constant table, `np.rint` and `np.round`. `%`, `//` and `np.floor` give
 NumPy's numbers also where a period begins: of `t / p`, and of that times a number or plus a phase. Other uses
-of `t / p` may be a rounding off: `(t / p) % 1` is never below 0, `t / p - np.floor(t / p)` may be. Arrays of
-conditions add up as NumPy's do: the sum of two is a condition, and `np.sum` counts. It takes `axis`,
-`keepdims`, `dtype=float`, the bounds of `np.clip` by their names, and `out` of elementwise functions; of
-other keyword arguments, as `where` and `initial`, a warning names the first. It does not take `if` and `while` that ask for values, masks as indices, arrays of `np.zeros`
+of `t / p` may be a rounding off: `(t / p) % 1` is never below 0, `t / p - np.floor(t / p)` may be. `%` and
+`//` take 6 ns each, `np.floor` less than one. Arrays of conditions add up as NumPy's do: the sum of two is a
+condition, and `np.sum` counts. It takes `axis`, `keepdims`, `dtype=float`, the bounds of `np.clip` by their
+names, and `out` of elementwise functions; of other keyword arguments, as `where` and `initial`, a warning
+names the first. It does not take `if` and `while` that ask for values, masks as indices, arrays of `np.zeros`
 that are filled, `np.asarray(x, float)`, random numbers, what is remembered elsewhere than in its state, other
 libraries, or more than MOST operations (`simbias.simulation.compiler.symbols`). Where code does such things,
 or what is written gives other numbers, the loop runs in NumPy, up to 500 times slower, and a warning names
