@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from simbias.__main__ import main
+from simbias.config import compose
 from simbias.core.commands import BAD_INPUT
 
 
@@ -34,6 +35,7 @@ def test_a_new_robot_keeps_its_contracts_and_learns(
         out, err = capsys.readouterr()
         assert ran == 0, out + err
         assert "Succeeded after 3 hardware experiments" in out
+        assert compose(["preset=arm", "method=lqr"], "conf").choices["method"] == "lqr"
     finally:
         sys.modules.pop("arm", None)
 
