@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,9 +64,9 @@ class SweepRun(RunExport):
     def _points(self, run: Run, state: dict[str, Any]) -> Iterator[Point]:
         """The sweep's numbers that the run has otherwise; MLflow shows those of the last step."""
         for name, value in _metrics(state).items():
-            known = run.data.metrics.get(name)
-            if known != value:
-                history = () if known is None else self.runs.client.get_metric_history(run.info.run_id, name)
+            known = run.data.metrics.get(name, math.nan)
+            if known != value and not (math.isnan(known) and math.isnan(value)):
+                history = self.runs.client.get_metric_history(run.info.run_id, name)
                 yield name, value, 1 + max((point.step for point in history), default=-1), time.time()
 
     def _run(self) -> Run:
@@ -149,4 +150,4 @@ def _metrics(state: dict[str, Any]) -> dict[str, float]:
     names = ("succeeded", "not succeeded", "error")
     counts = {f"trials/{name.replace(' ', '_')}": float(outcomes.get(name, 0)) for name in names}
     mean = state["mean_experiments"]
-    return counts if mean is None else {**counts, "experiments/mean": mean}
+    return {**counts, "experiments/mean": math.nan if mean is None else mean}

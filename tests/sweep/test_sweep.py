@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import OWN_CONF, POINT_MASS
@@ -342,3 +343,9 @@ def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Pa
     write_sweep(folder, "mine", whole)
     assert main([*command, "tracking.pictures=false"]) == 0
     assert {run.info.run_id for run in runs(folder)[1]} == {run.info.run_id for run in trials}
+    meanless = {**state(folder), "mean_experiments": None}  # as of trials with errors alone
+    SweepFolder(sweep_folder(folder)).write_state(meanless)
+    for _ in range(2):
+        assert main(["export", store]) == 0
+    steps, means = zip(*histories(folder)[parent.info.run_id, "experiments/mean"], strict=True)
+    assert np.isnan(means).tolist() == [False] * (len(steps) - 1) + [True]
