@@ -60,9 +60,9 @@ def read_axis(name: str, spec: Any) -> Axis:
         while isinstance(value, Mapping) and value:
             inner, value = next(iter(value.items()))
             key += f".{inner}"
-        raise ConfigError(
-            where, f"must be a list of values; of a key with dots: '+sweep.axes={{{key}: [...]}}'"
-        )
+        dotted = f"; of a key with dots: '+sweep.axes={{{key}: [...]}}'"
+        otherwise = dotted if isinstance(value, list) else ", or have keys and values, or points"
+        raise ConfigError(where, f"must be a list of values{otherwise}")
     if not isinstance(spec.get("values"), list):
         raise ConfigError(where, f"must be a list of values, got {spec.get('values')!r}")
     checked = validate(spec, fields, where)

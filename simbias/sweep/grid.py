@@ -202,10 +202,9 @@ def _check_keys(axes: Sequence[Axis], overrides: Sequence[str], groups: Collecti
                     raise ConfigError(f"sweep.axes.{axis.name}", problem)
         owners |= dict.fromkeys(axis.keys, axis.name)
         for key, value in (each for point in axis.points for each in point.items()):
-            if key in groups and isinstance(value, Mapping):
-                problem = (
-                    f"{key} is a group, whose values are options; write {key}.{next(iter(value), 'key')}"
-                )
+            if (group := key.lstrip("+")) in groups and isinstance(value, Mapping):
+                inner = next(iter(value), "key")
+                problem = f"{group} is a group, whose values are options; write {key}.{inner}"
                 raise ConfigError(f"sweep.axes.{axis.name}", problem)
     for override in overridden(overrides):
         for key, axis_name in owners.items():

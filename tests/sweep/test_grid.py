@@ -128,6 +128,9 @@ def test_bad_sweep() -> None:
             "+sweep={trials: 1, axes: {x: {points: {a: {hardware: {}}}}}}",
             "+sweep.axes.x.points.a.hardware.friction=0.5",
         ],
+        "sweep.axes.x: hardware is a group, whose values are options; write +hardware.gaps": [
+            "+sweep={trials: 1, axes: {x: {points: {a: {+hardware: {gaps: {slope: 1}}}}}}}"
+        ],
         "sweep.axes.bias.d: no such key; '+sweep.axes={bias.d: [...]}' sets or adds an axis": [
             "+sweep=smoke", "sweep.axes.bias.d=[1.0]"
         ],
@@ -161,6 +164,7 @@ def test_bad_axis() -> None:
         "names a key twice: x, +x": {"keys": ["x", "+x"], "values": [[1, 2]]},
         "must be a list of values, got 'gp'": "gp",
         "must be a list of values; of a key with dots: '+sweep.axes={bias.a.d: [...]}'": {"a": {"d": [1, 2]}},
+        "must be a list of values, or have keys and values, or points": {"point": {"a": {"bias": "gp"}}},
         "has a name or label with letters that cannot be printed": {
             "keys": "x", "values": ["gp"], "labels": ["a\tb"]
         },
