@@ -20,6 +20,7 @@ from simbias.core import Model, SlowWarning
 from simbias.core.records import Array
 from simbias.search.goal import resting_goal
 from simbias.simulation.linearization import STEP, advanced, derivatives, input_scale, linear_regulator
+from simbias.simulation.open_loop import SETTLED
 
 INPUT_WEIGHTS = (10.0, 100.0, 1000.0, 10000.0)  # R of inputs at their limits; Q of a state of one unit is 1
 MODEL_STATE_WEIGHT = 1e-9  # Q of the model state
@@ -35,7 +36,6 @@ NO_ERRORS = (
     "{} does not regulate to the goal as LQR does, but to zero: declare outputs that are zero there "
     "(position - 0.5), or let it have a constant (dynamic_output_feedback, policy.constant)"
 )
-SETTLED = 1000  # frames, after which the model state is that of a steady input
 
 
 class Linear(NamedTuple):

@@ -25,7 +25,7 @@ from simbias.simulation.compiler import (
     points_among,
 )
 
-HELD = 200  # frames before the first, in which a motor settles
+SETTLED = 1000  # frames, after which the model state is that of a steady input
 SOME = 5  # frames that tell whether a model remembers states
 
 
@@ -52,9 +52,8 @@ class Windows:
     def of(rollouts: Sequence[Rollout], window: int, chunk: int, noise: Array | float = 0.0) -> Windows:
         """Windows of a whole number of chunks; no input acted before a rollout, unless it continues."""
         window = max(1, round(window / chunk)) * chunk
-        before = np.array(
-            [HELD if rollout.continues and rollout.inputs[:1].any() else 0 for rollout in rollouts], np.int64
-        )
+        within = [rollout.continues and rollout.inputs[:1].any() for rollout in rollouts]
+        before = SETTLED * np.array(within, np.int64)
         each = list(zip(rollouts, before.tolist(), strict=True))
         states = [np.pad(rollout.states, ((b, 0), (0, 0)), "edge") for rollout, b in each]
         inputs = [np.pad(np.pad(r.inputs, ((b, 0), (0, 0)), "edge"), ((0, 1), (0, 0))) for r, b in each]
