@@ -21,7 +21,7 @@ from simbias.lab.requests.controller import c_header, harmless, python_module
 from simbias.lab.requests.folder import files
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.verification import difference
-from simbias.lab.safety import Bounds, Safety, SafetyLimitedPolicy
+from simbias.lab.safety import Bounds, Safety, SafetyLimitedPolicy, UnsafeError
 from simbias.policy.dynamic_output_feedback import DynamicOutputFeedback
 from simbias.simulation.compiler import formulas_of
 from simbias.trial.study import Study
@@ -249,9 +249,36 @@ def test_failure_criteria_that_abort_are_in_the_code(study: Study) -> None:
     )
     assert strict.why_no_code == ""
     assert np.isfinite(controller(lenient)(spinning))
-    with pytest.raises(ValueError, match="abort"):
+    with pytest.raises(ValueError, match="abort: failed"):
         controller(strict)(spinning)
     assert "no failure above" in files(strict)["README.txt"]
+
+
+class Root(Integral):
+    """A law that has no number of negative states."""
+
+    def act(self, theta: Array, x: Array, t: float, policy_state: Array) -> tuple[Array, Array]:
+        return np.sqrt(x[..., :1]), policy_state
+
+
+def test_limits_have_the_names_that_simbias_has_them_by() -> None:
+    """Also those of an input that is no number, and those with letters of any alphabet."""
+    task = PointMass()
+    task.states = (Quantity("θ", "rad"), Quantity("φ", "rad"))
+    bounds = Bounds(task.input_bounds, np.full(1, np.inf), np.full(2, 1.0), False)
+    request = ExperimentRequest(task, Root(task), np.zeros(1), task.start_mean)
+    law = formulas_of(request.policy, task, request.theta)
+    assert not isinstance(law, str)
+    names: dict[str, Any] = {}
+    exec(python_module(task, law, "", bounds), names)
+    for x in ([-0.5, 0.0], [2.0, 0.0], [0.0, 2.0]):
+        limited = SafetyLimitedPolicy(request.policy, task, bounds).controller(request.theta, 0.02)
+        made = names["Controller"]()
+        with pytest.raises(UnsafeError) as error, np.errstate(invalid="ignore"):
+            limited(np.array(x))
+        with pytest.raises(ValueError, match=f"abort: {error.value}: "):
+            made(x)
+        assert f'"{error.value}"' in c_header(task, law, "", bounds)
 
 
 ENDS = 'a "\\\n\r\0*/?{}é²\u2028'  # of what may end a string, a comment or a line
@@ -274,10 +301,7 @@ def test_words_of_a_config_are_never_code(words: str, worst: str) -> None:
     for line in harmless(said), python_module(task, law, said, bounds), c_header(task, law, said, bounds):
         assert not set("\\\r\u2028?") & set(line.replace("?", "", line.count(" ? ")))
     modules, headers = (
-        [
-            re.sub(r'"unsafe_state_[A-Za-z0-9_]+"', '""', write(each, law, said, bounds))
-            for each in (task, plain)
-        ]
+        [re.sub(r'"unsafe_state_[^"]+"', '""', write(each, law, said, bounds)) for each in (task, plain)]
         for write in (python_module, c_header)
     )
     python, other = map(ast.parse, modules)

@@ -5,7 +5,6 @@ Both are written of the trace of `Policy.act`, and keep the policy state and the
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from textwrap import indent
 
@@ -17,6 +16,7 @@ from simbias.core.robot import NOT_A_NUMBER
 from simbias.lab.safety import Bounds
 from simbias.simulation.compiler import NUMPY, C, Formulas
 
+BEYOND = "failed"  # the failure beyond a criterion, where no input is a number (`act_within_criteria`)
 HARMLESS = " .,:;+-*/^%()[]<>=|_'°"  # besides letters and digits, in the comments of generated code
 
 HEADER = """\
@@ -56,10 +56,7 @@ static inline int simbias_control(simbias_controller *controller, const double x
     for (int i = 0; !failure && i < {n}; ++i)
         if (!(fabs(x[i]) <= STATE_LIMIT[i]))
             failure = STATE_FAILURE[i];
-    for (int i = 0; !failure && i < {m}; ++i)
-        if (!isfinite(u[i]))
-            failure = NO_NUMBER;
-    for (int i = 0; !failure && i < {m}; ++i)
+{criteria_check}    for (int i = 0; !failure && i < {m}; ++i)
         if (!(u[i] >= INPUT_LOWER[i] && u[i] <= INPUT_UPPER[i]))
             failure = INPUT_FAILURE[i];
     for (int i = 0; !failure && controller->frame && i < {m}; ++i)
@@ -84,10 +81,15 @@ static inline double simbias_interpolated(double position, int rows, const doubl
     return column[row] + share * (column[row + 1] - column[row]);
 }
 """
+CRITERIA_CHECK = """\
+    for (int i = 0; !failure && i < {m}; ++i)
+        if (isnan(u[i]))
+            failure = {beyond};
+"""
 STATE_CHECK = """\
     for (int i = 0; !failure && i < {s}; ++i)
         if (!isfinite(next[i]))
-            failure = NO_NUMBER;
+            failure = {no_number};
 """
 STATE_UPDATE = """\
     for (int i = 0; i < {s}; ++i)
@@ -127,10 +129,9 @@ class Controller:
             u, policy_state = law(x, self.frame * TIME_STEP, self.policy_state)
             safe = [
                 *zip(STATE_FAILURE, np.abs(x) <= STATE_LIMIT),
-                (NO_NUMBER, np.isfinite(u).all()),
-                *zip(INPUT_FAILURE, (INPUT_LOWER <= u) & (u <= INPUT_UPPER)),
+{criteria_check}                *zip(INPUT_FAILURE, (INPUT_LOWER <= u) & (u <= INPUT_UPPER)),
                 *zip(CHANGE_FAILURE, (np.abs(u - self.u) <= INPUT_CHANGE) | (self.frame == 0)),
-                (NO_NUMBER, np.isfinite(policy_state).all()),
+                ({no_number}, np.isfinite(policy_state).all()),
             ]
         self.failure = self.failure or next((failure for failure, fine in safe if not fine), "")
         if self.failure:
@@ -156,7 +157,6 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
         f"static const char *const {name}[{len(names)}] = {{{', '.join(map(_quoted, names))}}};"
         for name, names in _failures(task).items()
     ]
-    constants.append(f"static const char *const NO_NUMBER = {_quoted(_no_number(bounds))};")
     return HEADER.format(
         **_words(task, title),
         state_field=f"    double policy_state[{s}];\n" if s else "",
@@ -164,7 +164,8 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
         constants=_indented(constants),
         locals=_indented(before),
         body=_indented(lines),
-        state_check=STATE_CHECK.format(s=s) if s else "",
+        criteria_check=CRITERIA_CHECK.format(m=len(u), beyond=_quoted(BEYOND)) if bounds.criteria else "",
+        state_check=STATE_CHECK.format(s=s, no_number=_quoted(NOT_A_NUMBER)) if s else "",
         state_update=STATE_UPDATE.format(s=s) if s else "",
     )
 
@@ -172,11 +173,15 @@ def c_header(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
 def python_module(task: Task, law: Formulas, title: str, bounds: Bounds) -> str:
     """The law in Python, with NumPy."""
     lines, u, policy_state = law.written(NUMPY)
+    constants = [f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items()]
+    for name, names in _failures(task).items():
+        constants.append(f"{name} = [{', '.join(map(_quoted, names))}]\n")
+    check = f"                ({_quoted(BEYOND)}, not np.isnan(u).any()),\n"
     return MODULE.format(
         **_words(task, title),
-        constants="".join(f"{name} = {values.tolist()!r}\n" for name, values in _limits(task, bounds).items())
-        + "".join(f"{name} = [{', '.join(map(_quoted, names))}]\n" for name, names in _failures(task).items())
-        + f"NO_NUMBER = {_quoted(_no_number(bounds))}\n",
+        constants="".join(constants),
+        criteria_check=check if bounds.criteria else "",
+        no_number=_quoted(NOT_A_NUMBER),
         s=len(policy_state),
         body=_indented(lines),
         u=", ".join(u),
@@ -203,7 +208,7 @@ def _limits(task: Task, bounds: Bounds) -> dict[str, Array]:
 
 
 def _failures(task: Task) -> dict[str, list[str]]:
-    """Names of the limits, as experiments that simbias aborts have them (`simbias.lab.safety`)."""
+    """Names of the limits, as experiments that simbias aborts have them, but for harmful letters."""
     return {
         "STATE_FAILURE": [f"unsafe_state_{state.name}" for state in task.states],
         "INPUT_FAILURE": [f"unsafe_input_{each.name}" for each in task.inputs],
@@ -211,14 +216,9 @@ def _failures(task: Task) -> dict[str, list[str]]:
     }
 
 
-def _no_number(bounds: Bounds) -> str:
-    """The name of an input that is no number, which it also is beyond failure criteria that abort."""
-    return "failed" if bounds.criteria else NOT_A_NUMBER
-
-
 def _quoted(name: str) -> str:
-    """A name as a string of generated code, of letters, digits and _ alone."""
-    return f'"{re.sub(r"[^A-Za-z0-9_]", "_", name)}"'
+    """A name as a string of generated code."""
+    return f'"{harmless(name)}"'
 
 
 def _words(task: Task, title: str) -> dict[str, object]:
