@@ -18,6 +18,7 @@ from simbias.core import HardwareError, Waiting
 from simbias.core.commands import FAILED, SUCCEEDED, WAITING
 from simbias.core.records import Array
 from simbias.lab.checked_hardware import ExperimentConditions
+from simbias.lab.requests import controller
 from simbias.lab.requests.folder import write_request
 from simbias.lab.requests.manual import Manual
 from simbias.lab.requests.request import ExperimentRequest
@@ -95,10 +96,15 @@ def test_a_request_is_found_again_and_is_not_another_ones(point_mass: Study, tmp
     assert len(list((tmp_path / "here").iterdir())) == 3
 
 
-def test_the_name_is_a_hash_of_everything_that_a_request_says(study: Study) -> None:
-    """Task, law, limits and generated code: a lab runs nothing else under its name."""
+def test_the_name_is_a_hash_of_everything_that_a_request_says(
+    study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Task, law and limits, not the words of generated code: a lab runs nothing else under its name."""
     task, start = PointMass(), PointMass().start_mean
     base = requested(task, start)
+    assert base.code("") != {}
+    assert base.name
+    monkeypatch.setattr(controller, "MODULE", controller.MODULE + "# of another version\n")
     assert requested(PointMass(), start.copy()).name == base.name
     theta = np.array([1.0, -2.0, 3.0, 0.5, -1.0])
     paper = ExperimentRequest(study.task, study.policy, theta, study.task.start_mean)
@@ -114,6 +120,7 @@ def test_the_name_is_a_hash_of_everything_that_a_request_says(study: Study) -> N
             Safety(inputs={"force": 3.0}),
             Safety(input_rates={"force": 3.0}),
             Safety(states={"velocity": 3.0}),
+            Safety(criteria=True),
         )),
         replace(base, token=1),
         replace(base, theta=base.theta + 1e-9),

@@ -17,7 +17,7 @@ from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
 from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy, without_limits
 from simbias.lab.targets import WithTargets
-from simbias.simulation.compiler import Formulas, formulas_of
+from simbias.simulation.compiler import NUMPY, Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
 START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one
@@ -36,8 +36,9 @@ class ExperimentRequest:
 
     @cached_property
     def name(self) -> str:
-        """A hash of everything that the request says, the generated code included."""
-        said = [self.content(), self.code(""), self.token]
+        """A hash of everything that the request says, and of its controller's formulas."""
+        formulas = None if isinstance(self.formulas, str) else self.formulas.written(NUMPY)
+        said = [self.content(), formulas, self.token]
         return short_digest(json.dumps(said, sort_keys=True).encode())
 
     def controller(self) -> Controller:
