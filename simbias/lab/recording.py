@@ -55,15 +55,15 @@ class Reader:
             i: i - n // 2 for i in range(n // 2, n) if units[i] == f"{units[i - n // 2]}/s"
         }
 
-    def read(self, path: Path) -> Recording:
-        """The recording of a file.
+    def read(self, path: Path, whole_lines: bool = False) -> Recording:
+        """The recording of a file; a last line without an end counts if it has all cells, or not at all.
 
         Raises
         ------
         HardwareError
             If it cannot be read or cannot be meant so, in one line that names the file.
         """
-        file = signals(path)
+        file = signals(path, whole_lines)
         notes = list(file.notes)
         found = self._signals(file, notes)
         bounds = self._pieces(path, found, notes)

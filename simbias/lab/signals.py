@@ -71,11 +71,11 @@ class Signals(ABC):
 class Columns(Signals):
     """The signals of a CSV file; a blank cell, nan or NA is no sample, as where columns have rates apart."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, whole_lines: bool = False) -> None:
         super().__init__(path)
-        self._table = read_table(path, may_be_cut=True)
+        self._table = read_table(path, may_be_cut=True, in_a_cell=whole_lines)
         if self._table.cut is not None:
-            self.notes = (f"row {self._table.cut}, the last one, is incomplete and left out",)
+            self.notes = (f"row {self._table.cut}, the last one, may be cut off and is left out",)
         self._clocks: dict[int, Array] = {}  # by column
         self._known: dict[str, tuple[int, str]] = {}
         for index, name in enumerate(self._table.names):
@@ -177,8 +177,8 @@ class Messages(Signals):
         return Signal(times, values)
 
 
-def signals(path: Path) -> Signals:
-    """The signals of a file, or of a folder that is a ROS 2 bag.
+def signals(path: Path, whole_lines: bool = False) -> Signals:
+    """The signals of a file, of its `whole_lines` alone, or of a folder that is a ROS 2 bag.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def signals(path: Path) -> Signals:
             return Messages(path)
         except ValueError as error:  # the reader is not installed
             raise HardwareError(f"{path}: {words(error)}") from error
-    return Columns(path)
+    return Columns(path, whole_lines)
 
 
 def _time(message: Any, arrival: int) -> float:

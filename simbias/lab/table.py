@@ -36,7 +36,7 @@ class Table:
     rows: tuple[int, ...]  # (r,) where the others stand in the file
     cells: Sequence[Sequence[str]]  # (r, c)
     decimal_commas: bool  # whether numbers may have these, as no comma separates columns
-    cut: int | None = None  # a last row that is incomplete, which is left out
+    cut: int | None = None  # a last row without an end, which is left out
 
     def numbers(self, columns: Sequence[int], may_be_blank: Collection[int] = ()) -> Array:
         """The numbers (r, k) in some columns; in the last row some cells may be blank, which is 0.
@@ -69,11 +69,12 @@ class Table:
         return HardwareError(f"{self.source}: {where}: {problem}{reason}")
 
 
-def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False) -> Table:
+def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, in_a_cell: bool = False) -> Table:
     """The table in a CSV file, also compressed (.gz), its columns separated by commas, semicolons or tabs.
 
     Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one. A
-    last row without an end may be left out, as of a log that was cut off.
+    last row without an end may be left out, as of a log that was cut off: where it lacks cells, or always, as
+    it may be cut within its last cell.
 
     Raises
     ------
@@ -98,7 +99,8 @@ def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False) -> Tabl
     except csv.Error as error:
         raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
     names, cells, cut = tuple(cell.strip() for cell in lines[0][1]) if lines else (), [], None
-    if may_be_cut and lines and len(lines[-1][1]) < len(names) and not text.endswith("\n"):
+    may_be_cut = may_be_cut and bool(lines) and not text.endswith(("\n", "\r"))
+    if may_be_cut and (in_a_cell or len(lines[-1][1]) < len(names)):
         cut = lines.pop()[0]
     if len(lines) < 2:
         raise HardwareError(f"{path}: expected a header and rows, got {len(lines)} lines")

@@ -70,7 +70,7 @@ def read(
             notes.append(f"{name}: is held out, so nothing is fitted to it")
             continue
         try:
-            recording = hardware.reader.read(file)
+            recording = hardware.reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
         notes += [f"{name}: {note}" for note in recording.notes]

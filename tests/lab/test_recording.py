@@ -86,7 +86,19 @@ def test_comments_stand_above_the_names(study: Study, rollout: Rollout, tmp_path
     file.write_text(text.replace(",", "\t") + "1.0\t2.0")  # columns separated by tabs; cut off
     found = Reader(study.task, names).read(file)
     assert found.pieces[0].frames == 2
-    assert "row 5, the last one, is incomplete and left out" in found.notes
+    assert "row 5, the last one, may be cut off and is left out" in found.notes
+
+
+def test_a_last_line_without_an_end_may_hold_half_a_number(
+    study: Study, rollout: Rollout, tmp_path: Path
+) -> None:
+    """Of whole lines alone, it is left out; a trial keeps it, as files may end so."""
+    file = tmp_path / "one.csv"
+    file.write_text(frame(rollout)[:4].to_csv(index=False)[:-3])
+    reader = Reader(study.task, {name: name for name in NAMES})
+    kept, left = (reader.read(file, whole_lines) for whole_lines in (False, True))
+    assert (kept.pieces[0].frames, left.pieces[0].frames) == (3, 2)
+    assert "row 5, the last one, may be cut off and is left out" in left.notes
 
 
 def test_rates_of_their_own_and_jitter(study: Study, rollout: Rollout, tmp_path: Path) -> None:
