@@ -84,8 +84,15 @@ def counted(a: Array, b: Array) -> Array:
     """Conditions are numbers among numbers and where they are counted; the sum of two is a condition."""
     x = np.zeros_like(a, dtype=float)
     x[..., 0], x[..., 1] = a[..., 0] > 0, b[..., 0] > 0
-    total = x[..., :1] + x[..., 1:2] + np.sum([a > 0, b > 0], axis=0)
+    total = x[..., :1] + x[..., 1:2] + np.sum([a > 0, b > 0], axis=0) + ((a > 0) & 1) + ((b > 0) ^ 1)
     return total + ((a > 0) + (b > 0)) * b + (np.maximum(a > 0, b > 0) + (a > 1)) * a
+
+
+def masked(a: Array, b: Array) -> Array:
+    """Arrays of conditions take what is written into them for a condition."""
+    on, off = np.zeros_like(a, dtype=bool), np.ones_like(a > 0)
+    on[..., 0], on[..., 1], off[..., :2] = a[..., 0] > 0, 2, np.where(b > 0, b, 0)[..., :2]
+    return np.where(on, a, b) + (on + np.full_like(a, b > 0, dtype=bool)) * off
 
 
 def solved(a: Array, b: Array) -> Array:
@@ -127,7 +134,7 @@ OPERATIONS: list[Callable[[Array, Array], Array]] = [
     lambda a, b: np.rint(a) + np.round(b, 1) + np.fix(b) + np.fmod(a, 0.3) + a // 0.3 - b % -0.7,
     lambda a, b: np.fmin(np.sqrt(a), b) + np.fmax(a, np.log(b)) + np.isinf(a / (b > 0)) * b,
     lambda a, b: np.interp(a, [-1, 0, 0, 2], [1, 0, 3, -1]) + np.interp(b, [-1, 1], [1, 2], left=-7, right=9),
-    *(made_in_place, filled, counted, solved, eliminated),
+    *(made_in_place, filled, counted, masked, solved, eliminated),
 ]
 
 

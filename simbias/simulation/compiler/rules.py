@@ -24,12 +24,15 @@ def _operation(name: str, truth: bool = False, of: Callable = numeric) -> Callab
 
 
 def _of_bits(operation: Callable[..., Symbol]) -> Callable[..., Symbol]:
-    """&, |, ^ and ~, of conditions alone."""
+    """&, |, ^ and ~ of conditions, or of one and the number 0 or 1, which gives a number."""
 
     def of_bits(*symbols: Symbol) -> Symbol:
-        if not all(symbol.truth for symbol in symbols):
+        numbers = [symbol for symbol in symbols if not symbol.truth]
+        if not numbers:
+            return operation(*symbols)
+        if len(numbers) == len(symbols) or not all(each.whole and each.value in (0, 1) for each in numbers):
             raise TraceError("it needs the bits of a value")
-        return operation(*symbols)
+        return numeric(operation(*symbols))
 
     return of_bits
 

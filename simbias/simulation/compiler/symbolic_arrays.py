@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from inspect import signature
 from typing import Any
 
@@ -22,7 +22,7 @@ class Symbols(np.ndarray):
         return called(function, arguments, options)
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        super().__setitem__(key, value if all(_conditions(self)) else _numbers(value))
+        super().__setitem__(key, _truths(value, self) if all(_conditions(self)) else _numbers(value))
 
     def clip(self, *bounds: Any, **options: Any) -> Any:
         """The elements within bounds."""
@@ -54,9 +54,15 @@ def symbols_in(values: Any, trace: Trace) -> np.ndarray:
     return _numbers(_known(np.asarray(values), trace))
 
 
-def _conditions(values: Any) -> list[bool]:
+def _conditions(values: Any) -> Iterator[bool]:
     """Whether each element is a condition."""
-    return [isinstance(each, Symbol) and each.truth for each in np.asarray(values, object).flat]
+    return (isinstance(each, Symbol) and each.truth for each in np.asarray(values, object).flat)
+
+
+def _truths(values: Any, others: Any) -> Any:
+    """Values as conditions of the trace of some symbols."""
+    trace = _trace_of([others])
+    return values if trace is None else _ALL_TRUE(_known(values, trace))
 
 
 def _numbers(values: Any) -> np.ndarray:
@@ -206,7 +212,7 @@ def _arrays(values: Any) -> Any:
 def _viewed(made: Any) -> Any:
     """A result whose plain arrays of symbols are ours."""
     if isinstance(made, np.ndarray) and made.dtype == object:
-        conditions = _conditions(made)
+        conditions = list(_conditions(made))
         return (_numbers(made) if any(conditions) and not all(conditions) else made).view(Symbols)
     return type(made)(map(_viewed, made)) if type(made) in (list, tuple) else made
 
@@ -231,9 +237,11 @@ def _select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.
 
 
 def _full_like(a: Any, fill_value: Any, dtype: Any = None, shape: Any = None) -> Symbols:
-    if not _double(dtype):
+    of_conditions = all(_conditions(a)) if dtype is None else np.dtype(dtype) == bool
+    if not (of_conditions or _double(dtype)):
         raise TraceError("dtype= is not known here")
-    return array(np.broadcast_to(fill_value, np.shape(a) if shape is None else shape))
+    filled = np.broadcast_to(fill_value, np.shape(a) if shape is None else shape)
+    return array(_truths(filled, a) if of_conditions else filled)
 
 
 def _filled(value: float) -> Callable:
