@@ -17,7 +17,8 @@ from simbias.lab.units import factor
 
 GAP = 5.0  # usual intervals between samples: what is longer is a gap
 FEWEST_FRAMES = 2  # of a gap
-RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units
+RAREST = 20.0  # frames from one sample to the next of what is measured most often: a time in other units,
+RAREST_OF_UNIT = 1000.0  # where its unit is named
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
 SLOWEST = 0.05  # s over which positions and velocities are compared
 TWICE = 2.0  # how much positions may differ from the integrals of velocities, and inputs exceed their limit
@@ -82,17 +83,17 @@ class Reader:
         A rate that no column holds is missing.
         """
         quantities = (*self._task.states, *self._task.inputs)
-        time, time_unit = split_name(self._columns["time"])
+        time, time_unit = self._named(file, "time")
         lacking = [
             name
             for i, quantity in enumerate(quantities)
-            if not file.has(name := split_name(self._columns[quantity.name])[0]) and i not in self._rates
+            if not file.has(name := self._named(file, quantity.name)[0]) and i not in self._rates
         ]
         if lacking:
             file.signal(lacking[0], time)  # says what lacks
         found = {}
         for i, quantity in enumerate(quantities):
-            name, unit = split_name(self._columns[quantity.name])
+            name, unit = self._named(file, quantity.name)
             if i in self._rates and not file.has(name):
                 lacks = "" if name == quantity.name else f", as there is no column {quote(name)}"
                 notes.append(f"{quantity.name} is estimated from {quantities[self._rates[i]].name}{lacks}")
@@ -101,6 +102,10 @@ class Reader:
             scale = _factor(file, quantity.name, unit or file.unit(name) or quantity.unit, quantity.unit)
             second = _factor(file, "time", time_unit or file.unit(time) or "s", "s")
             times, first = np.unique(signal.times * second, return_index=True)
+            if len(times) < 2:
+                raise HardwareError(
+                    f"{file.path}: column {name}: expected two samples at least, got {len(times)}"
+                )
             values = signal.values[first] * scale
             if (turn := TURNS.get(quantity.unit)) and i < len(self._task.states):
                 unwound = np.unwrap(values, period=turn)
@@ -108,15 +113,20 @@ class Reader:
                     notes.append(f"{quantity.name} was wrapped")
                 values = unwound
             found[i] = Signal(times, values)
+        self._check_period(file, found, bool(time_unit or file.unit(time)))
         return found
+
+    def _named(self, file: Signals, quantity: str) -> tuple[str, str]:
+        """The name of a quantity's column, and the unit behind it that is not of the file's own name."""
+        column = self._columns[quantity]
+        return (column, "") if file.has(column) else split_name(column)
 
     def _pieces(self, path: Path, found: Mapping[int, Signal], notes: list[str]) -> list[tuple[float, float]]:
         """When pieces begin and end: where every signal goes on without a gap or a reset of its time."""
         pieces, frame, longest = [(-np.inf, np.inf)], self._task.time_step, np.inf
-        self._check_period(path, found)
         for i, signal in found.items():
             runs = self._runs(signal, held=i >= len(self._task.states))
-            longest = min(longest, max((d - c for c, d in runs), default=0.0))
+            longest = min(longest, max(d - c for c, d in runs))
             pieces = [(max(a, c), min(b, d)) for a, b in pieces for c, d in runs if min(b, d) > max(a, c)]
         pieces = [(a, b) for a, b in pieces if b - a >= frame * (1 - 1e-9)]
         if not pieces:
@@ -129,19 +139,17 @@ class Reader:
             notes.append(f"gaps or resets leave {len(pieces)} pieces: {seconds}")
         return pieces
 
-    def _check_period(self, path: Path, found: Mapping[int, Signal]) -> None:
+    def _check_period(self, file: Signals, found: Mapping[int, Signal], has_unit: bool) -> None:
         """Refuse times of which even the most frequent samples are far apart."""
-        usual = min((_period(each) for each in found.values() if len(each.times) > 1), default=0.0)
-        if usual > RAREST * self._task.time_step:
+        usual, frame = min(map(_period, found.values())), self._task.time_step
+        if usual > (RAREST_OF_UNIT if has_unit else RAREST) * frame:
             raise HardwareError(
-                f"{path}: expected samples about every {self._task.time_step:g} s, "
-                f"got one every {usual:.3g} s: is it another unit of time? Name it, as `time [ms]`"
+                f"{file.path}: expected samples about every {frame:g} s, got one every {usual:.3g} s: "
+                f"is it another unit of time?{'' if has_unit else ' Name it, as `time [ms]`'}"
             )
 
     def _runs(self, signal: Signal, held: bool) -> list[tuple[float, float]]:
         """When a signal's uninterrupted runs begin and end; what is held lasts until a next sample is due."""
-        if len(signal.times) < 2:
-            return []
         steps, usual = np.diff(signal.times), _period(signal)
         ends = np.flatnonzero(steps > max(GAP * usual, FEWEST_FRAMES * self._task.time_step))
         firsts, lasts = [0, *(ends + 1)], [*ends, len(steps)]

@@ -58,7 +58,7 @@ class Signals(ABC):
         """Whether the file has a signal of that name."""
 
     def unit(self, name: str) -> str:
-        """The unit that the file states of a signal; "" if it does not."""
+        """The unit that the file states of a signal or of its time; "" if it does not."""
         return ""
 
     def missing(self, names: list[str], known: list[str], where: str = "") -> HardwareError:
@@ -77,12 +77,12 @@ class Columns(Signals):
         if self._table.cut is not None:
             self.notes = (f"row {self._table.cut}, the last one, may be cut off and is left out",)
         self._clocks: dict[int, Array] = {}  # by column
-        self._known: dict[str, tuple[int, str]] = {}
-        for index, name in enumerate(self._table.names):
-            match = NAME.match(name)
-            if match:
-                self._known.setdefault(match["base"], (index, match["unit"]))
-            self._known[name] = (index, match["unit"] if match else "")
+        self._known: dict[str, list[tuple[int, str]]] = {}  # several of a name are refused once it is asked
+        names = self._table.names
+        for index, name in enumerate(names):
+            base, unit = match.groups() if (match := NAME.match(name)) else (name, "")
+            for key in {name, base} if base not in names else {name}:
+                self._known.setdefault(key, []).append((index, unit))
 
     def has(self, name: str) -> bool:
         """Whether the file has a column of that name, or with a unit behind it."""
@@ -90,7 +90,7 @@ class Columns(Signals):
 
     def unit(self, name: str) -> str:
         """The unit in brackets behind a column's name; "" if there is none."""
-        return self._known[name][1] if name in self._known else ""
+        return self._known[name][0][1] if name in self._known else ""
 
     def signal(self, name: str, time: str) -> Signal:
         """The cells of a column that hold a sample."""
@@ -98,21 +98,16 @@ class Columns(Signals):
         if lacking:
             raise self.missing(lacking, list(self._known), "row 1: ")
         for each in (time, name):
-            if self._count(each) > 1:
+            if len(self._known[each]) > 1:
                 raise HardwareError(f"{self.path}: row 1: several columns are named {each}")
-        (clock, _), (column, _) = self._known[time], self._known[name]
-        table, instants = self._table, self._instants(clock)
+        column, table = self._known[name][0][0], self._table
+        instants = self._instants(self._known[time][0][0])
         kept = [i for i, cells in enumerate(table.cells) if cells[column].strip().lower() not in NO_SAMPLE]
         if len(kept) < len(table.cells):
             table = replace(
                 table, rows=tuple(table.rows[i] for i in kept), cells=[table.cells[i] for i in kept]
             )
         return Signal(instants[kept], table.numbers([column])[:, 0])
-
-    def _count(self, name: str) -> int:
-        """The number of columns of that name or, without any, of those with a unit behind it."""
-        matches = [NAME.match(each) for each in self._table.names]
-        return self._table.names.count(name) or sum(bool(each and each["base"] == name) for each in matches)
 
     def _instants(self, clock: int) -> Array:
         """Times (r,) that do not decrease: where they do, the file's clock was reset, which leaves a gap."""
@@ -154,6 +149,10 @@ class Messages(Signals):
         for topic, pairs in read.items():
             pairs.sort(key=lambda pair: pair[0])
             self._topics[topic] = np.array([time for time, _ in pairs]), [message for _, message in pairs]
+
+    def unit(self, name: str) -> str:
+        """That of the time; a field has none."""
+        return "" if FIELD.match(name) else "s"
 
     def has(self, name: str) -> bool:
         """Whether the file has the topic of a signal's name."""

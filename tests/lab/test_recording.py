@@ -230,6 +230,12 @@ def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp
             read(study, table, tmp_path, **columns)
         assert "one.csv" in str(error.value)
     assert read(study, table, tmp_path, time="time [ns]").pieces
+    rare = frame(rollout).drop(columns=["vel1", "vel2"]).assign(time=0.1 * np.arange(1000))
+    assert read(study, rare.rename(columns={"time": "time [s]"}), tmp_path).pieces
+    assert read(study, rare, tmp_path, time="time [s]").pieces
+    rare["tau1"] = [0.5, *[np.nan] * 999]
+    with one_line(r"one\.csv: column tau1: expected two samples at least, got 1", HardwareError):
+        read(study, rare, tmp_path)
     with one_line(
         r"every 2 s: is it another unit of time\?", HardwareError
     ):  # ms, without a velocity to tell
@@ -256,6 +262,12 @@ def test_a_column_is_of_one_quantity_and_one_column(study: Study, rollout: Rollo
     for name in "tau1", "tau1 [N m]":
         with pytest.raises(HardwareError, match=r"one\.csv: row 1: several columns are named tau1"):
             read(study, twice.rename(columns={"tau1": name}), tmp_path, tau2="vel2")
+    table = frame(rollout)[:9].rename(columns={"pos1": "pos1 [rad]"})
+    table["pos1 [deg]"] = np.degrees(2.0 * table["pos1 [rad]"])
+    (piece,) = read(study, table, tmp_path, pos1="pos1 [deg]").pieces  # the one that is named whole
+    np.testing.assert_allclose(piece.states[:, 0], 2.0 * table["pos1 [rad]"], rtol=1e-9)
+    with pytest.raises(HardwareError, match=r"one\.csv: row 1: several columns are named pos1"):
+        read(study, table, tmp_path)
     with pytest.raises(ValueError, match="columns names q for both pos1 and pos2"):
         Recorded(study.task, str(tmp_path), columns={"pos1": "q [deg]", "pos2": "q"})
 
