@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from simbias.core import markdown
+from simbias.core.digest import short_digest
 from simbias.mlflow import pages
 from simbias.mlflow.notes import with_table
 from simbias.mlflow.pages import NOTE, RUN_NAME
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 TABLE = "table.json"  # among the artifacts
+FILES = "files"  # tag: a digest of the others
 STATUS = {RUNNING: "RUNNING", DONE: "FINISHED", INTERRUPTED: "KILLED", WAITS: "SCHEDULED"}
 
 
@@ -55,7 +57,12 @@ class SweepRun(RunExport):
         files: dict[str, Path | bytes] = {file.relative_to(self.path).as_posix(): file for file in paths}
         files["sweep.yaml"] = as_yaml(self._description["config"])
         points = [*self._points(run, state)] if final and state else []
-        self.bring(run, files, {NOTE: self._note(state)}, {}, [points], again=final)
+        tags = {NOTE: self._note(state)}
+        if final:  # sizes do not tell that numbers have changed
+            contents = (each if isinstance(each, bytes) else each.read_bytes() for each in files.values())
+            tags[FILES] = short_digest(b"".join(contents))
+        again = final and run.data.tags.get(FILES) != tags[FILES]
+        self.bring(run, files, tags, {}, [points], again)
         if tables:
             self._write_table()
         status = STATUS.get(state.get("verdict", RUNNING), "FAILED")
