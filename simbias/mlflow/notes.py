@@ -13,7 +13,7 @@ from simbias.trial.summary import COLUMNS, PARAMETERS, Outcome, TrialSummary, ce
 
 NOTE_LENGTH = 8000  # characters that MLflow keeps of a note
 SHOWN_ROWS = 40  # which fit into it
-MORE = "\n\n{} more rows are in `table.md`."
+MORE = "\n\n{} more rows are in `table.md` once the sweep has ended."
 REASON_LENGTH = 500
 ARTIFACTS = "Artifacts: `config.yaml`, `trial/` (searches, experiments, iterations), `pictures/`."
 Row = Mapping[str, Any]  # of an iteration: `simbias.trial.summary.iteration_summary`
@@ -48,10 +48,11 @@ def note(
 
 
 def with_table(text: str, table: str) -> str:
-    """A text and a table behind it, of which as many rows as MLflow keeps."""
+    """A text and a table behind it, as much of them as MLflow keeps."""
     rows = table.splitlines()
-    room = NOTE_LENGTH - len(f"{text}\n\n{MORE.format(len(rows))}")
-    shown = sum(end <= room for end in accumulate(len(row) + 1 for row in rows))
+    room = NOTE_LENGTH - len(f"\n\n{MORE.format(len(rows))}")
+    text = text[:room]
+    shown = sum(end <= room - len(text) for end in accumulate(len(row) + 1 for row in rows))
     more = MORE.format(len(rows) - shown) if shown < len(rows) else ""
     return "\n\n".join([text, "\n".join(rows[:shown])]) + more
 

@@ -33,7 +33,10 @@ OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
 ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
-MOVED = "was moved or copied: its files are in {}; delete it, and `python -m simbias export` makes it again"
+MOVED = (
+    "was moved or copied: its files are in {}; delete it, and `export` makes it again, "
+    "with its tracking.uri and the tracking.trials"
+)
 MAKING_SECONDS = 120.0  # that a process waits for another one that makes the same store
 
 

@@ -120,7 +120,8 @@ class SweepState:
         """Note a trial that ended or stopped, and export it."""
         folder, summary = self._store.trial_folder(trial.hash), result.summary
         if folder is not None and not self._marker.exists():
-            raise ConfigError("tracking", GONE.format(folder.parent))
+            gone = self.folder.path if folder.parent.exists() else folder.parent
+            raise ConfigError("tracking", GONE.format(gone))
         if folder is not None and result.packed:
             unpack(result.packed, folder)
         self._rows.pop(trial.hash, None)  # of an attempt that raised

@@ -73,5 +73,8 @@ def test_a_sweeps_table_ends_between_two_rows_within_mlflows_limit() -> None:
     *_, last, _, more = text.splitlines()
     left = 999 - int(last.split()[2])
     assert last.endswith(" |")
-    assert more == f"{left} more rows are in `table.md`."
+    assert more == f"{left} more rows are in `table.md` once the sweep has ended."
+    long = notes.with_table("x" * 8100, table)
+    assert len(long) == 8000
+    assert long.endswith("1000 more rows are in `table.md` once the sweep has ended.")
     assert notes.with_table("how to resume", table[:400]) == f"how to resume\n\n{table[:400]}".rstrip()

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from mlflow import MlflowClient
 from rich.console import Console
 from sweeping import (
     FOLDERS,
@@ -166,14 +167,15 @@ def test_a_sweep_of_tested_policies_needs_no_tests_any_more_and_others_are_told(
     assert capsys.readouterr().err == f"simbias: {said}\n"
 
 
-def test_a_folder_that_is_moved_while_its_sweep_runs_stops_it(folder: Path) -> None:
+@pytest.mark.parametrize(("moved", "said"), [("trials", "trials"), ("trials/sweeps", r"trials/sweeps/\S+")])
+def test_a_folder_that_is_moved_while_its_sweep_runs_stops_it(folder: Path, moved: str, said: str) -> None:
     class Mover(SweepObserver):
         def ended(self, trial: Trial, result: Result) -> None:
-            (folder / "trials").rename(folder / "elsewhere")
+            (folder / moved).rename(folder / "elsewhere")
 
-    with pytest.raises(ConfigError, match=r"^tracking: the folder trials is gone: was it moved"):
+    with pytest.raises(ConfigError, match=rf"^tracking: the folder {said} is gone: was it moved"):
         simbias.run_sweep([*SMOKE, NO_FIGURES], observer=Mover())
-    assert not (folder / "trials").exists()
+    assert not (folder / moved).exists()
 
 
 def test_figures_stay_while_a_sweep_grows_and_once_it_is_interrupted(folder: Path) -> None:
@@ -288,7 +290,9 @@ def histories(folder: Path) -> dict[tuple[str, str], list[Any]]:
     }
 
 
-def test_a_finished_sweep_started_again_adds_nothing_to_its_store(folder: Path, store: str) -> None:
+def test_a_finished_sweep_started_again_adds_nothing_to_its_store(
+    folder: Path, store: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick = [*QUICK, "sweep.trials=1", "engine=sequential", "tracking.pictures=false"]
     command = ["+sweep=smoke", *quick, store]
     assert main(command) == 0
@@ -298,7 +302,9 @@ def test_a_finished_sweep_started_again_adds_nothing_to_its_store(folder: Path, 
     assert parent.data.metrics["trials/succeeded"] == 2
     before = histories(folder)
     assert all(len(values) == len({step for step, _ in values}) for values in before.values())
+    monkeypatch.setattr(MlflowClient, "log_artifacts", upload := Mock())
     assert main(command) == 0
+    assert upload.mock_calls == []
     assert histories(folder) == before
     assert runs(folder)[0][0].info.end_time == parent.info.end_time
 
