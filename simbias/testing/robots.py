@@ -28,9 +28,8 @@ CORNERS = 4  # of a policy's box that are tried at each state
 def _task_shapes(study: Study) -> None:
     task = study.task
     n, c, q = (len(each) for each in (task.states, task.criteria, task.outputs))
-    for name, quantities in (("states", task.states), ("inputs", task.inputs), ("outputs", task.outputs)):
-        names = [quantity.name for quantity in quantities]
-        expect(len(set(names)) == len(names), f"task.{name}", "different names", names)
+    names = [output.name for output in task.outputs]
+    expect(len(set(names)) == q, "task.outputs", "different names", names)
     expect(task.time_step > 0 and task.horizon > 0, "task", "a positive time step and horizon", task.horizon)
     x = states(study)
     equal(np.shape(x), (POINTS, n), "task.draw_start", f"a state of shape ({n},)")
