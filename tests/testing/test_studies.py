@@ -1,5 +1,6 @@
 """What is found before a trial begins: robots at rest, boxes without zero, costs of one horizon only."""
 
+import ctypes
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -16,7 +17,7 @@ from simbias.core import Cost, Evaluation, Model, Nominal, Policy
 from simbias.core.parameters import Parameter
 from simbias.core.records import Array, Rollout
 from simbias.testing.conformance import verdicts
-from simbias.testing.expectations import rollout
+from simbias.testing.expectations import ConformanceError, expect_arguments_left, rollout
 from simbias.trial.study import Study
 from simbias.trial.warm_up import warm_up
 
@@ -138,6 +139,15 @@ def test_what_breaks_a_contract_is_told(point_mass: Study, group: str, component
     own = component() if group == "cost" else component(point_mass.task)
     first, *_ = problems(replace(point_mass, **{group: own}), group)
     assert first.startswith(problem)
+
+
+def test_writes_are_told_that_raise_nothing_or_in_other_words() -> None:
+    def by_pointer(x: Array) -> None:
+        ctypes.memset(x.ctypes.data, 0, x.nbytes)
+
+    for method in (by_pointer, np.random.default_rng(0).shuffle):
+        with pytest.raises(ConformanceError, match="its arguments to be left as they are"):
+            expect_arguments_left(method, "method", np.arange(5.0))
 
 
 class Failing(Noting):
