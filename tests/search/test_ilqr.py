@@ -171,6 +171,15 @@ def test_where_all_random_inputs_fail_a_plan_begins_at_rest(uncompiled: None) ->
     assert study.passes(study.simulate(theta))
 
 
+def test_to_a_goal_that_moves_one_plan_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = list[np.random.Generator | None]()
+    monkeypatch.setattr(Shooting, "plan", lambda self, rng: begun.append(rng))
+    moving = simbias.load(["preset=arm_eight", "tracking=none"])
+    with pytest.raises(ConfigError, match="the model fails whatever inputs"):
+        next(trajectory_candidates([moving.first_model()], 3))
+    assert begun == [None]
+
+
 def test_a_rest_that_cannot_be_is_one_line() -> None:
     with pytest.raises(ConfigError, match=r"resting: expected less than the horizon's 2 s, got 2 s"):
         simbias.load([*NEAR, "policy.resting=2.0"])

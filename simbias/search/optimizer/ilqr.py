@@ -47,7 +47,7 @@ def trajectory_candidates(
     The trajectories are of the first of the models that has any: a correction learned from few experiments
     may make a model fail whatever its inputs. A trajectory costs what the weights say, those of a cost that
     is quadratic about the goal; else there are weights of its own. Trajectories to a goal that rests begin
-    with different random inputs, those to a goal that moves, or where all of these fail, at rest. They are
+    with different random inputs, the one to a goal that moves, or where all of these fail, at rest. They are
     planned once the first policy is asked for, which a search that is replayed does not do.
 
     Raises
@@ -59,7 +59,8 @@ def trajectory_candidates(
     if not count:
         return
     policy = follower(models[0].task, models[0].policy)
-    for at_rest, model in product((False, True), models):
+    begun_at_rest = (True,) if moves(goal_along(models[0].task)) else (False, True)
+    for at_rest, model in product(begun_at_rest, models):
         shooting = Shooting(_shortened(model, policy.resting), weights, policy.sliding)
         rngs = [None] if at_rest else np.random.default_rng(SEED).spawn(count)
         found = [plan for plan in map(shooting.plan, rngs) if plan is not None]
@@ -114,7 +115,6 @@ class Shooting:
         self._every_frame = Trajectory(task, model.nominal, task.horizon + 1)
         self._simulator = simulator(replace(self.following.model, policy=self._every_frame))
         self._goal = goal_along(task)  # (T+1, g)
-        self._moves = moves(self._goal)
         weights = weights or default_weights(task)
         self._weights = np.tile(task.time_step * weights.errors, (self._T + 1, 1))  # (T+1, g)
         self._weights[-1] = weights.final
@@ -122,11 +122,7 @@ class Shooting:
         self._damping = np.diag(task.time_step * INPUT_WEIGHT * task.input_limit**-2.0)  # (m, m)
 
     def plan(self, rng: np.random.Generator | None) -> Plan | None:
-        """A trajectory that begins with random inputs, or at rest without any or if the goal moves.
-
-        None where all fail.
-        """
-        rng = None if self._moves else rng
+        """A trajectory that begins with random inputs, or at rest without any; None where all fail."""
         best, costs = self._rest() if rng is None else self._first(rng), list[float]()
         damping, patience = (FROM_REST, FROM_REST_PATIENCE) if rng is None else (1.0, PATIENCE)
         while best is not None and damping < MOST and len(costs) < ITERATIONS:
