@@ -246,8 +246,9 @@ def changed(path: Path) -> ConfigError:
     """The error of a step that does not fit the trial, as its code is another or a step before is gone."""
     there = {*map(number, TrialFolder(path.parent).all_steps())}
     gone = next((index for index in range(number(path)) if index not in there), None)
-    why = "its code has changed since" if gone is None else f"step {gone:04d} is missing"
-    return ConfigError(str(path), f"does not fit the trial: {why}. Move the folder away to begin again")
+    code = "its code has changed since. Move"
+    why = code if gone is None else f"step {gone:04d} is missing. Put it back, or move"
+    return ConfigError(str(path), f"does not fit the trial: {why} the folder away to begin again")
 
 
 def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:

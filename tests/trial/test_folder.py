@@ -240,7 +240,7 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         assert step_names(folder)[1:] == step_names(whole[0])[1:]  # nothing is lost
     (theta / "0000_search.json").unlink()
     with pytest.raises(
-        ConfigError, match=r"0001_experiment\.npz: does not fit the trial: step 0000 is missing"
+        ConfigError, match=r"0001_experiment\.npz: does not fit the trial: step 0000 is missing\. Put it back"
     ):
         read_trial(short, theta)
 
