@@ -24,6 +24,7 @@ HARMONICS = 20  # of each input's Fourier series, at most
 FASTEST = 5.0  # Hz
 RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
 SCALES = 0.75 ** np.arange(12)  # of inputs, until all limits are kept
+FEWEST = 20  # frames of inputs: fewer hold no rise, motion and fall
 RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
 NO_INPUTS = "no inputs were found that keep these limits and the task's criteria"
 
@@ -83,13 +84,16 @@ class Designer:
         Raises
         ------
         ConfigError
-            If none keeps the limits, or they are shorter than a window.
+            If none keeps the limits, or they are shorter than a window or some frames.
         """
-        window = self._posterior.window
-        if self._study.task.frames(seconds) < self._study.task.frames(window):
+        window, task = self._posterior.window, self._study.task
+        if task.frames(seconds) < FEWEST:
+            told = f"{task.time_step:g} s are too long for inputs of {seconds:g} s"
+            raise ConfigError("task.time_step", f"{told}: {FEWEST} frames at least")
+        if task.frames(seconds) < task.frames(window):
             raise ConfigError("identification.window", f"{window:g} s are more than inputs of {seconds:g} s")
         best: tuple[float, Array, Excitation] | None = None
-        shape = (len(self._study.task.inputs), 2, HARMONICS)
+        shape = (len(task.inputs), 2, HARMONICS)
         for index in range(trajectories):
             if best is None or index < RANDOM * trajectories:
                 fastest = rng.uniform(0.1, 1.0)
