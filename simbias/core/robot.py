@@ -165,7 +165,7 @@ class Task(ABC):
     start_mean: Array  # (n,)
     start_deviation: Array  # (n,)
     pushes: tuple[Push, ...] = ()  # on inputs, in simulation and on simulated hardware
-    joints: tuple[str, ...] = ()  # of a model's file, in the order in which the task itself reads its states
+    joints: tuple[tuple[str, ...], ...] = ()  # of models' files, in orders in which the task reads its states
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:

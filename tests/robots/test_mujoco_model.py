@@ -341,6 +341,11 @@ def test_a_task_reads_its_states_in_the_order_of_the_models_joints(tmp_path: Pat
     assert Mujoco(task, file).step(x, np.array([20.0]))[3] > 0
     with one_line("joints: hinge, slider are not in the order of task.figure or task.sensors", ValueError):
         Mujoco(cart_pole(figure={"file": file}), file, joints=["hinge", "slider"])
+    other = tmp_path / "other.xml"  # a figure of other joints
+    other.write_text(Path(file).read_text().replace('name="hinge"', 'name="knee"'))
+    task = cart_pole(figure={"file": str(other)}, sensors={"file": file})
+    with one_line("joints: hinge, slider are not in the order of task.figure or task.sensors", ValueError):
+        Mujoco(task, file, joints=["hinge", "slider"])
 
 
 def test_a_policy_that_predicts_by_the_engine_is_no_code_and_says_so() -> None:

@@ -103,7 +103,7 @@ class Declared(Task):
         self._set_states(dict(states), dict(targets or {}), starts)
         self._set_inputs(dict(inputs))
         self._sensors = None if sensors is None else Sensors(self.without_targets, sensors)
-        sensed, self.joints = (self._sensors.names, self._sensors.joints) if self._sensors else ((), ())
+        sensed, self.joints = (self._sensors.names, (self._sensors.joints,)) if self._sensors else ((), ())
         self._known: dict[str, Any] = {
             "variables": (*(each.name for each in self.states), *sensed),
             "constants": dict(constants or {}),
@@ -116,7 +116,7 @@ class Declared(Task):
         names = tuple(each.name for each in self.inputs)
         self.pushes = tuple(push_of(name, each, names) for name, each in dict(pushes or {}).items())
         self._figure = None if figure is None else Figure(self.without_targets, figure)
-        self.joints = self._figure.joints if self._figure else self.joints
+        self.joints += (self._figure.joints,) if self._figure else ()
         self.source_files = [
             file for part in (self._figure, self._sensors) if part for file in part.source_files
         ]

@@ -63,11 +63,12 @@ class Mechanism:
         for name in known:
             if name not in joints:
                 raise ValueError(f"{file}: joint {name}: all joints have to be states")
-        if sorted(joints) == sorted(task.joints) and joints != list(task.joints):
-            raise ValueError(
-                f"joints: {', '.join(joints)} are not in the order of task.figure or task.sensors, "
-                f"{', '.join(task.joints)}"
-            )
+        for order in task.joints:
+            if sorted(joints) == sorted(order) and joints != list(order):
+                raise ValueError(
+                    f"joints: {', '.join(joints)} are not in the order of task.figure or task.sensors, "
+                    f"{', '.join(order)}"
+                )
         self.joints = tuple(joints)
         if len(task.states) != model.nq + model.nv:
             raise ValueError(
