@@ -91,9 +91,10 @@ class Identified(Nominal):
     def of_recordings(
         prior: Nominal, z: Array, spread: Array, places: Indices, errors: ErrorDistribution
     ) -> Identified:
-        """The posterior of coordinates z (P,), those of each piece of a recording at places (r, p).
+        """The posterior of coordinates z (P,), at places (r, p) those of r pieces of recordings.
 
-        Where recordings have something of their own, and there are several, it is the model of yet others.
+        Pieces of one recording share theirs. Where recordings have something of their own, and there are
+        several, it is the model of yet others.
         """
         each = tuple(Identified(prior, z[at], spread[at], {}, errors) for at in np.unique(places, axis=0))
         if len(z) == places.shape[1]:

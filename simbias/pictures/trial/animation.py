@@ -53,7 +53,7 @@ class Scene(NamedTuple):
 
 
 def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | str | IO[bytes]) -> None:
-    """Write a GIF, in real time or `MOST_SECONDS`, of the last policy in simulation and worst experiment.
+    """Write a GIF of the last policy in simulation and of the worst experiment, as `animate` does.
 
     All start at the experiment's start: the nominal model alone, the one with the learned bias that the
     policy was optimised on, if anything was learned, and the hardware. What has failed stays so, pale.
@@ -75,7 +75,9 @@ def save_animation(study: Study, iterations: Sequence[Iteration], file: Path | s
 def animate(
     task: Task, rollouts: Sequence[NamedRollout], headline: str, file: Path | str | IO[bytes]
 ) -> None:
-    """Write a GIF, in real time or `MOST_SECONDS`, of rollouts side by side, each under its name, in color.
+    """Write a GIF of rollouts side by side, each under its name, in color.
+
+    It is in real time; what takes longer is shown in `MOST_SECONDS`.
 
     Raises
     ------
