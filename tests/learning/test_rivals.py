@@ -107,3 +107,6 @@ def test_lscde_predicts_means_and_is_zero_far_from_data() -> None:
     np.testing.assert_allclose(corrections(fitted, held_out, 4), plain, rtol=0, atol=1e-6)
     far = np.full((1, 5), 1e3)
     np.testing.assert_allclose(fitted.predict(far)[0], 0.0, atol=1e-12)
+    away = np.array([1e4, 0, 0, 0, 0])  # where single precision would lose four digits
+    elsewhere = bias_of("lscde").fit(Transitions(data.inputs + away, data.residuals))
+    np.testing.assert_allclose(corrections(elsewhere, held_out + away, 4), plain, rtol=0, atol=1e-6)

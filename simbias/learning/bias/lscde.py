@@ -12,7 +12,7 @@ from simbias.core.ranges import Count, Positive
 from simbias.core.records import Array, Flags, Indices, Transitions
 from simbias.learning.bias.gp_kernel import coordinates_of, correlations, means, pack
 from simbias.learning.bias.none import ZeroBias
-from simbias.learning.covariance import correlation, hyperparameters, output_scale
+from simbias.learning.covariance import FAR, correlation, hyperparameters, output_scale
 from simbias.simulation.compiler import LANES
 
 Candidates = Annotated[list[Positive], Field(min_length=1)]
@@ -62,6 +62,8 @@ class LeastSquaresDensity(Bias):
         units = 1 / np.where(deviation > 0, deviation, self._hyper.input_scale)
         scale = np.where(size := output_scale(transitions.residuals), size, 1.0)
         x, y = transitions.inputs * units, transitions.residuals / scale
+        centre = np.where(np.abs(x.mean(axis=0)) > FAR, x.mean(axis=0), 0.0)
+        x = x - centre
         order = np.random.default_rng(SEED).permutation(N)
         chosen, folds = order[: self._kernels], order % self._folds
 
@@ -71,7 +73,8 @@ class LeastSquaresDensity(Bias):
 
         width, regularisation = min(self._candidates, key=error)
         H, h = _moments(x, y, x[chosen], y[chosen], width)
-        return FittedDensity(x[chosen], y[chosen], _weights(H, h, regularisation), width, units, scale)
+        weights = _weights(H, h, regularisation)
+        return FittedDensity(x[chosen], y[chosen], weights, width, units, centre, scale)
 
     def _error(
         self, x: Array, y: Array, chosen: Indices, own: Flags, width: float, regularisation: float
@@ -110,14 +113,20 @@ def _correct(x, u, data, correction):
 class FittedDensity(FittedBias):
     """p(y | x) = sum_l a_l K(x, u_l) N(y; v_l, sigma^2) / sum_l a_l K(x, u_l), of each state."""
 
-    def __init__(self, u: Array, v: Array, weights: Array, width: float, units: Array, scale: Array) -> None:
+    def __init__(
+        self, u: Array, v: Array, weights: Array, width: float, units: Array, centre: Array, scale: Array
+    ) -> None:
         self._u, self._v = u, v  # (b, r), (b, n): centres
         self._weights, self._width = weights, width  # (n, b)
-        self._units, self._scale = units, scale  # (r,) of inputs, (n,) of residuals
+        self._units, self._centre, self._scale = (
+            units,
+            centre,
+            scale,
+        )  # (r,), (r,) of inputs, (n,) of residuals
         self._floors = NOTHING * weights.max(axis=1, initial=1e-12)
         points, sums = (u / width).astype(np.float32), np.concatenate([weights * v.T, weights])
-        centre, angles = np.zeros_like(units), np.empty(0, np.int64)
-        data = (points, pack(sums), units / width, centre, self._floors, scale, angles)
+        angles = np.empty(0, np.int64)
+        data = (points, pack(sums), units / width, centre / width, self._floors, scale, angles)
         self.kernel = Kernel(_correct, data)
 
     def density(self, inputs: Array, values: Array, state: int) -> Array:
@@ -128,7 +137,7 @@ class FittedDensity(FittedBias):
 
     def _shares(self, inputs: Array) -> Array:
         """Shares (n, k, b) of the kernels in p(y | x); what they lack of one belongs to zero."""
-        near = correlation(inputs * self._units / self._width, self._u / self._width)
+        near = correlation((inputs * self._units - self._centre) / self._width, self._u / self._width)
         near = self._weights[:, None] * near
         return near / (near.sum(axis=-1, keepdims=True) + self._floors[:, None, None])
 
