@@ -118,15 +118,11 @@ class FittedDensity(FittedBias):
     ) -> None:
         self._u, self._v = u, v  # (b, r), (b, n): centres
         self._weights, self._width = weights, width  # (n, b)
-        self._units, self._centre, self._scale = (
-            units,
-            centre,
-            scale,
-        )  # (r,), (r,) of inputs, (n,) of residuals
+        self._units, self._centre, self._scale = units, centre, scale  # (r,), (r,) of inputs; (n,)
         self._floors = NOTHING * weights.max(axis=1, initial=1e-12)
         points, sums = (u / width).astype(np.float32), np.concatenate([weights * v.T, weights])
-        angles = np.empty(0, np.int64)
-        data = (points, pack(sums), units / width, centre / width, self._floors, scale, angles)
+        scales = units / width, centre / width, self._floors, scale
+        data = (points, pack(sums), *scales, np.empty(0, np.int64))
         self.kernel = Kernel(_correct, data)
 
     def density(self, inputs: Array, values: Array, state: int) -> Array:
