@@ -149,11 +149,12 @@ def _compiled(
     n, m = windows.states.shape[1], windows.inputs.shape[1]
     chunks = windows.frames // windows.chunk
     memory = (nominal.state_size, nominal.acting) if nominal else (0, ())
+    leads = windows.leads * bool(memory[0])  # which only fill the memory
     means = np.empty((len(offsets), chunks.sum(), n))
     loop = partial(
         compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, offsets),
-        *(windows.firsts, windows.leads, windows.frames, np.cumsum(chunks) - chunks),
+        *(windows.firsts, leads, windows.frames, np.cumsum(chunks) - chunks),
         *map(np.ascontiguousarray, (windows.states, windows.inputs)),  # else another loop is compiled
         means,
     )
