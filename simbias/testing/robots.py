@@ -68,7 +68,8 @@ def _nominal_parameters(study: Study) -> None:
     names = [parameter.name for parameter in nominal.parameters]
     expect(len(set(names)) == len(names), "nominal.parameters", "different names", names)
     for name, _, value, _, prior, _ in nominal.parameters:
-        expect(prior != "log_normal" or value > 0, "nominal.parameters", f"{name} above 0, log-normal", value)
+        known = prior != "log_normal" or value != 0  # it keeps its sign
+        expect(known, "nominal.parameters", f"{name} other than 0, log-normal", value)
     if names:
         declared = nominal.with_parameters(np.array([parameter.value for parameter in nominal.parameters]))
         expected = "the model itself of its parameters' values"

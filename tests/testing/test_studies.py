@@ -120,8 +120,8 @@ class Twins(WithoutWind):
     parameters = (Parameter("mass", "kg", 1.0, 0.1), Parameter("mass", "kg", 1.0, 0.1))
 
 
-class Negative(WithoutWind):
-    parameters = (Parameter("buoyancy", "N", -1.0, 0.1, "log_normal"),)
+class Zero(WithoutWind):
+    parameters = (Parameter("buoyancy", "N", 0.0, 0.1, "log_normal"),)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ class Negative(WithoutWind):
         ("cost", Clips, "Clips.of: expected its arguments to be left as they are"),
         ("nominal", Parametrised, "Parametrised.with_parameters: expected the model itself"),
         ("nominal", Twins, "Twins.parameters: expected different names, got ['mass', 'mass']"),
-        ("nominal", Negative, "Negative.parameters: expected buoyancy above 0, log-normal, got -1.0"),
+        ("nominal", Zero, "Zero.parameters: expected buoyancy other than 0, log-normal, got 0.0"),
     ],
 )
 def test_what_breaks_a_contract_is_told(point_mass: Study, group: str, component: type, problem: str) -> None:
