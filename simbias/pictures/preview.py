@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from simbias.core import Quantity, Task
 from simbias.core.records import Array
-from simbias.lab.safety import Bounds
+from simbias.lab.safety import Bounds, exceeded
 from simbias.pictures.elements.layout import headline, legend, panels
 from simbias.pictures.elements.style import LIMIT, SIMULATION, label, plain
 from simbias.trial.prediction import DRAWS, Prediction
@@ -51,13 +51,12 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     figure, (grid,) = panels(len(task.states) + len(task.inputs), HEIGHT)
     for axes, series in zip(grid, predicted(task, prediction, bounds), strict=True):
         limited |= _draw(axes, task.time_step, series)
-    fail = len(prediction.failures)
+    ended = [d.failed_at is not None or exceeded(d, task, bounds) != "" for d in prediction.draws]
     headline(grid[0], "the next experiment, as predicted")
     entries: dict[str, Artist] = {
         "from the experiment's start": Line2D([], [], color=SIMULATION),
-        f"90 % of {DRAWS} draws of other starts and models{f', {fail} fail' if fail else ''}": Patch(
-            color=SIMULATION, alpha=0.2
-        ),
+        f"90 % of {DRAWS} draws of other starts and models"
+        f"{f', {sum(ended)} fail or are aborted' if any(ended) else ''}": Patch(color=SIMULATION, alpha=0.2),
     }
     if limited:
         entries["limit"] = Line2D([], [], color=LIMIT, linestyle=":")
