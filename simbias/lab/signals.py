@@ -73,7 +73,7 @@ class Columns(Signals):
 
     def __init__(self, path: Path, whole_lines: bool = False) -> None:
         super().__init__(path)
-        self._table = read_table(path, may_be_cut=True, in_a_cell=whole_lines)
+        self._table = read_table(path, may_be_cut=True, whole_lines=whole_lines)
         if self._table.cut is not None:
             self.notes = (f"row {self._table.cut}, the last one, may be cut off and is left out",)
         self._clocks: dict[int, Array] = {}  # by column

@@ -69,12 +69,12 @@ class Table:
         return HardwareError(f"{self.source}: {where}: {problem}{reason}")
 
 
-def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, in_a_cell: bool = False) -> Table:
+def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, whole_lines: bool = False) -> Table:
     """The table in a CSV file, also compressed (.gz), its columns separated by commas, semicolons or tabs.
 
     Lines of # before the names are comments. Rows may lack the column `may_lack`, if it is the last one. A
-    last row without an end may be left out, as of a log that was cut off: where it lacks cells, or always, as
-    it may be cut within its last cell.
+    log that `may_be_cut` off is read without a last row that has no end and lacks cells; with `whole_lines`
+    without any last row that has no end, as it may be cut within its last cell.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, in_a_ce
         raise HardwareError(f"{path}: is no CSV ({words(error)})") from error
     names, cells, cut = tuple(cell.strip() for cell in lines[0][1]) if lines else (), [], None
     may_be_cut = may_be_cut and bool(lines) and not text.endswith(("\n", "\r"))
-    if may_be_cut and (in_a_cell or len(lines[-1][1]) < len(names)):
+    if may_be_cut and (whole_lines or len(lines[-1][1]) < len(names)):
         cut = lines.pop()[0]
     if len(lines) < 2:
         raise HardwareError(f"{path}: expected a header and rows, got {len(lines)} lines")

@@ -127,10 +127,7 @@ def _known(learned: Sequence[tuple[Nominal, Sequence[Rollout]]], frames: int) ->
 
 
 def errors(
-    nominal: Nominal,
-    rollouts: Sequence[Rollout],
-    frames: int,
-    bias: FittedBias | None = None,
+    nominal: Nominal, rollouts: Sequence[Rollout], frames: int, bias: FittedBias | None = None
 ) -> Array:
     """Errors (w, n) of predictions this number of frames ahead; infinite where a model has blown up."""
     windows = _windows(rollouts, frames)
@@ -148,8 +145,7 @@ def changes(wrong: Array, rollouts: Sequence[Rollout], frames: int) -> Array:
 
 def spread(model: Nominal, rollouts: Sequence[Rollout], frames: int, noisy: bool = True) -> Array:
     """Covariance (w, n, n) of each prediction among draws of the model, from starts with noise if `noisy`."""
-    windows = _windows(rollouts, frames)
-    n = rollouts[0].states.shape[1]
+    windows, n = _windows(rollouts, frames), rollouts[0].states.shape[1]
     if not windows:
         return np.empty((0, n, n))
     rng, noise = np.random.default_rng(SEED), noise_of(rollouts) if noisy else np.zeros(n)

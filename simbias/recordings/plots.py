@@ -81,8 +81,8 @@ def forecasts(assessment: Assessment, index: int) -> Figure:
     window = min(task.frames(SECONDS), rollout.frames)
     frames = min(task.frames(DRAWN), rollout.frames) // window * window
     rollout = rollout.part(0, frames)
-    models = [assessment.nominal, assessment.models[index]]
     windows = Windows.of([rollout], window, 1)
+    models = [assessment.nominal, assessment.models[index]]
     made = [predict([PredictionModel(model)], windows)[0] for model in models]
     figure, (grid,) = panels(len(task.states), 1.1, 1)
     t = task.time_step * np.arange(frames + 1)
