@@ -21,6 +21,11 @@ class Prediction:
     expected: Rollout  # from its start, on the model that the search used
     draws: tuple[Rollout, ...]  # from other starts that the task draws, on models that may be right too
 
+    @property
+    def failures(self) -> list[str]:
+        """The failures of those draws that failed."""
+        return [draw.failure or "failed" for draw in self.draws if draw.failed_at is not None]
+
     def band(self, inputs: bool = False) -> tuple[Array, Array]:
         """Quantiles (T+1, n) of the draws' states, or (T, m) of their inputs; what has failed is in none."""
         series = [draw.inputs if inputs else draw.states for draw in self.draws]

@@ -184,7 +184,7 @@ def test_the_band_holds_what_is_expected(point_mass: Study) -> None:
     again = predict(point_mass, THETA, point_mass.task.start_mean)
     assert_equal(again.draws[-1], prediction.draws[-1])
     assert len(prediction.draws) == DRAWS
-    assert not any(draw.failure for draw in prediction.draws)
+    assert prediction.failures == []
     inputs = np.concatenate([np.diff(draw.inputs, axis=0) for draw in prediction.draws])
     assert prediction.largest_change(0.02) == pytest.approx(np.abs(inputs).max() / 0.02, rel=0.2)
 
