@@ -24,6 +24,7 @@ class Hyperparameters:
     noise_variance: float  # sigma^2
     d: float
     angles: tuple[int, ...] = ()  # columns of raw inputs that enter as sine and cosine, so that r > n + m
+    linear: float = 0.0  # prior deviation of the coefficients of a linear function that is added; 0: none
     centre: Array | float = 0.0  # (r,) of scaled coordinates
 
     @property
@@ -45,9 +46,19 @@ class Hyperparameters:
         return self.coordinates(inputs) / (self.input_scale * self.length_scale) - self.centre
 
     def centred(self, inputs: Array) -> Hyperparameters:
-        """With raw inputs (k, n+m) around the centre, where they are far from it."""
+        """With raw inputs (k, n+m) around the centre, if they are far from it or a function is linear."""
         mean = np.mean(self.scale(inputs), axis=0) if len(inputs) else np.zeros(len(self.length_scale))
-        return replace(self, centre=self.centre + np.where(np.abs(mean) > FAR, mean, 0.0))
+        moved = (np.abs(mean) > FAR) | (self.linear > 0)
+        return replace(self, centre=self.centre + np.where(moved, mean, 0.0))
+
+    def basis(self, scaled: Array) -> Array:
+        """Basis (k, p) of linear functions at scaled inputs (k, r): inputs over `input_scale`, and 1.
+
+        p is r + 1, or 0 without a linear function.
+        """
+        if not self.linear:
+            return np.empty((len(scaled), 0))
+        return np.column_stack([scaled * self.length_scale, np.ones(len(scaled))])
 
     def covariance(self, a: Array, b: Array) -> Array:
         """Latent covariance (k, l) of scaled inputs (k, r) and (l, r): Eq. 3 without its noise."""
@@ -69,6 +80,7 @@ def hyperparameters(
     d: float,
     input_scale: Sequence[float] | None,
     periodic: bool = False,
+    linear: float = 0.0,
 ) -> Hyperparameters:
     """Hyper-parameters for a task; by default inputs are scaled by their limits, states by 1.
 
@@ -94,7 +106,7 @@ def hyperparameters(
     if others := [task.states[i] for i in angles if task.states[i].unit != "rad"]:
         raise ValueError(f"periodic: expected angles in rad, got {others[0].name} in {others[0].unit}")
     both = [*range(r), *angles]
-    return Hyperparameters(scales[both], lengths[both], signal_variance, noise_variance, d, angles)
+    return Hyperparameters(scales[both], lengths[both], signal_variance, noise_variance, d, angles, linear)
 
 
 def output_scale(residuals: Array) -> Array:

@@ -52,7 +52,9 @@ def _mode(
     chosen = np.linspace(0, N - 1, min(N, learning.points)).astype(int)
     scale = output_scale(transitions.residuals)
     varying = scale > 0
-    x = medians.coordinates(transitions.inputs[chosen]) / medians.input_scale
+    centred, inputs = medians.centred(transitions.inputs), transitions.inputs[chosen]
+    x = medians.coordinates(inputs) / medians.input_scale
+    basis = medians.linear * centred.basis(centred.scale(inputs))
     y = transitions.residuals[chosen][:, varying] / scale[varying]
     noise_ratio = medians.noise_variance / medians.signal_variance
     centre = np.log([*medians.length_scale, medians.signal_variance, noise_ratio])
@@ -68,7 +70,7 @@ def _mode(
 
     def loss(theta: Array) -> tuple[float, Array]:
         reached = np.clip(theta, nearest, farthest)
-        log_likelihood, gradient = log_marginal_likelihood(reached, x, y)
+        log_likelihood, gradient = log_marginal_likelihood(reached, x, y, basis @ basis.T)
         z = (theta - centre) * precision
         return float(0.5 * z @ z) - log_likelihood, z * precision - np.where(reached == theta, gradient, 0.0)
 
@@ -84,8 +86,12 @@ def _mode(
     return hyper, -float(found.fun + of_units)
 
 
-def log_marginal_likelihood(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
+def log_marginal_likelihood(
+    theta: Array, x: Array, y: Array, K_linear: Array | float = 0.0
+) -> tuple[float, Array]:
     """ln p(y | x, theta) of outputs y (N, n) at inputs x (N, r), and its gradient (r+2,).
+
+    K_linear (N, N) is the prior covariance of a linear function that is added.
 
     theta (r+2,) are the logarithms of the length scales, of alpha^2 and of sigma^2 / alpha^2
     (Rasmussen and Williams, Gaussian Processes for Machine Learning, Eq. 5.8 and 5.9).
@@ -95,7 +101,7 @@ def log_marginal_likelihood(theta: Array, x: Array, y: Array) -> tuple[float, Ar
     z = x / length_scale
     K_latent = signal_variance * correlation(z, z)
     N, n = y.shape
-    L = cholesky(K_latent + noise_variance * np.eye(N), lower=True)
+    L = cholesky(K_latent + K_linear + noise_variance * np.eye(N), lower=True)
     K_inverse = cho_solve((L, True), np.eye(N))
     weights = K_inverse @ y
     value = -0.5 * np.sum(y * weights) - n * np.sum(np.log(np.diag(L))) - 0.5 * n * N * np.log(2 * np.pi)

@@ -1,6 +1,7 @@
 """Functions that are drawn from the posterior have its mean and covariance, and run on its kernel."""
 
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -103,8 +104,9 @@ UPRIGHT_TO_HANGING = np.stack([np.linspace(0.0, np.pi, 7), np.linspace(-2, 2, 7)
 @pytest.mark.slow
 def test_with_fourier_features_draws_have_the_posteriors_moments_where_there_are_no_data() -> None:
     """At the data and half a turn away; tolerances are five standard errors."""
-    for option in OPTIONS:
-        bias, rng = pendulum(option).bias.fit(swings()), np.random.default_rng(0)
+    for option, linear in product(OPTIONS, (0.0, 3.0)):
+        study = pendulum(option, f"bias.linear={linear}")
+        bias, rng = study.bias.fit(swings()), np.random.default_rng(0)
         mean, variance = bias.predict(UPRIGHT_TO_HANGING)
         scale = np.sqrt(np.mean(swings().residuals ** 2, axis=0))
         values = np.array([bias.draw(rng).predict(UPRIGHT_TO_HANGING)[0] for _ in range(DRAWS)]) / scale

@@ -1,6 +1,7 @@
 """Section IV-B to IV-D against scikit-learn and limits that theory gives; and through inducing points."""
 
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
@@ -41,18 +42,23 @@ def queries(k: int) -> Array:
 
 @pytest.mark.slow
 def test_agrees_with_scikit_learn(study: Study) -> None:
+    """Without a linear function, and with one, whose inputs are from the data's mean."""
     from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
 
     lengths, scale = [0.5, 1, 1, 2, 1, 1, 0.7], np.array([1, 1, 1, 1, 1, 1, 100])
-    gp, inputs = GaussianProcess(study.task, length_scale=lengths, signal_variance=1.3), queries(200)
-    for n in (1, 50, 571):
+    inputs = queries(200)
+    for n, linear in product((1, 50, 571), (0.0, 2.0)):
         transitions = data(n)
+        gp = GaussianProcess(study.task, length_scale=lengths, signal_variance=1.3, linear=linear)
         mean, variance = gp.fit(transitions).predict(inputs)
         kernel = ConstantKernel(1.3) * RBF(lengths) + WhiteKernel(np.exp(-4))
+        centre = transitions.inputs.mean(axis=0) if linear else 0.0
+        if linear:
+            kernel += ConstantKernel(linear**2) * DotProduct(1.0)
         reference = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
-        reference.fit(transitions.inputs / scale, transitions.residuals)
-        their_mean, their_deviation = reference.predict(inputs / scale, return_std=True)
+        reference.fit((transitions.inputs - centre) / scale, transitions.residuals)
+        their_mean, their_deviation = reference.predict((inputs - centre) / scale, return_std=True)
         np.testing.assert_allclose(mean, their_mean, rtol=0, atol=1e-8)
         relative = variance / np.mean(transitions.residuals**2, axis=0)
         np.testing.assert_allclose(relative, their_deviation**2, rtol=0, atol=1e-8)
@@ -68,12 +74,25 @@ def test_correction_is_equation_7(study: Study) -> None:
     np.testing.assert_allclose(fitted.correction(x[:6], x[6:]), expected, rtol=1e-12)
 
 
+def test_far_from_the_data_it_is_the_linear_function(study: Study) -> None:
+    """Which has no weight in Eq. 7; without data it is zero."""
+    bias, slopes = GaussianProcess(study.task, linear=10.0), np.linspace(-1e-3, 1e-3, 42).reshape(7, 6)
+    near, far = data(100).inputs, 30 * queries(5)
+    fitted = bias.fit(Transitions(near, 2e-3 + near @ slopes))
+    np.testing.assert_allclose(
+        fitted.correction(far[:, :6], far[:, 6:]), 2e-3 + far @ slopes, rtol=0.02, atol=1e-4
+    )
+    nothing = bias.fit(data(0))
+    for each in (nothing, nothing.draw(np.random.default_rng(0))):
+        assert not each.correction(far[:, :6], far[:, 6:]).any()
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::simbias.core.SlowWarning")
 def test_kernel_agrees_with_plain_correction(study: Study) -> None:
     """Single precision: 1e-6, of sums of 1200 terms whose sizes add up to 20 (residuals here are random)."""
-    for n in (1, 2, 3, 5, 97, 1200):
-        fitted = GaussianProcess(study.task, d=0.1).fit(data(n))
+    for n, linear in ((1, 0.0), (2, 0.0), (3, 1.0), (5, 0.0), (97, 0.0), (97, 1.0), (1200, 0.0)):
+        fitted = GaussianProcess(study.task, d=0.1, linear=linear).fit(data(n))
         inputs = queries(LANES)
         plain = fitted.correction(inputs[:, :6], inputs[:, 6:])
         np.testing.assert_allclose(corrections(fitted, inputs), plain, rtol=0, atol=1e-6)
@@ -83,12 +102,14 @@ def test_kernel_agrees_with_plain_correction(study: Study) -> None:
 def test_far_from_zero_it_is_the_same(study: Study) -> None:
     """At 1e4 length scales the compiled one would lose four digits in single precision."""
     near, away = data(97), 2e4 * SCALE
-    gp, inputs = GaussianProcess(study.task, d=0.1, input_scale=list(2 * SCALE)), queries(LANES)
-    plain = gp.fit(near).correction(inputs[:, :6], inputs[:, 6:])
-    fitted = gp.fit(Transitions(near.inputs + away, near.residuals))
-    far = inputs + away
-    np.testing.assert_allclose(fitted.correction(far[:, :6], far[:, 6:]), plain, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(corrections(fitted, far), plain, rtol=0, atol=1e-7)
+    inputs = queries(LANES)
+    for linear in (0.0, 1.0):
+        gp = GaussianProcess(study.task, d=0.1, input_scale=list(2 * SCALE), linear=linear)
+        plain = gp.fit(near).correction(inputs[:, :6], inputs[:, 6:])
+        fitted = gp.fit(Transitions(near.inputs + away, near.residuals))
+        far = inputs + away
+        np.testing.assert_allclose(fitted.correction(far[:, :6], far[:, 6:]), plain, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(corrections(fitted, far), plain, rtol=0, atol=1e-7)
 
 
 @pytest.mark.slow

@@ -40,29 +40,36 @@ def drawn(hyper: Hyperparameters, N: int, outputs: int, seed: int = 0) -> Transi
     return Transitions(inputs, np.linalg.cholesky(K) @ rng.standard_normal((N, outputs)))
 
 
-def scikit_learn(theta: Array, data: Transitions, **options) -> GaussianProcessRegressor:
+def scikit_learn(theta: Array, data: Transitions, linear: float = 0.0, **options) -> GaussianProcessRegressor:
     """Their process with these hyper-parameters, as a start if it optimises them."""
     from sklearn.gaussian_process import GaussianProcessRegressor  # lazily: it takes seconds
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
 
     *lengths, signal, noise_ratio = np.exp(theta)
     kernel = ConstantKernel(signal) * RBF(lengths) + WhiteKernel(signal * noise_ratio)
+    if linear:
+        kernel += ConstantKernel(linear**2) * DotProduct(1.0)
     return GaussianProcessRegressor(kernel, alpha=0.0, **options).fit(data.inputs, data.residuals)
 
 
-@given(st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5), st.integers(1, 25), st.integers(0, 100))
-@settings(max_examples=10, deadline=None)
+@given(
+    st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5),
+    st.integers(1, 25),
+    st.integers(0, 100),
+    st.sampled_from([0.0, 0.5, 5.0]),
+)
+@settings(max_examples=15, deadline=None)
 def test_likelihood_is_scikit_learns_and_its_gradient_is_that_of_finite_differences(
-    theta: list[float], N: int, seed: int
+    theta: list[float], N: int, seed: int, linear: float
 ) -> None:
+    """Alone, and with a linear function."""
     data = drawn(medians(3), N, 2, seed)
-    value, _ = log_marginal_likelihood(np.array(theta), data.inputs, data.residuals)
-    reference = scikit_learn(np.array(theta), data, optimizer=None).log_marginal_likelihood_value_
+    basis = linear * replace(medians(3), linear=1.0).basis(data.inputs)
+    known = data.inputs, data.residuals, basis @ basis.T
+    value, _ = log_marginal_likelihood(np.array(theta), *known)
+    reference = scikit_learn(np.array(theta), data, linear, optimizer=None).log_marginal_likelihood_value_
     assert value == pytest.approx(reference, rel=1e-9, abs=1e-9)
-    functions = [
-        lambda theta, part=part: log_marginal_likelihood(theta, data.inputs, data.residuals)[part]
-        for part in (0, 1)
-    ]
+    functions = [lambda theta, part=part: log_marginal_likelihood(theta, *known)[part] for part in (0, 1)]
     gradient = functions[1](np.array(theta))
     error = check_grad(*functions, np.array(theta), epsilon=1e-6)
     assert error < 1e-4 * max(1.0, np.linalg.norm(gradient))
@@ -106,6 +113,18 @@ def test_what_has_no_deviation_is_kept() -> None:
         assert all_kept.noise_variance == pytest.approx(known.noise_variance, rel=1e-12)
 
 
+def test_a_linear_function_leaves_the_process_what_is_not_linear() -> None:
+    """Of a line and a small wave, the signal is that of the wave, and its length scale the wave's."""
+    x = np.random.default_rng(4).uniform(-3, 3, (150, 2))
+    wave = 0.1 * np.sin(2 * x[:, :1])
+    data = Transitions(x, 40.0 + x @ [[1.0], [-3.0]] + wave)
+    with_line, without = (
+        learn(replace(medians(2), linear=linear), data, Learning()) for linear in (10.0, 0.0)
+    )
+    assert 0.3 < with_line.length_scale[0] < 1.5 < without.length_scale[0]
+    assert with_line.signal_variance < 1e-3 < without.signal_variance
+
+
 def test_few_samples_and_constant_outputs_are_learned_from() -> None:
     options = ("gp_learned", "sparse_gp_learned")
     learners = [simbias.load(["tracking=none", f"bias={option}"]).bias for option in options]
@@ -145,9 +164,9 @@ def test_no_line_search_leaves_what_the_priors_allow(monkeypatch: pytest.MonkeyP
     """Length scales of 1e-8 make distances rounding, and the covariance no covariance."""
     tried: list[Array] = []
 
-    def recorded(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
+    def recorded(theta: Array, *data: Array) -> tuple[float, Array]:
         tried.append(theta)
-        return log_marginal_likelihood(theta, x, y)
+        return log_marginal_likelihood(theta, *data)
 
     monkeypatch.setattr(likelihood, "log_marginal_likelihood", recorded)
     for seed in (167, 283):  # whose searches went to 22 and 42 without bounds

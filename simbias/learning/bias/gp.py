@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 
 from simbias.core import Bias, FittedBias, SlowWarning, Task
-from simbias.core.ranges import CountOrZero, Positive, Scale
+from simbias.core.ranges import CountOrZero, NonNegative, Positive, Scale
 from simbias.core.records import Transitions
 from simbias.learning.bias.inducing import Inducing
 from simbias.learning.bias.posterior import exact, sparse
@@ -41,6 +41,10 @@ class GaussianProcess(Bias):
     fourier_features
         Random frequencies, each with its sine and cosine, by which draws from the posterior vary where there
         are no data (`Posterior.draw`); 0: there they are zero.
+    linear
+        Prior standard deviation of the coefficients of a linear function that is added to each process: of
+        scaled inputs, and of residuals over their root mean square. It holds far from the data, too, and is
+        not weighted in Eq. 7. 0: none.
     """
 
     def __init__(
@@ -55,10 +59,11 @@ class GaussianProcess(Bias):
         inducing: Inducing | None = None,
         periodic: bool = False,
         fourier_features: CountOrZero = 0,
+        linear: NonNegative = 0.0,
     ) -> None:
         self._task = task
         self._hyper = hyperparameters(
-            task, length_scale, signal_variance, noise_variance, d, input_scale, periodic
+            task, length_scale, signal_variance, noise_variance, d, input_scale, periodic, linear
         )
         self._fourier_features = fourier_features
         self._learning = learning

@@ -128,6 +128,16 @@ def means(weights, k, n):
     return mean
 
 
+def add_linear(coefficients, coordinates, values):
+    """Add linear functions (n, r + 1) of coordinates (r, LANES) to values (n, LANES); constants are last."""
+    n, columns = coefficients.shape
+    for i in range(n):
+        value = load(values, i) + everywhere(coefficients[i, columns - 1])
+        for j in range(columns - 1):
+            value = fma(everywhere(coefficients[i, j]), load(coordinates, j), value)
+        store(values, i, value)
+
+
 def factor(norm, constants):
     """Factor of W^T k in Eq. 7, from |U k|^2."""
     alpha_squared, prior, d_n = constants[0], constants[1], constants[2]
@@ -139,13 +149,26 @@ def correct(x, u, data, correction):
     """exp(-d |sigma|^2) times the mean, for states x (n, LANES) under u (m, LANES).
 
     The data are the points (N, r), U, W, the rows of U, 1 / scale, the centre, (alpha^2, prior, d n), the
-    columns of angles, and the frequencies and amplitudes of waves, which are added. With d n = 0 it is the
-    mean alone, and needs no U.
+    columns of angles, and the frequencies and amplitudes of waves and the coefficients of linear functions,
+    which are added. With d n = 0 it is the mean alone, and needs no U.
     """
-    points, triangle, weights, rows, inverse_scale, centre, constants, angles, frequencies, amplitudes = data
+    (
+        points,
+        triangle,
+        weights,
+        rows,
+        inverse_scale,
+        centre,
+        constants,
+        angles,
+        frequencies,
+        amplitudes,
+        linear,
+    ) = data
     n = x.shape[0]
     coordinates = coordinates_of(x, u, inverse_scale, centre, angles)
     added = means(amplitudes, waves(coordinates, frequencies), n)
+    add_linear(linear, coordinates, added)
     k = correlations(coordinates, points)
     mean, norms = means(weights, k, n), squared_norms(triangle, k, rows)
     for lane in range(LANES):

@@ -13,6 +13,7 @@ from simbias.core import FittedBias, Kernel
 from simbias.core.records import Array, Transitions
 from simbias.learning.bias.gp_kernel import correct, pack, pack_triangle
 from simbias.learning.bias.inducing import Inducing, choose, view
+from simbias.learning.bias.trend import Trend
 from simbias.learning.covariance import Hyperparameters, output_scale, stable_cholesky
 from simbias.simulation.compiler import constant
 
@@ -26,7 +27,7 @@ class Posterior(FittedBias):
 
     With k the covariance of a new input and the N points, the means are k^T W (Eq. 4), and the variance is
     k(x, x) - |U k|^2 (Eq. 5), in units of each output's mean square; U is a lower triangle, of all points or
-    of the first ones.
+    of the first ones. A linear function, if there is one, is added to each, and is not weighted in Eq. 7.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class Posterior(FittedBias):
         diagnostics: Mapping[str, float],
         L_inverse: Array | None = None,
         features: int = 0,
+        trend: Trend | None = None,
     ) -> None:
         self._hyper = hyper
         self._scale = scale  # (n,) of the outputs
@@ -49,16 +51,21 @@ class Posterior(FittedBias):
         self._R = R  # (m, N), R^T R the covariance of the weights W
         self._L_inverse = L_inverse  # (m, N), L_inverse^T L_inverse the inverse covariance of inducing points
         self._features = features
+        self._trend = trend or Trend.none(*W.shape)
         self.diagnostics = diagnostics
-        self.kernel = _compiled(hyper, points, W, U, hyper.d * W.shape[1])
+        self.kernel = _compiled(hyper, points, W, U, hyper.d * W.shape[1], self._trend.mean)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) (Eq. 4) and variance (k, n), noise included (Eq. 5), at raw inputs (k, n+m)."""
+        scaled = self._hyper.scale(inputs)
         mean, variance = self.relative(inputs)
-        return mean, variance[:, None] * self._scale**2
+        basis = self._hyper.basis(scaled)
+        of_trend = basis - self._hyper.covariance(scaled, self._points) @ self._trend.G
+        variance = variance + np.sum((of_trend @ self._trend.root.T) ** 2, axis=1)
+        return mean + basis @ self._trend.mean, variance[:, None] * self._scale**2
 
     def relative(self, inputs: Array) -> tuple[Array, Array]:
-        """Mean (k, n), and variance (k,) over each output's mean square."""
+        """Mean (k, n), and variance (k,) over each output's mean square, given the linear function."""
         k_star = self._hyper.covariance(self._hyper.scale(inputs), self._points)
         known = np.sum((k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1)
         return k_star @ self._W, self._hyper.prior_variance - known
@@ -72,9 +79,10 @@ class Posterior(FittedBias):
         return _row_by_row(self._weighted, x, u)
 
     def _weighted(self, inputs: Array) -> Array:
-        """The mean (k, n) at raw inputs (k, n+m), times its weight in Eq. 7."""
+        """The mean (k, n) at raw inputs (k, n+m), times its weight in Eq. 7, and the linear function."""
         mean, variance = self.relative(inputs)
-        return self.weight(variance)[:, None] * mean
+        linear = self._hyper.basis(self._hyper.scale(inputs)) @ self._trend.mean
+        return self.weight(variance)[:, None] * mean + linear
 
     def draw(self, rng: np.random.Generator) -> GPSample:
         """A sample of the latent values at the inducing points.
@@ -90,11 +98,14 @@ class Posterior(FittedBias):
         """
         e = rng.standard_normal((len(self._R), len(self._scale)))
         weights = self._W + self._scale * (self._R.T @ e)
+        deviation = self._scale * (self._trend.root.T @ rng.standard_normal(self._trend.mean.shape))
+        weights -= self._trend.G @ deviation
+        trend = self._trend.mean + deviation
         if not self._features or self._L_inverse is None or not len(self._points):
-            return GPSample(self._hyper, self._points, weights)
+            return GPSample(self._hyper, self._points, weights, trend=trend)
         waves = Waves.drawn(self._hyper, self._features, self._scale, rng)
         weights -= self._L_inverse.T @ (self._L_inverse @ waves(self._points))
-        return GPSample(self._hyper, self._points, weights, waves)
+        return GPSample(self._hyper, self._points, weights, waves, trend)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,23 +139,32 @@ class Waves:
 
 @final
 class GPSample(FittedBias):
-    """A sample k^T W of a posterior, with waves or without: a function without uncertainty.
+    """A sample k^T W of a posterior, with waves or a linear function (p, n) or without: it is certain.
 
     Its weight in Eq. 7 is one: samples differ where there is little data, so a smaller weight there would
     count the same uncertainty twice.
     """
 
-    def __init__(self, hyper: Hyperparameters, points: Array, W: Array, waves: Waves | None = None) -> None:
+    def __init__(
+        self,
+        hyper: Hyperparameters,
+        points: Array,
+        W: Array,
+        waves: Waves | None = None,
+        trend: Array | None = None,
+    ) -> None:
         self._hyper = hyper
         self._points = points  # (N, r), scaled
         self._W = W  # (N, n)
         self._waves = waves
-        self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0, waves)
+        self._trend = np.empty((0, W.shape[1])) if trend is None else trend
+        self.kernel = _compiled(hyper, points, W, np.empty((0, 0)), 0.0, self._trend, waves)
 
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """The function's values (k, n), and variances (k, n): zeros."""
         scaled = self._hyper.scale(inputs)
         values = self._hyper.covariance(scaled, self._points) @ self._W
+        values += self._hyper.basis(scaled) @ self._trend
         if self._waves is not None:
             values += self._waves(scaled)
         return values, np.zeros_like(values)
@@ -169,13 +189,20 @@ def _row_by_row(function: Callable[[Array], Array], x: Array, u: Array) -> Array
 
 
 def _compiled(
-    hyper: Hyperparameters, points: Array, W: Array, U: Array, d_n: float, waves: Waves | None = None
+    hyper: Hyperparameters,
+    points: Array,
+    W: Array,
+    U: Array,
+    d_n: float,
+    trend: Array,
+    waves: Waves | None = None,
 ) -> Kernel:
     """The compiled correction in single precision; without points, the constant zero."""
     if not len(points):
         return constant(np.zeros(W.shape[1]))
     waves = waves or Waves.none(points.shape[1], W.shape[1])
     turns = np.column_stack([waves.frequencies, waves.phases]) / (2 * np.pi)
+    linear = (trend.T * [*hyper.length_scale, 1.0]) if len(trend) else np.empty((0, 1))
     data = (
         points.astype(np.float32),
         pack_triangle(U),
@@ -187,6 +214,7 @@ def _compiled(
         np.array(hyper.angles, np.int64),
         turns.astype(np.float32),
         pack(waves.amplitudes.T),
+        linear.astype(np.float32),
     )
     return Kernel(correct, data)
 
@@ -199,13 +227,20 @@ def exact(hyper: Hyperparameters, transitions: Transitions, features: int = 0) -
     K[np.diag_indices_from(K)] += hyper.noise_variance
     L = stable_cholesky(K)
     L_inverse = solve_triangular(L, np.eye(len(L)), lower=True)
-    W = solve_triangular(L, solve_triangular(L, transitions.residuals, lower=True), lower=True, trans="T")
+
+    def solve(y: Array) -> tuple[Array, Array]:
+        """Weights, here K^-1 y."""
+        weights = solve_triangular(L, solve_triangular(L, y, lower=True), lower=True, trans="T")
+        return weights, weights
+
+    trend = Trend.learned(hyper, points, transitions.residuals, solve)
+    W = solve(transitions.residuals)[0] - trend.G @ trend.mean
     chosen, _ = choose(hyper, points, Inducing())
     seen = view(hyper, points, chosen)
     R, of_chosen = np.zeros((2, len(chosen), len(points)))
     R[:, chosen], of_chosen[:, chosen] = seen.R, seen.L_inverse
     scale = output_scale(transitions.residuals)
-    return Posterior(hyper, scale, points, L_inverse, W, R, {}, of_chosen, features)
+    return Posterior(hyper, scale, points, L_inverse, W, R, {}, of_chosen, features, trend)
 
 
 def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing, features: int) -> Posterior:
@@ -219,12 +254,19 @@ def sparse(hyper: Hyperparameters, transitions: Transitions, inducing: Inducing,
     points = hyper.scale(transitions.inputs)
     chosen, for_variance = choose(hyper, points, inducing)
     seen = view(hyper, points, chosen)
-    W = seen.R.T @ (seen.R @ (seen.K_ZX @ transitions.residuals)) / hyper.noise_variance
+
+    def solve(y: Array) -> tuple[Array, Array]:
+        """Weights, and K^-1 y with K = K_XZ K_ZZ^-1 K_ZX + sigma^2."""
+        weights = seen.R.T @ (seen.R @ (seen.K_ZX @ y)) / hyper.noise_variance
+        return weights, (y - seen.K_ZX.T @ weights) / hyper.noise_variance
+
+    trend = Trend.learned(hyper, points, transitions.residuals, solve)
+    W = solve(transitions.residuals)[0] - trend.G @ trend.mean
     coarsely = view(hyper, points, chosen[:for_variance])
     U = _lower_root(coarsely.L_inverse.T @ coarsely.L_inverse - coarsely.R.T @ coarsely.R)
     scale = output_scale(transitions.residuals)
     counts = {"inducing_points": len(chosen), "inducing_points_of_variance": for_variance}
-    posterior = Posterior(hyper, scale, seen.Z, U, W, seen.R, counts, seen.L_inverse, features)
+    posterior = Posterior(hyper, scale, seen.Z, U, W, seen.R, counts, seen.L_inverse, features, trend)
     if 0 < len(transitions) <= MOST_COMPARED:
         errors = _errors(posterior, exact(hyper, transitions), transitions)
         posterior.diagnostics = {**posterior.diagnostics, **errors}
