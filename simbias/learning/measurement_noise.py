@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simbias.core.records import Array
+from simbias.core.records import Array, Flags
 
 ROUNDS = 30  # of expectation maximisation
 
@@ -24,6 +24,10 @@ class Linearisation:
         w, J, n, _ = by_start.shape
         flat = (each.reshape(w, J * n, each.shape[3]) for each in (by_start, by_parameters))
         return Linearisation(*(np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0) for each in flat))
+
+    def of_windows(self, chosen: Flags) -> Linearisation:
+        """Of the chosen windows (w,) alone."""
+        return Linearisation(self.by_start[chosen], self.by_parameters[chosen])
 
     def parameter_covariance(self, weights: Array) -> Array:
         """Covariance (d, d) of the errors that fitting the parameters removed; weights (w,) of windows."""

@@ -37,10 +37,13 @@ class ErrorDistribution:
     ) -> ErrorDistribution:
         """Estimate it from errors (w, J, n), some of which may be outliers or not finite.
 
-        Errors are never taken to be smaller than the windows' noise. The fewer the windows, the more the
-        scale matrix is shrunk: towards that of measurement noise if linearised predictions are given, else
-        towards its diagonal.
+        Errors are never taken to be smaller than the windows' noise, and windows at rest, whose errors say
+        nothing of those in motion, are left out. The fewer the windows, the more the scale matrix is shrunk:
+        towards that of measurement noise if linearised predictions are given, else towards its diagonal.
         """
+        errors = errors[windows.moving]
+        if linearisation is not None:
+            linearisation = linearisation.of_windows(windows.moving)
         w, J = errors.shape[:2]
         least = np.maximum(RELATIVE_FLOOR * np.std(windows.states, axis=0) + 1e-12, windows.noise)
         floor = np.tile(least, J)
@@ -60,7 +63,9 @@ class ErrorDistribution:
             estimate = ErrorDistribution(factor, freedom)
         white = estimate.whiten(errors)
         weighted = np.sqrt(estimate.weights(white))[:, None] * white
-        return replace(estimate, independent_share=1.0 / correlation_time(weighted, windows.experiments))
+        return replace(
+            estimate, independent_share=1.0 / correlation_time(weighted, windows.experiments[windows.moving])
+        )
 
     @cached_property
     def inverse(self) -> Array:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from simbias.core import FittedBias, Kernel, Nominal
-from simbias.core.records import Array, Indices, Rollout
+from simbias.core.records import Array, Flags, Indices, Rollout
 from simbias.simulation.compiler import (
     Function,
     compile_open_loop,
@@ -26,6 +26,7 @@ from simbias.simulation.compiler import (
 )
 
 SETTLED = 1000  # frames, after which the model state is that of a steady input
+REST = 1e-9  # of a state's standard deviation: what interpolation leaves of an encoder that stands still
 SOME = 5  # frames that tell whether a model remembers states
 
 
@@ -84,6 +85,14 @@ class Windows:
         """The row (w,) in which each window begins."""
         each = zip(self.firsts, self.frames, strict=True)
         return np.concatenate([first + np.arange(0, k, self.window) for first, k in each])
+
+    @cached_property
+    def moving(self) -> Flags:
+        """Whether (w,) a state changes within a window; all windows where none does."""
+        rows = self.starts[:, None] + np.arange(self.window + 1)
+        changes = np.ptp(self.states[rows], axis=1) > REST * np.std(self.states, axis=0)
+        moving = changes.any(axis=1)
+        return moving | ~moving.any()
 
     @property
     def rows(self) -> list[slice]:
