@@ -59,7 +59,7 @@ def findings(
             "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
-            "far from what was declared" if abs(fitted.mode[i]) > TAIL else "",
+            "far from what was declared" if _from_declared(parameter, fitted.mode[i]) > TAIL else "",
             "recordings disagree" if disagree else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
         ]
@@ -73,6 +73,11 @@ def at_bound(parameter: Parameter, value: float) -> bool:
     ends = {"half_normal": [0.0], "uniform": [0.0, parameter.spread]}.get(parameter.prior, [])
     width = parameter.spread * (1.0 if parameter.prior == "half_normal" else 12**-0.5)
     return any(abs(value - parameter.value - end) < AT_BOUND * width for end in ends)
+
+
+def _from_declared(parameter: Parameter, coordinate: float) -> float:
+    """How far a coordinate is in the prior's tail; the lower end of a half-normal is what is declared."""
+    return coordinate if parameter.prior == "half_normal" else abs(coordinate)
 
 
 def _of_shrinkage(shrinkage: float) -> str:

@@ -84,7 +84,7 @@ def choices(files: Sequence[str]) -> Iterator[tuple[str, int, tuple[str, ...]]]:
 
 def models(folder: Path, rollouts: Sequence[Rollout]) -> Iterator[tuple[str, Nominal, FittedBias | None]]:
     """Every way to learn, by name."""
-    study = load(folder, "identification=posterior", "bias=window_gp")
+    study = load(folder, "identification=posterior_forward", "bias=window_gp")
     lab = load(folder, *(f"nominal.drives.{key}={value}" for key, value in LAB.items()))
     identified = study.identification.fit(study.nominal, rollouts)
     yield "nominal", study.nominal, None

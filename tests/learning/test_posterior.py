@@ -88,7 +88,7 @@ def test_strong_motion_determines_no_more_than_there_is() -> None:
 
     Forward differences miss that the values on which it does lie on a curve.
     """
-    study = pendulum(*QUICK)
+    study = pendulum(*QUICK, "identification.differences=forward")
     robot, _ = truth(study.nominal, np.random.default_rng(0))
     u = 10 * np.sin(np.arange(400)[:, None] * np.array([0.03, 0.05]))
     states = [np.array([0.0, 0.0, 20.0, -20.0])]
@@ -101,6 +101,23 @@ def test_strong_motion_determines_no_more_than_there_is() -> None:
     np.testing.assert_array_equal(fits[0].mode, fits[1].mode)
     assert [len(undetermined(fit)) for fit in fits] == [1, 2]
     assert [direction.deviation for direction in undetermined(fits[1])] == pytest.approx([1, 1], abs=0.05)
+
+
+@pytest.mark.slow
+def test_what_is_declared_is_found_again_where_far_too_much_may_be() -> None:
+    """Joints without friction; a hundred times as much as is usual would be in the prior's midst."""
+    careless = {"damping": 2.0, "friction": 20.0, "rotor_inertia": 0.1}
+    study = pendulum(*QUICK, *[f"nominal.uncertainty.{name}={spread}" for name, spread in careless.items()])
+    found = study.identification.fit(
+        study.nominal, [experiment(study.nominal, np.random.default_rng(4), 400)]
+    )
+    assert isinstance(found, Identified)
+    for estimate in found.estimates:
+        spread = next((each for name, each in careless.items() if estimate.name.startswith(name)), None)
+        if spread:
+            assert estimate.value < 1e-3 * spread, estimate.name
+        else:
+            assert estimate.low < estimate.declared < estimate.high, estimate.name
 
 
 @pytest.mark.slow
@@ -218,6 +235,22 @@ def test_the_share_of_new_windows() -> None:
     for t in range(1, len(e)):
         e[t] = a * e[t - 1] + np.sqrt(1 - a * a) * e[t]
     assert correlation_time(e, same) == pytest.approx((1 + a) / (1 - a), rel=0.25)
+
+
+def test_windows_at_rest_say_nothing_of_errors_in_motion() -> None:
+    """Three quarters of the windows are an encoder's that stands still, as interpolation leaves it."""
+    rng = np.random.default_rng(0)
+    states = np.cumsum(rng.standard_normal((101, 2)), axis=0)
+    rest = states[-1] * (1.0 + 1e-15 * rng.standard_normal((300, 2)))
+    inputs = np.zeros((400, 1))
+    whole = Windows.of([Rollout(np.concatenate([states, rest]), inputs)], 10, 5)
+    moving = Windows.of([Rollout(states, inputs[:100])], 10, 5)
+    e = np.concatenate([rng.standard_normal((10, 2, 2)), np.zeros((30, 2, 2))])
+    with_rest, without = ErrorDistribution.of(e, whole), ErrorDistribution.of(e[:10], moving)
+    np.testing.assert_allclose(with_rest.factor, without.factor, rtol=1e-6)
+    assert with_rest.independent_share == pytest.approx(without.independent_share, rel=1e-6)
+    still = Windows.of([Rollout(rest, inputs[:299])], 10, 5)
+    assert still.moving.all()
 
 
 def test_likelihood_is_students() -> None:

@@ -22,6 +22,7 @@ from simbias.simulation.open_loop import Windows
 
 ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
 WIDEST = 2.0  # deviations of the prior by which errors scatter the mode, beyond which they tell nothing
+AS_DECLARED = -5.0  # coordinate at which a half-normal parameter is what is declared, to 1e-7 of its spread
 TOLERANCE = 0.05  # of the mode's convergence, in standard deviations of the posterior
 
 
@@ -50,7 +51,8 @@ class Posterior(Identification):
     chunks
         Number of parts of a window whose means are compared.
     starts
-        Number of draws from the prior, its median the first; the search begins at the likeliest.
+        Number of draws from the prior, its median the first; the search begins at the likeliest. With central
+        differences the declared values are one more, which are at the end of a half-normal prior.
     rounds
         Largest number of rounds in which covariance and mode are estimated in turn, once with nearly no
         weight for outliers, and once more with the t distribution of the errors.
@@ -65,16 +67,16 @@ class Posterior(Identification):
         others are shared.
     noise
         Variances of what is measured, by the names and kinds of states. Prediction errors are never taken to
-        be smaller. Without it, a model that is exact in the air makes outliers of all collisions. In
-        directions in which collisions still make the posterior far wider than the prior, the prior takes its
-        place.
+        be smaller. Without it, a model that is exact in the air makes outliers of all collisions. With it, or
+        by central differences, the posterior is nowhere far wider than the prior: where the data tell nothing
+        of a direction, its deviation is the prior's.
     longer_windows
         Further durations in s of predictions, as what differs little in a short while may differ much in a
         long one. Each window counts alike; durations that no experiment has do not count.
     differences
-        That the covariance is computed from: forward ones are quicker, and published trials have them. Under
-        strong motion only central ones tell what experiments do not determine; `identify`, `excite` and
-        `--recover` always take these.
+        That the covariance is computed from. Under strong motion only central ones tell what experiments do
+        not determine; `identify`, `excite` and `--recover` always take these. Forward ones are quicker, may
+        make the posterior far wider than the prior, and are those of published trials.
 
     Raises
     ------
@@ -185,7 +187,7 @@ class Posterior(Identification):
                 if (z - before) @ precision @ (z - before) < TOLERANCE**2 * len(z):
                     break
         spread = problem.spread(z, self._differences)
-        if self._noise.any():
+        if self._noise.any() or self._differences == "central":
             spread = _no_wider(spread)
         z = nearest_possible(nominal, z, spread)
         fitted = Identified.of_recordings(nominal, z, spread, problem.places, problem.errors)
@@ -197,10 +199,14 @@ class Posterior(Identification):
         return fitted
 
     def _start(self, nominal: Nominal, windows: Windows) -> Array:
-        """The likeliest coordinates (p,) among the prior's median and draws from it."""
+        """The likeliest coordinates (p,) among the prior's median, draws from it and declared values."""
         problem = Comparison(nominal, windows, ErrorDistribution(np.empty((0, 0))))
         z = np.random.default_rng(0).standard_normal((self._starts, problem.size))
         z[0] = 0.0
+        if self._differences == "central":
+            half_normal = [parameter.prior == "half_normal" for parameter in nominal.parameters]
+            z = np.vstack([z, np.zeros(problem.size)])
+            z[-1, problem.places[:, half_normal]] = AS_DECLARED
         fits = [
             ErrorDistribution.of(each, windows, ROBUST_FREEDOM).log_likelihoods(each).sum()
             for each in problem.prediction_errors(z)
