@@ -32,9 +32,11 @@ def verdict(assessment: Assessment) -> str:
     what = "recordings that were held out" if assessment.held_out else "parts that it was not fitted to"
     if assessment.better:
         none = "" if any(finding.trusted for finding in assessment.findings) else " No parameter is trusted."
+        worse = [f"{one.seconds:g}" for one in assessment.predictions if one.ratio() > 1.0]
+        ahead = f" It errs more after {', '.join(worse)} s." if worse else ""
         return (
             f"On {what}, the identified model errs {assessment.ratio:.2f} times as much as "
-            f"the nominal one{each}.{none}"
+            f"the nominal one{each}.{ahead}{none}"
         )
     return (
         f"The identified model is no better than the nominal one on {what}: it errs "

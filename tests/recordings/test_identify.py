@@ -333,6 +333,11 @@ def test_the_page_is_one_file_and_runs_nothing(assessment: Assessment) -> None:
     assert "the identified model errs 0." in verdict(assessment)
     doubted = [replace(each, doubts=("told in part",)) for each in assessment.findings]
     assert verdict(replace(assessment, findings=doubted)) == f"{verdict(assessment)} No parameter is trusted."
+    first, *rest = assessment.predictions
+    worse = replace(
+        assessment, predictions=[replace(first, nominal=first.identified, identified=first.nominal), *rest]
+    )
+    assert verdict(worse).endswith(f" It errs more after {first.seconds:g} s.")
     text = report(assessment, "<b>title</b>", "none", ["one: vel2 is estimated from pos2"])
     assert "one: vel2 is estimated from pos2" in text
     assert "<script" not in text
