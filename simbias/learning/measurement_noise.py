@@ -51,11 +51,34 @@ def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation
     R = np.mean(np.sum(observed**2, axis=2), axis=0).reshape(-1, n).mean(axis=0) / 2 + variance_floor
     P = R.copy()
     for _ in range(ROUNDS):
-        G = F / np.tile(R, d // n)[:, None]
-        M = np.linalg.inv(np.diag(1.0 / P) + F.transpose(0, 2, 1) @ G)  # (w, n, n)
-        a = M @ (G.transpose(0, 2, 1) @ observed)
-        P = np.mean(np.sum(a**2, axis=2) + np.diagonal(M, axis1=1, axis2=2), axis=0) + variance_floor
-        remaining = np.sum((observed - F @ a) ** 2, axis=2) + np.einsum("wdn,wnm,wdm->wd", F, M, F)
+        of_starts, remaining = _moments(F, observed, P, np.tile(R, d // n))
+        P = of_starts.mean(axis=0) + variance_floor
         R = remaining.mean(axis=0).reshape(-1, n).mean(axis=0) + variance_floor
     flat = (F * np.sqrt(P)).transpose(1, 0, 2).reshape(d, -1)
     return flat @ flat.T / w + np.diag(np.tile(R, d // n))
+
+
+def _moments(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Array]:
+    """Second moments of starts (w, n), and (w, d) of errors (w, d, k) without them; P (n,), R (d,) are given."""
+    G = F / R[:, None]
+    try:
+        M = np.linalg.inv(np.diag(1.0 / P) + F.transpose(0, 2, 1) @ G)  # (w, n, n)
+    except np.linalg.LinAlgError:
+        return _moments_of_directions(F, observed, P, R)
+    a = M @ (G.transpose(0, 2, 1) @ observed)
+    of_starts = np.sum(a**2, axis=2) + np.diagonal(M, axis1=1, axis2=2)
+    return of_starts, np.sum((observed - F @ a) ** 2, axis=2) + np.einsum("wdn,wnm,wdm->wd", F, M, F)
+
+
+def _moments_of_directions(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Array]:
+    """The same by singular values: of robots so unstable that predictions tell one direction alone."""
+    noise, scale = np.sqrt(R)[:, None], np.sqrt(P)
+    U, s, V = np.linalg.svd(F * scale / noise, full_matrices=False)
+    told = (U.transpose(0, 2, 1) @ (observed / noise)) * (s / (1.0 + s**2))[:, :, None]
+    root = scale[:, None] * V.transpose(0, 2, 1) / np.sqrt(1.0 + s**2)[:, None]
+    of_starts = np.sum((scale[:, None] * (V.transpose(0, 2, 1) @ told)) ** 2, axis=2) + np.sum(
+        root**2, axis=2
+    )
+    predicted = noise * (U @ (s[:, :, None] * told))
+    spread = noise * U * (s / np.sqrt(1.0 + s**2))[:, None]
+    return of_starts, np.sum((observed - predicted) ** 2, axis=2) + np.sum(spread**2, axis=2)

@@ -14,6 +14,12 @@ from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.problem import Comparison, Problem
+from simbias.learning.measurement_noise import (
+    Linearisation,
+    _moments,
+    _moments_of_directions,
+    noise_covariance,
+)
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution, correlation_time
 from simbias.recordings.assessment import prepared
 from simbias.simulation.open_loop import Windows
@@ -101,6 +107,25 @@ def test_strong_motion_determines_no_more_than_there_is() -> None:
     np.testing.assert_array_equal(fits[0].mode, fits[1].mode)
     assert [len(undetermined(fit)) for fit in fits] == [1, 2]
     assert [direction.deviation for direction in undetermined(fits[1])] == pytest.approx([1, 1], abs=0.05)
+
+
+def test_noise_of_a_robot_that_is_very_unstable_is_found() -> None:
+    """Of one direction of a start its predictions tell more, of the other less, than an inverse can hold.
+
+    Where both can be computed they are the same.
+    """
+    rng, towards = np.random.default_rng(0), np.array([1.0, 0.5])
+    growth = np.tile(np.geomspace(1.0, 3e9, 8), (30, 1))[:, :, None]
+    starts, noise = 1e-3 * rng.standard_normal((30, 2)), 1e-2 * rng.standard_normal((30, 8))
+    for F in (growth * towards, growth**0.1 * rng.standard_normal((30, 8, 2))):
+        errors = np.einsum("wdn,wn->wd", F, starts) + noise
+        linearisation = Linearisation(F, np.zeros((30, 8, 1)))
+        covariance = noise_covariance(errors, np.ones(30), linearisation, np.full(8, 1e-9))
+        assert np.isfinite(covariance).all()
+        assert 0.4 < covariance[-1, -1] / np.mean(errors[:, -1] ** 2) < 2.5
+    given = F, errors[:, :, None], np.array([1e-6, 2e-6]), np.linspace(1e-4, 2e-4, 8)
+    for ours, theirs in zip(_moments(*given), _moments_of_directions(*given), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9)
 
 
 @pytest.mark.slow
