@@ -90,6 +90,17 @@ def test_limits_of_an_input_are_held_against_the_file_on_either_side(file: str) 
         quadrotor(limit=6.0, lower=6.0)
 
 
+def test_what_is_no_motor_takes_its_control_as_the_input(tmp_path: Path) -> None:
+    """20 V at a DC motor, though it gives no 20 N; of a motor, the line says how volts are declared."""
+    volts = {"push": {"unit": "V", "limit": 20.0}}
+    motor = '<general name="push" joint="slider" gainprm="0.4" ctrlrange="-20 20" forcerange="-8 8" {}/>'
+    affine = 'biastype="affine" biasprm="0 0 -0.3"'
+    robot = Mechanism(cart_pole(inputs=volts), mjcf(tmp_path, actuators=motor.format(affine)))
+    np.testing.assert_array_equal(robot.controls(np.array([[20.0]])), [[20.0]])
+    with pytest.raises(ValueError, match=r'may be 20; the actuator push gives 8 \(V; .* biastype="affine"'):
+        Mechanism(cart_pole(inputs=volts), mjcf(tmp_path, actuators=motor.format("")))
+
+
 def test_what_has_no_name_in_a_file_is_called_by_what_it_moves(tmp_path: Path) -> None:
     """As the motors of Gymnasium's reacher; others beside it by number."""
     motors = '<motor joint="slider" gear="20" ctrlrange="-1 1"/><motor joint="slider"/>'

@@ -255,6 +255,32 @@ def test_factors_multiply_what_is_set_and_each_other() -> None:
     assert files.changes(model, {}, factors) == {"body.mass": 6.0}
 
 
+SERVO = '<position name="push" joint="slider" gear="2" kp="50" dampratio="1" forcerange="-3 3"/>'
+VOLTAGE = '<general name="push" joint="slider" gainprm="0.4" biastype="affine" biasprm="0 0 -0.3"/>'
+
+
+@pytest.mark.parametrize("actuator", [SERVO, VOLTAGE])
+def test_a_gain_is_a_share_of_the_whole_force(actuator: str, tmp_path: Path) -> None:
+    """Also of what depends on position and speed, and of its limit; so does the file that is written."""
+    model, states = Mujoco(cart_pole(), mjcf(tmp_path, actuators=actuator)), points(20)
+    weak = Mujoco(cart_pole(), mjcf(tmp_path, actuators=actuator), factors={"push.gain": 0.5})
+    (tmp_path / "weak.xml").write_text(weak.mjcf())
+    written = Mujoco(cart_pole(), str(tmp_path / "weak.xml"))
+    forces = []
+    for each in model, weak, written:
+        engine = each._robot.model
+        data = mujoco.MjData(engine)
+        for x, u in zip(*states, strict=True):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = x[:2], x[2:], u
+            mujoco.mj_forward(engine, data)
+            forces.append(data.qfrc_actuator[0])
+    full, half, read = np.reshape(forces, (3, -1))
+    assert np.ptp(full) > 1
+    np.testing.assert_allclose(half, full / 2, rtol=1e-12)
+    np.testing.assert_allclose(read, half, rtol=1e-5)
+    np.testing.assert_allclose(written.step(*states), weak.step(*states), rtol=1e-4, atol=1e-6)
+
+
 def test_a_motor_at_a_site_pushes_along_its_gear(tmp_path: Path) -> None:
     """As a propeller, which drags as well: 3 N lift 2 kg by 1.5 m/s^2, in units of neither gear nor gain."""
     file = tmp_path / "lift.xml"

@@ -101,7 +101,8 @@ class Mechanism:
                 if beyond > 1e-9 * abs(given):
                     raise ValueError(
                         f"the task's input may be {asked:g}; the actuator {name} gives {given:g} "
-                        f"({quantity.unit}; a motor's inputs are forces or torques, control times gear)"
+                        f"({quantity.unit}; a motor's inputs are forces or torques, control times gear; that of "
+                        f'an actuator with biastype="affine" is its control, as the voltage of a DC motor)'
                     )
 
     @property
@@ -156,12 +157,17 @@ def _places(addresses: Indices, count: int, joint: int) -> Indices:
     return np.arange(count)[addresses[joint] : [*addresses, count][joint + 1]]
 
 
-def _unit(engine: Any, model: Any, i: int) -> float:
-    """Input that a control of 1 gives: the force or torque of a motor, else 1."""
-    motor = (
+def _is_motor(engine: Any, model: Any, i: int) -> bool:
+    """Whether an actuator's force is its control, but for a factor."""
+    return bool(
         model.actuator_gaintype[i] == engine.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[i] == engine.mjtBias.mjBIAS_NONE
     )
+
+
+def _unit(engine: Any, model: Any, i: int) -> float:
+    """Input that a control of 1 gives: the force or torque of a motor, else 1."""
+    motor = _is_motor(engine, model, i)
     return float(_gear(engine, model, i) * model.actuator_gainprm[i, 0]) if motor else 1.0
 
 
@@ -174,14 +180,16 @@ def _gear(engine: Any, model: Any, i: int) -> float:
 
 
 def _reach(engine: Any, model: Any, i: int, unit: float) -> tuple[float, float]:
-    """Least and largest input of an actuator, as its file limits control, force, and force on its joint."""
+    """Least and largest input of an actuator, as its file limits control and, of a motor, the force."""
     ranges = [(-np.inf, np.inf)]
     if model.actuator_ctrllimited[i]:
         ranges.append(unit * model.actuator_ctrlrange[i])
-    if model.actuator_forcelimited[i]:
+    motor = _is_motor(engine, model, i)
+    if motor and model.actuator_forcelimited[i]:
         ranges.append(_gear(engine, model, i) * model.actuator_forcerange[i])
     joint = model.actuator_trnid[i, 0]
-    if model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and model.jnt_actfrclimited[joint]:
+    on_joint = model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT
+    if motor and on_joint and model.jnt_actfrclimited[joint]:
         ranges.append(model.jnt_actfrcrange[joint])
     low, high = np.sort(ranges, axis=1).T  # a gear may be negative
     return float(low.max()), float(high.min())

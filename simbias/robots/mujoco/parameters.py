@@ -98,8 +98,13 @@ def _first_joints(model: Any) -> Array:
 
 
 def _put_gain(model: Any, name: str, value: float) -> None:
-    """Let a motor give this share of the force that its file says."""
-    model.actuator(name).gear[:] *= value
+    """Let an actuator give this share of the force that its file says."""
+    actuator = model.actuator(name)
+    if actuator.biastype[0] != mujoco().mjtBias.mjBIAS_AFFINE:
+        actuator.gear[:] *= value
+        return
+    for forces in (actuator.gainprm, actuator.biasprm, actuator.forcerange):  # a gear scales lengths, too
+        forces[:] *= value
 
 
 # Written into the compiled model: through MjSpec a draw with one mesh takes 80 ms in place of 0.2 ms.
