@@ -59,7 +59,7 @@ def noise_covariance(errors: Array, weights: Array, linearisation: Linearisation
 
 
 def _moments(F: Array, observed: Array, P: Array, R: Array) -> tuple[Array, Array]:
-    """Second moments of starts (w, n), and (w, d) of errors (w, d, k) without them; P (n,), R (d,) are given."""
+    """Second moments of starts (w, n), and (w, d) of errors (w, d, k) without them, given P (n,), R (d,)."""
     G = F / R[:, None]
     try:
         M = np.linalg.inv(np.diag(1.0 / P) + F.transpose(0, 2, 1) @ G)  # (w, n, n)
