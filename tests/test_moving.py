@@ -1,5 +1,7 @@
 """Robots that move: they follow what is planned on the model, or swing up, as no linear policy can."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from figures import lines
@@ -14,7 +16,7 @@ from simbias.search.optimizer.following import Following
 from simbias.search.optimizer.ilqr import Shooting
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.trial.diagnostics import of_prediction
+from simbias.trial.diagnostics import of_goal, of_prediction
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
 
@@ -97,6 +99,10 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
         "does not reach the goal in 5 s of simulation: in its last 1 s upright is 3.14 rad, not below 0.2"
     )
     assert f"{missed}, its inputs at their limits in 0% of" in remark.words
+    rollout = study.simulate(np.zeros(study.policy.n_parameters))
+    fallen = replace(rollout, inputs=rollout.inputs[:157], failed_at=157, failure="off_the_rail")
+    (remark,) = of_goal(fallen, study.task)
+    assert remark.words == "this policy fails in simulation, after 3.14 s: off the rail"
     balancing = simbias.load(["preset=cartpole", "tracking=none"])  # its cost says what success is
     still = np.zeros(balancing.policy.n_parameters)
     assert not list(of_prediction(still, balancing.first_model(), balancing))

@@ -17,6 +17,8 @@ from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
 from simbias.trial.study import Study
 
+SAME = 1e-6  # of a policy's largest parameter, within which parameters say the same
+
 _simulated: WeakKeyDictionary[Iteration, tuple[Remark, ...]] = WeakKeyDictionary()
 
 
@@ -36,7 +38,8 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
             f"all {optimum.evaluations} simulated policies cost the same ({optimum.cost:g}), so this one is "
             f"arbitrary; does every simulation fail at once, or start at rest in an equilibrium?",
         )
-    same = [each.index for each in earlier if np.array_equal(each.parameters, theta)]
+    within = SAME * np.abs(theta).max(initial=0.0)  # plans are made anew, and differ in their last digits
+    same = [each.index for each in earlier if np.allclose(each.parameters, theta, rtol=SAME, atol=within)]
     if same:
         yield Remark(
             "a refuted policy was tried again",
@@ -47,7 +50,14 @@ def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration])
 
 def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
     """Why a simulated rollout does not succeed, where the task says success: limits, time, what it misses."""
-    if not task.goals or rollout.failed_at is not None or task.succeeds(rollout.states) is not False:
+    if rollout.failure is not None:
+        yield Remark(
+            "a policy fails in simulation",
+            f"this policy fails in simulation, after {rollout.frames * task.time_step:.2f} s: "
+            f"{task.words(rollout.failure)}",
+        )
+        return
+    if not task.goals or task.succeeds(rollout.states) is not False:
         return
     times = task.time_step * np.arange(len(rollout.states))
     errors = np.abs(task.error(rollout.states, times))
@@ -109,9 +119,11 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
         return
     task, safety = model.task, study.conditions.safety
     start = task.start_mean
-    if safety.limits or task.succeeds(np.tile(start, (task.horizon + 1, 1))) is not None:
+    says_success = task.succeeds(np.tile(start, (task.horizon + 1, 1))) is not None
+    if safety.limits or says_success:
         rollout = simulator(model, cost=study.cost).rollout(theta, start)  # in the loop that searches compile
-        yield from of_goal(rollout, task)
+        if says_success:
+            yield from of_goal(rollout, task)
         if safety.limits:
             yield from of_safety(rollout, task, safety)
     yield from of_model(theta, model, study.cost)

@@ -16,6 +16,7 @@ from simbias.pictures.trial.comparison import in_simulation
 from simbias.policy.output_feedback import OutputFeedback
 from simbias.search.lqr import lqr_policies
 from simbias.testing.conformance import verdicts
+from simbias.trial.diagnostics import of_policy
 from simbias.trial.methods.algorithm1 import Algorithm1
 from simbias.trial.methods.lqr import Lqr
 from simbias.trial.methods.model_based import ModelBased
@@ -81,12 +82,15 @@ def test_lqr_of_the_nominal_model_is_one_design(point_mass: Study) -> None:
 
 @pytest.mark.usefixtures("uncompiled")
 def test_a_policy_that_is_tried_again_is_told_without_a_search(point_mass: Study) -> None:
-    """Where nothing can be identified, each design is the first one."""
+    """Where nothing can be identified, each design is the first one; last digits make no other."""
     method = Lqr(input_weight=1000.0, identified=True, max_iterations=2)
     calm = replace(point_mass, policy=OutputFeedback(point_mass.task), method=method)
     record = run_trial(calm)
     assert [each.succeeded for each in record.iterations] == [False, False]
     assert record.summary.diagnostics == ("a refuted policy was tried again",)
+    made = record.iterations[:1]
+    nearly, other = (list(of_policy(made[0].parameters * (1.0 + d), None, made)) for d in (1e-9, 1e-3))
+    assert ([remark.kind for remark in nearly], other) == ([*record.summary.diagnostics], [])
 
 
 @pytest.mark.slow
