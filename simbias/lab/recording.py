@@ -173,7 +173,7 @@ class Reader:
         signals_of_inputs = [found[n + i] for i in range(len(task.inputs))]
         inputs = np.array([_held(each, begin, task.time_step, frames) for each in signals_of_inputs]).T
         times = found[0].times
-        inside = times[(times >= begin) & (times <= end)] - begin
+        inside = times[(times >= begin) & (times <= at[-1] + NEAR * task.time_step)] - begin
         return Rollout(states, inputs, measured=states, sensed=True), inside
 
     def _rate(self, values: Array) -> Array:

@@ -26,7 +26,8 @@ RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
 SCALES = 0.75 ** np.arange(12)  # of inputs, until all limits are kept
 FEWEST = 20  # frames of inputs: fewer hold no rise, motion and fall
 RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
-NO_INPUTS = "no inputs were found that keep these limits and the task's criteria"
+LIMITS = "hardware.safety", "no inputs were found that keep these limits and the task's criteria"
+CRITERIA = "task", "no inputs were found that keep its failure criteria"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ class Designer:
             if found is not None and (best is None or found.information > best[0]):
                 best = found.information, c, found
         if best is None:
-            raise ConfigError("hardware.safety", NO_INPUTS)
+            raise ConfigError(*(LIMITS if self._study.conditions.safety.limits else CRITERIA))
         return best[2]
 
     def rated(self, inputs: Array) -> Excitation | None:

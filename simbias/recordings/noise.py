@@ -14,12 +14,16 @@ EVEN = 2.0  # long over short times between samples; between steps of an encoder
 
 
 def noise_of(rollouts: Sequence[Rollout]) -> Array:
-    """Standard deviations (n,) of white noise in recorded states, from third differences of their samples."""
+    """Standard deviations (n,) of white noise in recorded states, from third differences of their samples.
+
+    Those of zero, where an encoder rests, do not count.
+    """
     thirds = [
-        np.concatenate([np.diff(_samples(values), 3) for values in states])
+        np.abs(np.concatenate([np.diff(_samples(values), 3) for values in states]))
         for states in zip(*(rollout.states.T for rollout in rollouts), strict=True)
     ]
-    return np.array([np.median(np.abs(each)) for each in thirds]) / 0.6745 / np.sqrt(20.0)
+    moving = [each[each > LINEAR * each.max(initial=0.0)] for each in thirds]
+    return np.array([np.median(each) if len(each) else 0.0 for each in moving]) / 0.6745 / np.sqrt(20.0)
 
 
 def _samples(values: Array) -> Array:

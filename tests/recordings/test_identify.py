@@ -475,6 +475,8 @@ def test_files_hold_windows_of_whole_chunks(folder: Path) -> None:
         write_csv(Rollout(np.zeros((rows + 1, 4)), np.zeros((rows, 2))), folder / f"{rows}.csv")
     (piece,) = read(study, ["34.csv"], windows=2.0).pieces.rollouts
     assert piece.frames == 33
+    coarse = simbias.load([*options, "task.time_step=0.02", "tracking=none"])
+    assert read(coarse, ["34.csv"]).extent == "34.csv 0.06 s at 500 Hz"  # though it has 0.066 s
     with pytest.raises(ConfigError, match=r"^33\.csv: is shorter than a window of 0\.066 s$"):
         read(study, ["33.csv"], windows=2.0)
 

@@ -101,8 +101,8 @@ class Mechanism:
                 if beyond > 1e-9 * abs(given):
                     raise ValueError(
                         f"the task's input may be {asked:g}; the actuator {name} gives {given:g} "
-                        f"({quantity.unit}; a motor's inputs are forces or torques, control times gear; that of "
-                        f'an actuator with biastype="affine" is its control, as the voltage of a DC motor)'
+                        f"({quantity.unit}; a motor's inputs are forces or torques, control times gear; that "
+                        f'of an actuator with biastype="affine" is its control, as the voltage of a DC motor)'
                     )
 
     @property
