@@ -105,7 +105,7 @@ def _identify(parsed: argparse.Namespace) -> int:
     request = _of_recordings(parsed)
     if parsed.recover:
         return SUCCEEDED if recovery(request) else FAILED
-    better = identify(request)
+    better = identify(request, parsed.attach)
     if not parsed.attach or not better:
         return SUCCEEDED if better else FAILED
     parsed.overrides, parsed.config_dir = request.again, str(request.configs)

@@ -41,7 +41,8 @@ def excite(request: Request, seconds: float, file: Path) -> None:
         posterior = study.identification
         assert isinstance(posterior, Posterior)
         model = posterior.fit(study.nominal, learned.rollouts, learned.recordings)
-        designer = Designer(study, model, _noise(study, learned.rollouts))
+        noise = _noise(study, learned.rollouts)
+        designer = Designer(study, model, noise)
         found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
     try:
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
@@ -56,6 +57,9 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     ]
     table(console, names, rows)
     say(console, "Deviations are in those of the prior, as expected of the posterior.")
+    if not learned.rollouts:
+        say(console, f"As if the model were exact, with white noise of {_levels(study, noise)}.")
+        say(console, "From recordings, in place of their option, how the model errs would count, too.")
     say(console, f"Within {_extremes(study, found)}.")
     say(console, f"Look at it:  {file}")
 
@@ -102,10 +106,8 @@ def recovery(request: Request) -> bool:
         for each in recovered
     ]
     table(console, names, rows)
-    pairs = zip(study.task.states, noise, strict=True)
-    levels = ", ".join(f"{state.name} {level:.2g} {state.unit}" for state, level in pairs)
     say(console, "Medians over robots drawn from what is known, in deviations of the prior.")
-    say(console, f"White noise of {levels}.")
+    say(console, f"White noise of {_levels(study, noise)}.")
     return any(each.comes_back for each in recovered)
 
 
@@ -115,6 +117,12 @@ def _noise(study: Study, recordings: Sequence[Rollout]) -> Array:
         return noise_of(recordings)
     bounds = study.conditions.safety.bounds(study.task).states
     return RELATIVE_NOISE * np.where(np.isfinite(bounds), bounds, 1.0)
+
+
+def _levels(study: Study, noise: Array) -> str:
+    """The noise (n,) of each state."""
+    pairs = zip(study.task.states, noise, strict=True)
+    return ", ".join(f"{state.name} {level:.2g} {state.unit}" for state, level in pairs)
 
 
 def _extremes(study: Study, found: Excitation) -> str:

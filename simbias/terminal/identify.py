@@ -14,6 +14,7 @@ from rich.console import Console
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.config.hydra_config import overridden
+from simbias.lab.recorded import Recorded
 from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
@@ -78,17 +79,20 @@ class Request(NamedTuple):
         ]
 
 
-def identify(request: Request) -> bool:
+def identify(request: Request, attach: bool = False) -> bool:
     """Identify, tell, and write; return whether the model is better than the nominal one.
 
     Raises
     ------
     ConfigError
-        If an override is bad, a recording cannot be read, or a file cannot be written.
+        If an override is bad, a recording cannot be read, a file cannot be written, or a trial is attached
+        whose hardware has no recordings.
     """
     console = Console(highlight=False)
     with slowness_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST)
+        if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
+            raise ConfigError("hardware.folder", "has no recording for the trial of --attach: name a hardware")
         check_replaces_nothing(study, request.folder, request.option)
         with console.status("") as status:
             tell_of = status.update if console.is_terminal else partial(say, console)
@@ -114,6 +118,8 @@ def identify(request: Request) -> bool:
 
 def next_excitation(study: Study, assessment: Assessment) -> Excitation | str:
     """The trajectory to record next, which should tell most of the model, or the reason why there is none."""
+    if not assessment.better:
+        return "the identified model would predict it, which is not to be used"
     rollouts = [rollout for part in assessment.parts for rollout in part.rollouts]
     try:
         designer = Designer(study, assessment.identified, noise_of(rollouts))

@@ -403,11 +403,14 @@ def test_the_command_tells_and_writes(
     write_csv(experiment(study.nominal, np.random.default_rng(0)), folder / "two.csv")
     files, overrides = arguments[:2], arguments[2:]
     assert main([*files, "--attach", "--held-out", "two.csv", *overrides]) == 1
-    assert "Do not use it." in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "Do not use it." in out
+    assert "Next: No trajectory is proposed (the identified model would predict it" in out
     for wrong, said in (
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
         ([*arguments, "--columns", "{angle: q}"], "columns: names what the task has not: angle\n"),
         ([*arguments, "--columns", "[angle]"], "--columns: must be a mapping of names"),
+        ([*arguments, "hardware.folder=lab", "--attach"], "hardware.folder: has no recording for the trial "),
     ):
         assert main(wrong) == 2
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
