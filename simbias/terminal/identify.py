@@ -92,7 +92,7 @@ def identify(request: Request, attach: bool = False) -> bool:
     with slowness_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST)
         if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
-            raise ConfigError("hardware.folder", "has no recording for the trial of --attach: name a hardware")
+            raise ConfigError("hardware.folder", "has no recording for --attach: name another hardware")
         check_replaces_nothing(study, request.folder, request.option)
         with console.status("") as status:
             tell_of = status.update if console.is_terminal else partial(say, console)

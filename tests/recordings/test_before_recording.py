@@ -259,7 +259,7 @@ def test_the_commands(
     assert main(["excite", *arguments, "--seconds", "1", "--into", "torques.csv"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"^friction_2 +N m +1\.00  0\.\d\d$", out, re.MULTILINE)
-    assert "As if the model were exact, with white noise of pos1 0.005 rad, pos2 0.005 rad, vel1 0.06 r" in out
+    assert "As if the model were exact, with white noise of pos1 0.005 rad, pos2 0.005 rad, v" in out
     written = pd.read_csv(folder / "torques.csv")
     assert list(written) == ["time", "pos1", "pos2", "vel1", "vel2", "tau1", "tau2"]
     assert len(written) == 500

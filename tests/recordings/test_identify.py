@@ -410,7 +410,7 @@ def test_the_command_tells_and_writes(
         (["identify", "three.csv", *arguments[2:]], "three.csv: no such recording (.csv, .csv.gz, .mcap, "),
         ([*arguments, "--columns", "{angle: q}"], "columns: names what the task has not: angle\n"),
         ([*arguments, "--columns", "[angle]"], "--columns: must be a mapping of names"),
-        ([*arguments, "hardware.folder=lab", "--attach"], "hardware.folder: has no recording for the trial "),
+        ([*arguments, "hardware.folder=lab", "--attach"], "hardware.folder: has no recording for --attach"),
     ):
         assert main(wrong) == 2
         assert capsys.readouterr().err.startswith(f"simbias: {said}")
