@@ -101,6 +101,24 @@ def test_what_is_no_motor_takes_its_control_as_the_input(tmp_path: Path) -> None
         Mechanism(cart_pole(inputs=volts), mjcf(tmp_path, actuators=motor.format("")))
 
 
+def test_states_and_inputs_are_in_units_of_the_engine(tmp_path: Path) -> None:
+    """It knows no others: degrees were taken for radians."""
+    units = {"position": "m", "angle": "rad", "d_position": "m/s", "d_angle": "rad/s"}
+    for name, unit, right in (("angle", "deg", "rad"), ("position", "mm", "m"), ("d_angle", "rpm", "rad/s")):
+        states = {each: {"unit": given} for each, given in (units | {name: unit}).items()}
+        with pytest.raises(
+            ValueError, match=f"^the task's state {name} is in {unit}; in .* it is in {right}$"
+        ):
+            Mechanism(cart_pole(states=states), mjcf(tmp_path))
+    hinge = mjcf(tmp_path, actuators='<motor name="push" joint="hinge"/>')
+    for unit in ("mN m", "N"):
+        with pytest.raises(
+            ValueError, match=f"^the task's input force is in {unit}; the motor push has N m$"
+        ):
+            Mechanism(cart_pole(inputs={"force": {"unit": unit, "limit": 1.0}}), hinge)
+    Mechanism(cart_pole(inputs={"force": {"unit": "Nm", "limit": 1.0}}), hinge)
+
+
 def test_what_has_no_name_in_a_file_is_called_by_what_it_moves(tmp_path: Path) -> None:
     """As the motors of Gymnasium's reacher; others beside it by number."""
     motors = '<motor joint="slider" gear="20" ctrlrange="-1 1"/><motor joint="slider"/>'

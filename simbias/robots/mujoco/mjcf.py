@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Mapping, Sequence
 from math import ceil
 from typing import Any
@@ -16,6 +17,13 @@ from simbias.robots.mujoco.files import mjcf, read_model, source_files
 from simbias.robots.mujoco.parameters import mujoco, names_of, put_values
 
 MOST_STEPS = 10_000  # of the engine in a frame
+STATE_UNITS = (  # of positions and of velocities, by a joint's type in MuJoCo's order; "" of quaternions
+    (("m",) * 3 + ("",) * 4, ("m/s",) * 3 + ("rad/s",) * 3),  # free
+    (("",) * 4, ("rad/s",) * 3),  # ball
+    (("m",), ("m/s",)),  # slide
+    (("rad",), ("rad/s",)),  # hinge
+)
+INPUT_UNITS = ("", "", "N", "N m")  # of a motor, by its joint's type; "" of any
 
 
 class Mechanism:
@@ -77,6 +85,13 @@ class Mechanism:
             )
         if len(task.inputs) != len(actuators):
             raise ValueError(f"the task has {len(task.inputs)} inputs; {file} has actuators {actuators}")
+        types = [model.joint(name).type[0] for name in joints]
+        wanted = [unit for part in (0, 1) for each in types for unit in STATE_UNITS[each][part]]
+        for state, unit in zip(task.states, wanted, strict=True):
+            if unit not in ("", state.unit):
+                raise ValueError(
+                    f"the task's state {state.name} is in {state.unit}; in {file} it is in {unit}"
+                )
         steps = task.time_step / model.opt.timestep if model.opt.timestep > 0 else np.inf
         if steps > MOST_STEPS:
             raise ValueError(
@@ -96,6 +111,12 @@ class Mechanism:
         self.units = np.array([_unit(engine, model, i) for i in self.control_places])  # (m,) of controls
         places = zip(task.inputs, actuators, self.control_places, self.units, strict=True)
         for (quantity, name, index, unit), lower, upper in zip(places, *task.input_bounds, strict=True):
+            force = _input_unit(engine, model, index)  # volts, or a share, may be a gain away from it
+            bare = re.sub(r"[\s·*.]", "", quantity.unit)
+            if force and "N" in bare and bare != force.replace(" ", ""):
+                raise ValueError(
+                    f"the task's input {quantity.name} is in {quantity.unit}; the motor {name} has {force}"
+                )
             least, most = _reach(engine, model, index, unit)
             for asked, given, beyond in ((upper, most, upper - most), (lower, least, least - lower)):
                 if beyond > 1e-9 * abs(given):
@@ -165,10 +186,22 @@ def _is_motor(engine: Any, model: Any, i: int) -> bool:
     )
 
 
+def _is_motor(engine: Any, model: Any, i: int) -> bool:
+    """Whether an actuator gives a force or torque that is in proportion to its control."""
+    fixed, none = engine.mjtGain.mjGAIN_FIXED, engine.mjtBias.mjBIAS_NONE
+    return bool(model.actuator_gaintype[i] == fixed and model.actuator_biastype[i] == none)
+
+
 def _unit(engine: Any, model: Any, i: int) -> float:
     """Input that a control of 1 gives: the force or torque of a motor, else 1."""
     motor = _is_motor(engine, model, i)
     return float(_gear(engine, model, i) * model.actuator_gainprm[i, 0]) if motor else 1.0
+
+
+def _input_unit(engine: Any, model: Any, i: int) -> str:
+    """The unit of an actuator's input: of force or torque of a motor on a joint; "" of others."""
+    on_joint = model.actuator_trntype[i] == engine.mjtTrn.mjTRN_JOINT and _is_motor(engine, model, i)
+    return INPUT_UNITS[model.jnt_type[model.actuator_trnid[i, 0]]] if on_joint else ""
 
 
 def _gear(engine: Any, model: Any, i: int) -> float:
