@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ RAREST = 20.0  # frames from one sample to the next of what is measured most oft
 RAREST_OF_UNIT = 1000.0  # where its unit is named
 SMOOTH = 0.02  # s, over which a velocity is estimated from positions
 SLOWEST = 0.05  # s over which positions and velocities are compared
+LATEST, CLEARLY = 0.1, 0.5  # s that a rate may be late; its share of squared differences then, at most
 TWICE = 2.0  # how much positions may differ from the integrals of velocities, and inputs exceed their limit
 MOSTLY = 0.99  # of the frames: peaks of a sensor's noise exceed more
 TOLERANCE = 1.05  # times an input's limit, up to which nothing is said
@@ -50,11 +51,7 @@ class Reader:
     def __init__(self, task: Task, columns: Mapping[str, str]) -> None:
         self._task = task
         self._columns = columns
-        n = len(task.states)
-        units = [state.unit for state in task.states]
-        self._rates = {  # of each state that is another's rate: that one
-            i: i - n // 2 for i in range(n // 2, n) if units[i] == f"{units[i - n // 2]}/s"
-        }
+        self._rates = rates_of(task)
 
     def read(self, path: Path, whole_lines: bool = False) -> Recording:
         """The recording of a file; a last line without an end counts if it has all cells, or not at all.
@@ -73,8 +70,9 @@ class Reader:
             piece, measured = self._piece(found, begin, end)
             pieces.append(piece)
             times.append(measured)
-        self._check_rates(path, found, pieces)
-        notes += [*self._beyond_limits(path, pieces), *self._still(pieces)]
+        measured_rates = {i: position for i, position in self._rates.items() if i in found}
+        check_rates(str(path), [piece.states for piece in pieces], self._task, measured_rates)
+        notes += [*self._late(found, pieces), *self._beyond_limits(path, pieces), *self._still(pieces)]
         return Recording(tuple(pieces), tuple(times), tuple(notes))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
@@ -186,26 +184,6 @@ class Reader:
         rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
         return rate
 
-    def _check_rates(self, path: Path, found: Mapping[int, Signal], pieces: list[Rollout]) -> None:
-        """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column."""
-        k = max(1, round(SLOWEST / self._task.time_step))
-        for i, position in self._rates.items():
-            if i not in found:
-                continue
-            moved = np.concatenate([r.states[k:, position] - r.states[:-k, position] for r in pieces])
-            sums = [np.cumsum(r.states[:, i]) * self._task.time_step for r in pieces]
-            told = np.concatenate([total[k:] - total[:-k] for total in sums])
-            size = float(told @ told), float(moved @ moved)
-            if min(size) <= 0 or abs(told @ moved) < CORRELATED * np.sqrt(size[0] * size[1]):
-                continue
-            ratio = float(told @ moved) / size[0]
-            if not 1 / TWICE < ratio < TWICE:
-                names = [self._task.states[j].name for j in (position, i)]
-                raise HardwareError(
-                    f"{path}: {names[0]} changes {ratio:.3g} times as fast as {names[1]} says: "
-                    f"is a unit wrong, or a column?"
-                )
-
     def _beyond_limits(self, path: Path, pieces: list[Rollout]) -> list[str]:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
@@ -231,6 +209,35 @@ class Reader:
                 if len(values) and np.ptp(values[:, i]) == 0:
                     notes.append(f"{quantity.name} never changes, so nothing is learned of what it moves")
         return notes
+
+
+def rates_of(task: Task) -> dict[int, int]:
+    """Of each state that is another's rate, by its place and unit: that one."""
+    units, half = [state.unit for state in task.states], len(task.states) // 2
+    return {i: i - half for i in range(half, len(units)) if units[i] == f"{units[i - half]}/s"}
+
+
+def check_rates(source: str, pieces: Sequence[Array], task: Task, rates: Mapping[int, int]) -> None:
+    """Refuse rates that are not those of their values: degrees, a time in ms, a wrong column.
+
+    Pieces are states (k, n) in the task's frames; rates map places of states to those of what they are the
+    rates of.
+    """
+    k = max(1, round(SLOWEST / task.time_step))
+    for i, position in rates.items():
+        moved = np.concatenate([states[k:, position] - states[:-k, position] for states in pieces])
+        sums = [np.cumsum(states[:, i]) * task.time_step for states in pieces]
+        told = np.concatenate([total[k:] - total[:-k] for total in sums])
+        size = float(told @ told), float(moved @ moved)
+        if min(size) <= 0 or abs(told @ moved) < CORRELATED * np.sqrt(size[0] * size[1]):
+            continue
+        ratio = float(told @ moved) / size[0]
+        if not 1 / TWICE < ratio < TWICE:
+            names = [task.states[j].name for j in (position, i)]
+            raise HardwareError(
+                f"{source}: {names[0]} changes {ratio:.3g} times as fast as {names[1]} says: "
+                f"is a unit wrong, or a column?"
+            )
 
 
 def _factor(file: Signals, name: str, unit: str, wanted: str) -> float:

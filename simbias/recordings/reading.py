@@ -25,7 +25,7 @@ class Recordings(NamedTuple):
 
     rollouts: dict[str, tuple[Rollout, ...]]  # by file, the pieces that gaps leave
     times: dict[str, tuple[Array, ...]]  # (k,) when each was measured, in s from its start
-    notes: tuple[str, ...]  # what was done to the data, by file
+    notes: tuple[str, ...]  # what was done to the data, and the files
     extent: str  # how long each file is, and how often it was measured
 
     @property
@@ -59,7 +59,7 @@ def read(
             raise ConfigError("columns", words(error).removeprefix("columns ")) from error
     kept, files = _by_place(held_out), _by_place(places)
     rollouts, times = dict[str, tuple[Rollout, ...]](), dict[str, tuple[Array, ...]]()
-    notes, extents = list[str](), list[str]()
+    notes, extents = dict[str, list[str]](), list[str]()  # the files that a note is on
     posterior = study.identification
     needed = None
     if windows and isinstance(posterior, Posterior):
@@ -67,13 +67,14 @@ def read(
     for place, file in files.items():
         name = _name(file, files.values())
         if place in kept:
-            notes.append(f"{name}: is held out, so nothing is fitted to it")
+            notes.setdefault("held out, so not fitted to", []).append(name)
             continue
         try:
             recording = hardware.reader.read(file, whole_lines=True)
         except HardwareError as error:
             raise ConfigError("", words(error)) from error
-        notes += [f"{name}: {note}" for note in recording.notes]
+        for note in recording.notes:
+            notes.setdefault(note, []).append(name)
         pieces = [
             (replace(piece, continues=i > 0), when)
             for i, (piece, when) in enumerate(zip(recording.pieces, recording.times, strict=True))
@@ -82,12 +83,14 @@ def read(
         if needed and not pieces:
             raise ConfigError(str(file), f"is shorter than a window of {needed.window:g} s")
         if needed and (left := len(recording.pieces) - len(pieces)):
-            notes.append(f"{name}: {counted(left, 'piece')} of less than {needed.window:g} s left out")
+            short = f"{counted(left, 'piece')} of less than {needed.window:g} s left out"
+            notes.setdefault(short, []).append(name)
         rollouts[name], times[name] = zip(*pieces, strict=True)
         seconds = study.task.time_step * sum(piece.frames for piece, _ in pieces)
         samples = sum(len(when) - 1 for _, when in pieces)
         extents.append(f"{name} {seconds:.3g} s at {samples / seconds:.3g} Hz")
-    return Recordings(rollouts, times, tuple(notes), ", ".join(extents))
+    told = tuple(f"{', '.join(names)}: {note}" for note, names in notes.items())
+    return Recordings(rollouts, times, told, ", ".join(extents))
 
 
 def columns(text: str) -> dict[str, str]:

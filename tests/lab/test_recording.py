@@ -212,6 +212,16 @@ def test_a_velocity_that_lacks_is_estimated_and_said_so(
     assert mistyped.notes == ("vel2 is estimated from pos2, as there is no column 'vle2'",)
 
 
+def test_a_late_velocity_is_told(study: Study, rollout: Rollout, tmp_path: Path) -> None:
+    """By five frames of 2 ms; noise of a tenth alone is not."""
+    table, rng = frame(rollout), np.random.default_rng(0)
+    for name in "vel1", "vel2":
+        table[name] += 0.1 * table[name].std() * rng.standard_normal(len(table))
+    assert read(study, table, tmp_path).notes == ()
+    late = read(study, table.assign(vel2=table["vel2"].shift(5)), tmp_path)
+    assert late.notes == ("vel2 follows pos2 by 10 ms; without its column, it is estimated",)
+
+
 @pytest.mark.slow
 def test_what_cannot_be_meant_so_is_one_line(study: Study, rollout: Rollout, tmp_path: Path) -> None:
     cases: list[tuple[dict[str, float], dict[str, str], str]] = [

@@ -179,14 +179,6 @@ def _places(addresses: Indices, count: int, joint: int) -> Indices:
 
 
 def _is_motor(engine: Any, model: Any, i: int) -> bool:
-    """Whether an actuator's force is its control, but for a factor."""
-    return bool(
-        model.actuator_gaintype[i] == engine.mjtGain.mjGAIN_FIXED
-        and model.actuator_biastype[i] == engine.mjtBias.mjBIAS_NONE
-    )
-
-
-def _is_motor(engine: Any, model: Any, i: int) -> bool:
     """Whether an actuator gives a force or torque that is in proportion to its control."""
     fixed, none = engine.mjtGain.mjGAIN_FIXED, engine.mjtBias.mjBIAS_NONE
     return bool(model.actuator_gaintype[i] == fixed and model.actuator_biastype[i] == none)
