@@ -206,6 +206,11 @@ class Task(ABC):
         """Whether an episode that has not failed succeeds, its states (T+1, n); None: its cost decides."""
         return None
 
+    @property
+    def says_success(self) -> bool:
+        """Whether the task says which episodes succeed; else their costs do."""
+        return self.succeeds(np.tile(self.start_mean, (self.horizon + 1, 1))) is not None
+
     def missed(self, states: Array) -> str:
         """How an episode that has not failed misses success, in words, its states (T+1, n)."""
         errors = np.abs(self.error(states[-1], self.time_step * (len(states) - 1)))

@@ -11,6 +11,7 @@ from simbias.core.proportions import counted_share, wilson
 from simbias.pictures.elements.html import heading, image, page, paragraph, table
 from simbias.report.parts import made_with
 from simbias.sweep.folder import SweepFolder
+from simbias.sweep.tables import left_out
 from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import TrialSummary
 
@@ -32,13 +33,14 @@ def sweep_page(folder: SweepFolder) -> str:
 
 def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
     """From how far it is to the config."""
-    summaries = (TrialFolder(folder.trials / name).summary() for name in description["trials"])
-    ended = [summary for summary in summaries if summary is not None and summary.outcome.final]
+    summaries = [TrialFolder(folder.trials / name).summary() for name in description["trials"]]
+    begun = [summary for summary in summaries if summary is not None]
+    ended = [summary for summary in begun if summary.outcome.final]
     planned = len(description["trials"])
     succeeded = sum(str(summary.outcome) == "succeeded" for summary in ended)
     yield paragraph(
         f"{len(ended)} of {planned} trials have ended; of these succeeded "
-        f"{counted_share(succeeded, len(ended))}."
+        f"{counted_share(succeeded, len(ended))}.{left_out(str(each.outcome) for each in begun)}"
     )
     yield from _claims(ended)
     for file in folder.figures():

@@ -25,6 +25,7 @@ from simbias.core.ranges import Share
 from simbias.sweep.axes import Axis, label, read_axis
 from simbias.sweep.figure import SweepFigure
 from simbias.sweep.statistics import BAR
+from simbias.trial.policy_test import LASTS
 
 MOST_TRIALS = 100_000  # of a sweep: more take minutes to list, and years to run
 SEED_DIGITS = 12  # hexadecimal: trials of a cell do not meet the same seed by chance
@@ -111,6 +112,15 @@ class Sweep:
             for repetition in range(self.repetitions)
             for cell in self.cells
         )
+
+    @cached_property
+    def success(self) -> str:
+        """When a test episode counts as a success, as a verb of its policy."""
+        cells = {repr(cell.composition.config["task"]): cell.composition for cell in self.cells}
+        said = {build_task(cell.config["task"], cell.own).says_success for cell in cells.values()}
+        if len(said) > 1:
+            return f"succeeds ({LASTS}, if its task has no success of its own)"
+        return "succeeds" if said == {True} else LASTS
 
     @property
     def hash(self) -> str:

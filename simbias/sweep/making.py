@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from simbias.engine.workplace import temporary_folder
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.sweep.batches import Batch, Outcomes, run_batch
 from simbias.sweep.figure import FigureError
+from simbias.sweep.tables import left_out
 
 if TYPE_CHECKING:
     from simbias.sweep.grid import Sweep
@@ -57,10 +59,12 @@ def make_figures(
             batches = figure.experiments(trials)
             outcomes = _outcomes(name, batches, engine, state, observer, interruption)
             picture = figure.draw(trials, outcomes)
+            caption = picture.caption + left_out(trials.table["outcome"])
+            picture = replace(picture, caption=caption)
         with temporary_folder() as folder, interruption.defer():
             files = picture.write(Path(folder), name)
-            state.publish(name, picture.caption, files)
-            observer.drawn(name, picture.caption, _copy(files, sweep.figures_to))
+            state.publish(name, caption, files)
+            observer.drawn(name, caption, _copy(files, sweep.figures_to))
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Statistics of sweeps: scores over cells, differences between pairs.
 
-A score matrix (r, c) has a row for each repetition and a column for each cell. Intervals are at 95%.
+A score matrix (r, c) has a row for each repetition and a column for each cell, nan where a trial raised an
+error; each cell has a score. Intervals are at 95%.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _interval(sample: tuple[float, ...]) -> tuple[float, float]:
 
 def interquartile_mean(scores: Array) -> float:
     """The mean of the middle half of all scores (Agarwal et al., NeurIPS 2021)."""
-    ordered = np.sort(scores, axis=None)
+    ordered = np.sort(scores[~np.isnan(scores)])
     outside = len(ordered) // 4
     return float(ordered[outside : len(ordered) - outside].mean())
 
@@ -58,15 +59,16 @@ def interquartile_mean(scores: Array) -> float:
 def probability_of_improvement(scores: Array, others: Array) -> float:
     """The probability that a run of one method beats one of another in the same cell, ties counting half.
 
-    It is the mean over cells of the Mann-Whitney statistic over r r' pairs (Agarwal et al., NeurIPS 2021).
+    It is the mean over cells of the Mann-Whitney statistic over all pairs (Agarwal et al., NeurIPS 2021).
     """
     difference = scores[:, None] - others[None, :]
-    return float(np.mean((difference > 0) + 0.5 * (difference == 0)))
+    better = np.where(np.isnan(difference), np.nan, (difference > 0) + 0.5 * (difference == 0))
+    return float(np.nanmean(better, axis=(0, 1)).mean())
 
 
 def performance_profile(scores: Array, thresholds: Array) -> Array:
     """The share (k,) of scores above each threshold (k,) (E. Dolan and J. More, Math. Prog. 91, 2002)."""
-    return np.mean(scores.ravel()[:, None] > thresholds, axis=0)
+    return np.mean(scores[~np.isnan(scores)][:, None] > thresholds, axis=0)
 
 
 def stratified_bootstrap(statistic: Callable[..., float], *scores: Array, resamples: int = 2000) -> Interval:
@@ -83,7 +85,10 @@ def stratified_bootstrap(statistic: Callable[..., float], *scores: Array, resamp
 def _runs(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:
     """Scores (r, c), each cell's drawn with replacement from its own."""
     for each in scores:
-        yield np.take_along_axis(each, rng.integers(len(each), size=each.shape), axis=0)
+        raised = np.sort(np.isnan(each), axis=0)
+        first = np.take_along_axis(each, np.argsort(np.isnan(each), axis=0, kind="stable"), axis=0)
+        drawn = rng.integers(np.sum(~raised, axis=0), size=each.shape)
+        yield np.where(raised, np.nan, np.take_along_axis(first, drawn, axis=0))
 
 
 def _cells(scores: Sequence[Array], rng: np.random.Generator) -> Iterator[Array]:

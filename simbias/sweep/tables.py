@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from simbias.core.messages import counted
 from simbias.core.proportions import CONFIDENCE, wilson
 from simbias.sweep.axes import Axis
 from simbias.sweep.grid import Sweep
@@ -37,9 +38,9 @@ def cells(trials: pd.DataFrame, sweep: Sweep) -> pd.DataFrame:
     bootstrap interval, are of the number of experiments; `iterations` is the mean of theirs; `raised` counts
     trials that ended by an error, which are in no other number; `paper` is the paper's mean, nan where it has
     none. Means too are `hardware_seconds`, `success_rate`, the share of test episodes in which the last
-    policies succeed, `reliable`, the share of trials in which this is at least RELIABLE, and
-    `long_success_rate`, the share of long test episodes that last to their end. Of `tested` last policies,
-    `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
+    policies succeed (where the task has no success of its own: last), `reliable`, the share of trials in
+    which this is at least RELIABLE, and `long_success_rate`, the share of long test episodes that last to
+    their end. Of `tested` last policies, `holding` pass the report's bar (`simbias.sweep.statistics.holds`).
     """
     names = [axis.name for axis in sweep.axes]
     trials_of: dict[tuple[str, ...], list[dict[Any, Any]]] = {cell.labels: [] for cell in sweep.cells}
@@ -79,7 +80,7 @@ def numbers_of_episodes(tests: Iterable[str]) -> str:
 
 
 def success_rate(episodes: str) -> float:
-    """The share of test episodes in which a policy succeeds, "101" of three."""
+    """The share of test episodes that count as a success, "101" of three."""
     return episodes.count("1") / len(episodes)
 
 
@@ -186,25 +187,34 @@ def plain(arrangement: Layout) -> str:
     )
 
 
+def left_out(outcomes: Iterable[str]) -> str:
+    """A sentence on trials that raised an error, behind others; "" where none did."""
+    raised = [*outcomes].count("error")
+    verb = "is" if raised == 1 else "are"
+    return f" {counted(raised, 'trial')} raised an error and {verb} left out." * bool(raised)
+
+
 def legend(sweep: Sweep, trials: pd.DataFrame) -> str:
     """The meaning of the numbers, in words."""
     iterations = "iterations: likewise; " if "iterations" in sweep.report.measures else ""
     return (
         f"experiments: mean number of hardware experiments until success [{CONFIDENCE:.0%} bootstrap "
         f"interval]; {iterations}a trial that never succeeds counts all that it may make; beside counts: "
-        f"Wilson intervals of the share.{_of_tests(sweep, trials)}"
+        f"Wilson intervals of the share.{_of_tests(sweep, trials)}{left_out(trials['outcome'])}"
     )
 
 
 def _of_tests(sweep: Sweep, trials: pd.DataFrame) -> str:
     """The meaning of the numbers of test episodes, where any is shown."""
     count = numbers_of_episodes(trials["test_episodes"])
+    if not count:
+        return ""
     texts = {
-        "success_rate": f"mean share of {count} test episodes in which a trial's last policy succeeds",
+        "success_rate": f"mean share of {count} test episodes in which a trial's last policy {sweep.success}",
         "reliable": f"share of trials where that is at least {RELIABLE:.0%}",
-        "holds": f"last policies of which the lower Wilson limit of successes, long ones to their end, is "
-        f"above {sweep.report.bar:.0%}",
+        "holds": "last policies of which the share of test episodes passed, long ones to their end, has a "
+        f"lower Wilson limit above {sweep.report.bar:.0%}",
         "long_success_rate": "mean share of long test episodes that last to their end",
     }
     shown = [f"{name}: {words}" for name, words in texts.items() if name in sweep.report.measures]
-    return f" {'; '.join(shown)}." if count and shown else ""
+    return f" {'; '.join(shown)}." if shown else ""

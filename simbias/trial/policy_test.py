@@ -33,6 +33,7 @@ class PolicyTest:
 
 
 NO_TEST = PolicyTest()
+LASTS = "lasts without a failure"  # all that counts where a task has no success of its own
 
 
 class Episode(NamedTuple):
@@ -42,7 +43,7 @@ class Episode(NamedTuple):
     asked_seconds: float  # that it was to last
     seconds: float  # that it lasted
     failure: str | None
-    succeeds: bool | None = None  # as the task says; None: whoever lasts for the task's horizon succeeds
+    succeeds: bool | None = None  # as the task says; None: lasting for the task's horizon counts, at any cost
     errors: Sequence[float] = ()  # (g,) root mean square, while it lasted, of each of the goal's quantities
 
 
@@ -55,7 +56,7 @@ class PolicyTestResult:
 
     @property
     def successes(self) -> str:
-        """1 for each episode that succeeds, 0 for each other."""
+        """1 for each episode that succeeds (lasts, without success of the task's own), 0 for each other."""
         return "".join(str(int(self._succeeds(episode))) for episode in self.episodes)
 
     def _succeeds(self, episode: Episode) -> bool:
@@ -92,12 +93,13 @@ class PolicyTestResult:
     def words(self) -> str:
         """The result in one sentence."""
         succeeded = counted_share(self.successes.count("1"), len(self.episodes))
-        count = f"{succeeded} test episodes of {self.horizon:g} s"
+        does = LASTS if all(each.succeeds is None for each in self.episodes) else "succeeds"
+        said = f"Its last policy {does} in {succeeded} test episodes of {self.horizon:g} s"
         if not self.long_episodes:
-            return f"Its last policy succeeds in {count}."
+            return f"{said}."
         lasted = counted_share(sum(e.failure is None for e in self.long_episodes), len(self.long_episodes))
         return (
-            f"Its last policy succeeds in {count}, and in {lasted} of "
+            f"{said}, and lasts in {lasted} of "
             f"{self.long_episodes[0].asked_seconds:g} s (they last {self.long_seconds:.0f} s on average)."
         )
 

@@ -60,7 +60,7 @@ class TrialSummary:
     ended: float = nan  # or stopped, s since the epoch
     seconds: float = 0.0  # wall time, of all processes that ran it but those that were killed
     hardware_seconds: float = 0.0  # duration of the experiments
-    test_episodes: str = ""  # of the last policy: 1 for each in which it succeeds, 0 for each other
+    test_episodes: str = ""  # of the last policy: 1 for each that counts as a success, 0 for each other
     lasting_episodes: str = ""  # likewise, 1 for each that lasts to its own end
     success_rate: float = nan  # share of test episodes
     long_success_rate: float = nan  # likewise, of the long ones

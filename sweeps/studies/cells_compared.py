@@ -2,8 +2,9 @@
 
 `python sweeps/studies/cells_compared.py FOLDER METHOD RIVAL ...` reads the published trials in FOLDER. It
 prints the scores of all methods in each cell, and the comparisons. A score is the mean share of test episodes
-that a cell's last policies last; a trial that raised scores 0. A comparison is an exact two-sided sign test
-of the cells' differences, Holm over the rivals, and the mean difference with a bootstrap over cells.
+that a cell's last policies last; a trial that raised an error is left out. A comparison is an exact two-sided
+sign test of the cells' differences, Holm over the rivals, and the mean difference with a bootstrap over
+cells.
 `--unheld NAME` adds the mean scores over the cells in which not all trials of this method hold.
 """
 
@@ -18,6 +19,7 @@ import pandas as pd
 from simbias.core import markdown
 from simbias.core.proportions import wilson
 from simbias.sweep.statistics import holds, holm, interval, passed, sign_test
+from simbias.sweep.tables import left_out
 
 HEAD = ["rival", "cells better, worse, equal", "p", "p, Holm", "mean difference", "worst cell"]
 
@@ -25,7 +27,7 @@ HEAD = ["rival", "cells better, worse, equal", "p", "p, Holm", "mean difference"
 def read(file: Path) -> pd.DataFrame:
     """Trials with `passed` of `episodes`, `score` and `holds`."""
     texts = {"lasting_episodes": str, "test_episodes": str}
-    trials = pd.read_csv(file, dtype=texts, keep_default_na=False)
+    trials = pd.read_csv(file, dtype=texts, keep_default_na=False, na_values={"experiments": [""]})
     both = zip(trials["test_episodes"], trials["lasting_episodes"], strict=True)
     tests = pd.Series([passed(*each) for each in both], trials.index, dtype=str)
     successes, episodes = tests.str.count("1"), tests.str.len()
@@ -67,6 +69,7 @@ def shortfalls(trials: pd.DataFrame, method: str) -> Iterator[str]:
 
 def report(trials: pd.DataFrame, method: str, rivals: Sequence[str], unheld: str | None = None) -> str:
     """All of it, in markdown."""
+    missing, trials = left_out(trials["outcome"]), trials[trials["outcome"] != "error"]
     table, experiments = scores(trials), trials.groupby("method")["experiments"].mean()
     rows = {str(cell): row for cell, row in table.iterrows()} | {"mean": table.mean()}
     if unheld:
@@ -78,7 +81,8 @@ def report(trials: pd.DataFrame, method: str, rivals: Sequence[str], unheld: str
         [
             markdown.table(["cell", *map(str, table.columns)], body),
             markdown.table(HEAD, list(comparisons(table, method, rivals))),
-            f"Below a rival by more than its interval: {'; '.join(shortfalls(trials, method)) or 'nowhere'}.",
+            f"Below a rival by more than its interval: {'; '.join(shortfalls(trials, method)) or 'nowhere'}."
+            f"{missing}",
         ]
     )
 

@@ -3,7 +3,7 @@
 `python sweeps/studies/paired.py SWEEP AXIS [--by AXIS]` compares every point of an axis with its first one,
 in the published trials of a sweep that has the axis among its `common_seeds`, or in those of your own one, if
 SWEEP is its `trials.csv`; for each point of another axis apart, if one is named. A trial that never succeeds
-counts all experiments that it may make.
+counts all experiments that it may make; one that raised an error is left out, with its pairs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pandas as pd
 
 from simbias.sweep import results
 from simbias.sweep.grid import expand
-from simbias.sweep.tables import share
+from simbias.sweep.tables import left_out, share
 
 HEAD = (
     "experiments",
@@ -29,7 +29,7 @@ HEAD = (
 
 
 def paired(name: str, axis: str, by: str | None = None) -> str:
-    """A row for every point of the axis, in markdown."""
+    """A row for every point of the axis, in markdown; beneath, how many trials are left out."""
     if name.endswith(".csv"):
         head = pd.read_csv(name, nrows=0).columns
         axes = [*takewhile(lambda column: column != "hash", head)]
@@ -54,11 +54,14 @@ def paired(name: str, axis: str, by: str | None = None) -> str:
                 *row(these, None if these is first else first),
             ]
             lines.append(f"| {' | '.join(cells)} |")
+    if missing := left_out(trials["outcome"]):
+        lines += ["", missing.strip()]
     return "\n".join(lines) + "\n"
 
 
 def row(trials: pd.DataFrame, reference: pd.DataFrame | None) -> list[str]:
     """What a point's trials needed, and by how much more than the reference's."""
+    trials = trials[trials["outcome"] != "error"]
     difference = differing = ""
     if reference is not None:
         pairs = (trials["experiments"] - reference["experiments"]).dropna()

@@ -144,3 +144,5 @@ def test_claims_that_a_test_contradicts_are_counted(tmp_path: Path) -> None:
     folder.begin({"name": "mine", "trials": dict.fromkeys(trials), "config": {}})
     html = sweep_page(folder)
     assert "the test of the last policy contradicts 1 of 2 (9% to 91%)" in html
+    (tmp_path / "c" / "outcome.json").write_text(json.dumps({"outcome": "error"}))
+    assert "succeeded 2 of 2 (34% to 100%). 1 trial raised an error and is left out." in sweep_page(folder)

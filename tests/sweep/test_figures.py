@@ -66,21 +66,32 @@ def test_comparisons_numbers_are_those_of_the_trials() -> None:
     numbers = picture.numbers.set_index("method")
     assert numbers["holds"].to_dict() == {"LQR": 0, "LQI": 0, "ideal": 3}
     assert numbers["raised"].to_dict() == {"LQR": 1, "LQI": 0, "ideal": 0}
+    assert numbers["trials"].to_dict() == {"LQR": 2, "LQI": 3, "ideal": 3}
+    assert numbers["experiments"].to_dict() == {"LQR": 2.5, "LQI": 3.0, "ideal": 3.0}
     assert numbers["mean_share"].to_dict() == pytest.approx({"LQR": 0.0, "LQI": 1 / 3, "ideal": 1.0})
     assert numbers["better LQI"].dropna().to_dict() == pytest.approx({"LQR": 1 / 6, "ideal": 1.0})
     assert numbers.loc["ideal", "p LQI"] == pytest.approx(2 * 2 * 0.5**3)  # three pairs of two tests
     assert numbers.loc["ideal", "holds_low"] == pytest.approx(0.438, abs=1e-3)
-    assert "most hold by ideal: 3 (44% to 100%)" in picture.caption
+    assert "the last policy lasts without a failure, long ones to their end" in picture.caption
+    assert picture.caption.endswith("Most trials hold by ideal 3 of 3 (44% to 100%).")
     FigureCanvasAgg(picture.figure).draw()
     picture_of_two = Comparison("method").draw(made_up({"ideal": [half, all_of_16, all_of_16]}), ())
     (curve,) = picture_of_two.figure.axes[-1].lines
     assert np.asarray(curve.get_ydata()).tolist() == pytest.approx([0, 1 / 3, 2 / 3, 2 / 3])  # of all trials
     none = Comparison("method").draw(made_up({"LQI": [fallen] * 3}), ())
-    assert none.caption.endswith("Of 3 trials each, none ends with a policy that holds.")
+    assert none.caption.endswith(" No trial ends with a policy that holds.")
+    tie = Comparison("method").draw(made_up({"LQI": [all_of_16, "", ""], "ideal": [all_of_16] * 3}), ())
+    assert "by LQI 1 of 1 (21% to 100%), ideal 3 of 3 (44% to 100%)." in tie.caption
+    crashed = Comparison("method", ["LQR"]).draw(made_up({"LQR": [""] * 3, "ideal": [half] * 3}), ())
+    assert crashed.numbers["method"].tolist() == ["ideal"]
     alone = replace(made_up(texts), sweep=replace(sweep, axes=sweep.axes[1:]))  # no axis beside the methods
     pd.testing.assert_frame_equal(Comparison("method", ["LQI"]).draw(alone, ()).numbers, picture.numbers)
-    with pytest.raises(FigureError, match=r"run them with policy_test\.episodes=20 tracking\.trials="):
+    with pytest.raises(FigureError, match="no trial of the sweep ran to an end"):
         Comparison("method").draw(made_up({"LQI": [""] * 3}), ())
+    untested = made_up({"LQI": [half] * 3})
+    untested.table["test_episodes"] = ""
+    with pytest.raises(FigureError, match=r"run them with policy_test\.episodes=20 tracking\.trials="):
+        Comparison("method").draw(untested, ())
     with pytest.raises(FigureError, match="no such axis or point: method, LQX"):
         Comparison("method", ["LQX"]).draw(made_up({"LQI": ["1"] * 3}), ())
 
@@ -104,7 +115,7 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     assert picture.numbers["success_rate"].tolist() == pytest.approx([1, 1 / 2, 0, 1])
     assert picture.numbers["experiments"].tolist() == [4, 5, 4, 5]
     shown = "of 4 to 6 test episodes", "2/4 [15%, 85%] trials end", "in 0 of 2 cells"
-    for words in ("experiments until success, without it all", *shown):
+    for words in ("experiments until success, without it all", "lasts without a failure", *shown):
         assert words in picture.caption
     with pytest.raises(FigureError, match=r"policy_test\.episodes=20"):
         LastPolicies().draw(made_up({"slope 0.02 rad": ["", ""]}), ())

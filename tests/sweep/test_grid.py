@@ -57,6 +57,21 @@ def test_what_is_added_or_reordered_changes_no_other_trial(
 
 
 @pytest.mark.slow
+def test_what_counts_in_a_test_episode_is_said_as_the_tasks_of_all_cells_have_it() -> None:
+    """Success of the task's own; where it has none, lasting."""
+    points = {"balance": "{preset: cartpole}", "swing up": "{preset: acrobot_swingup}"}
+
+    def said(*names: str) -> str:
+        named = ", ".join(f"{name}: {points[name]}" for name in names)
+        return expand([f"+sweep={{trials: 1, axes: {{robot: {{points: {{{named}}}}}}}}}"]).success
+
+    assert said("swing up") == "succeeds"
+    assert said("balance") == "lasts without a failure"
+    both = "succeeds (lasts without a failure, if its task has no success of its own)"
+    assert said("balance", "swing up") == both
+
+
+@pytest.mark.slow
 def test_table_2() -> None:
     sweep = expand(["+sweep=table2"])
     assert (len(sweep.cells), len(sweep.trials)) == (24, 240)

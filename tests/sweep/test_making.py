@@ -41,10 +41,11 @@ class Store:
         return [Outcomes.from_json(file.read_text()) for file in self.folder.path.glob("experiments/*")]
 
     def swept(self) -> Any:
-        return None
+        return SimpleNamespace(table=pd.DataFrame({"outcome": ["succeeded", "error", "error"]}))
 
     def publish(self, name: str, caption: str, files: Sequence[Path]) -> None:
         assert all(file.exists() for file in files)
+        assert caption == "Frames. 2 trials raised an error and are left out."
 
 
 class Tries(SweepFigure):
@@ -57,7 +58,9 @@ class Tries(SweepFigure):
         return self._batches
 
     def draw(self, trials: SweptTrials, outcomes: Sequence[Outcomes]) -> Picture:
-        return Picture(Figure(), pd.DataFrame({"frames": [outcome.frames[0] for outcome in outcomes]}), "")
+        return Picture(
+            Figure(), pd.DataFrame({"frames": [outcome.frames[0] for outcome in outcomes]}), "Frames."
+        )
 
 
 @pytest.fixture(scope="module")

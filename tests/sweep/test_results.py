@@ -11,6 +11,7 @@ from pathlib import Path
 import cells_compared
 import goal_errors
 import last_policies
+import numpy as np
 import optimizers
 import pandas as pd
 import pytest
@@ -135,23 +136,43 @@ def test_published_trials_are_those_that_the_sweep_would_run() -> None:
         assert list(zip(trials["hash"], trials["repetition"], trials["seed"], strict=True)) == planned
 
 
-def test_cells_count_once_and_what_raised_counts_as_nothing(tmp_path: Path) -> None:
-    """Worked out by hand: A is better in two cells of three, the third is equal."""
+def test_cells_count_once_and_what_raised_is_left_out(tmp_path: Path) -> None:
+    """Worked out by hand: A is better in a cell of three, the others are equal."""
     rows = [
         *(("one", "A", 6 * "1" + "00"), ("one", "A", 8 * "1"), ("one", "B", 8 * "0"), ("one", "B", 8 * "0")),
         *(("two", "A", 16 * "1"), ("two", "A", 16 * "1"), ("two", "B", 16 * "1"), ("two", "B", "")),
         *(("three", "A", 16 * "1"), ("three", "B", 16 * "1")),
     ]
     trials = pd.DataFrame(rows, columns=["cell", "method", "test_episodes"])
-    trials.assign(lasting_episodes="", experiments=2.0).to_csv(tmp_path / "trials.csv", index=False)
-    read = cells_compared.read(tmp_path / "trials.csv")
-    assert cells_compared.scores(read).to_numpy().tolist() == [[0.875, 0.0], [1.0, 0.5], [1.0, 1.0]]
+    trials = trials.assign(lasting_episodes="", outcome="succeeded", experiments=2.0)
+    trials.loc[trials["test_episodes"] == "", ["outcome", "experiments"]] = ["error", np.nan]
+    trials.to_csv(tmp_path / "trials.csv", index=False)
+    raised = cells_compared.read(tmp_path / "trials.csv")
+    read = raised[raised["outcome"] != "error"]
+    assert cells_compared.scores(read).to_numpy().tolist() == [[0.875, 0.0], [1.0, 1.0], [1.0, 1.0]]
     (row,) = cells_compared.comparisons(cells_compared.scores(read), "A", ["B"])
-    assert row[:4] == ["B", "2, 0, 1", "0.5", "0.5"]
-    assert row[4].startswith("+45.8% [")
+    assert row[:4] == ["B", "1, 0, 2", "1", "1"]
+    assert row[4].startswith("+29.2% [")
     assert list(cells_compared.shortfalls(read, "A")) == []
     assert list(cells_compared.shortfalls(read, "B")) == ["one, A (88% > 19%)"]
-    assert "| mean of 2 that B does not hold | 94% | 25% |" in cells_compared.report(read, "A", ["B"], "B")
+    report = cells_compared.report(raised, "A", ["B"], "B")
+    assert "| mean of 1 that B does not hold | 88% | 0% |" in report
+    assert report.endswith("1 trial raised an error and is left out.")
+
+
+def test_pairs_with_what_raised_are_left_out(tmp_path: Path) -> None:
+    """The trial that raised is among no counts of its row either."""
+    rows = [("A", 0, 5.0), ("A", 1, 4.0), ("B", 0, np.nan), ("B", 1, 2.0)]
+    trials = pd.DataFrame(rows, columns=["method", "repetition", "experiments"])
+    trials = trials.assign(hash="a", seed=1, iterations=trials["experiments"], seconds=1.0, raised="")
+    raised = trials["experiments"].isna()
+    trials["outcome"] = raised.map({True: "error", False: "succeeded"})
+    trials.loc[raised, "seconds"] = 9.0
+    columns = ["method", "hash", *(name for name in trials if name not in ("method", "hash"))]
+    trials[columns].to_csv(tmp_path / "trials.csv", index=False)
+    last, *missing = paired(str(tmp_path / "trials.csv"), "method").splitlines()[-3:]
+    assert last == "| B | 2.00 | -2.00, nan | 1 of 1 | 2.00 | 1/1 [21%, 100%] | 1.0 |"
+    assert missing == ["", "1 trial raised an error and is left out."]
 
 
 @pytest.mark.slow

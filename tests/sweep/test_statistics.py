@@ -48,6 +48,15 @@ def test_scores_of_cells() -> None:
     assert profile.tolist() == [1.0, 0.5, 0.0]
 
 
+def test_runs_that_raised_are_in_no_statistic() -> None:
+    """Neither in those of all scores nor in resamples: what is the same in all runs has no spread."""
+    raised = np.array([[np.nan, 1.0], [0.5, 1.0], [0.5, np.nan]])
+    assert interquartile_mean(raised) == 0.75
+    assert performance_profile(raised, np.array([0.0, 0.6])).tolist() == [1.0, 0.5]
+    assert probability_of_improvement(raised, np.array([[0.5, 0.0]] * 3)) == 0.75
+    assert stratified_bootstrap(interquartile_mean, raised) == (0.75, 0.75)
+
+
 def test_probability_of_improvement_is_mann_whitneys() -> None:
     rng = np.random.default_rng(0)
     ours, theirs = rng.integers(0, 4, (7, 1)), rng.integers(0, 4, (5, 1))
@@ -125,6 +134,7 @@ def test_a_failure_counts_all_experiments_and_an_error_none() -> None:
     text = markdown.table(*layout(cells(frame, sweep), sweep))
     assert "| 2/3 [21%, 94%] |" in text
     assert "| 2/2 [34%, 100%], 1 raised |" in text
+    assert legend(sweep, frame).endswith(" 1 trial raised an error and is left out.")
 
 
 def test_measures_are_those_that_the_report_names() -> None:

@@ -12,11 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import PercentFormatter
 
-from simbias.core.proportions import wilson
+from simbias.core.proportions import counted_share, wilson
 from simbias.core.records import Array
 from simbias.pictures.elements.style import SIMULATION, plain, series_style
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
+from simbias.sweep.grid import Sweep
 from simbias.sweep.statistics import (
     holds,
     holm,
@@ -38,10 +39,10 @@ class Comparison(SweepFigure):
     """Each point of an axis against all, over the cells of the other axes, by what its last policies hold.
 
     A trial's score is the share of its test episodes that its last policy passes: they succeed, and last to
-    their end. One that raised has zero. It counts as a success where that policy holds
-    (`simbias.sweep.statistics.holds`). Above: mean score in
-    each cell, and the interquartile mean over cells with its bootstrap interval. Below: performance profiles,
-    and the share of all trials that are a success within so many experiments.
+    their end. It counts as a success where that policy holds (`simbias.sweep.statistics.holds`). Trials that
+    raised an error are left out. Above: mean score in each cell, and the interquartile mean over cells with
+    its bootstrap interval. Below: performance profiles, and the share of trials that are a success within so
+    many experiments.
 
     Parameters
     ----------
@@ -71,33 +72,34 @@ class Comparison(SweepFigure):
         Raises
         ------
         FigureError
-            If no policy was tested, or there is no such axis or point.
+            If no policy was tested, no trial ran to an end, or there is no such axis or point.
         """
         labels = {axis.name: axis.labels for axis in trials.sweep.axes}
         named = [*self._references, *self._curves]
         if self._axis not in labels or set(named) - set(labels[self._axis]):
             raise FigureError(f"no such axis or point: {self._axis}, {', '.join(named)}")
-        if not any(trials.table["test_episodes"]):
+        if not any(row["test_episodes"] for row in trials.rows):
             raise FigureError(UNTESTED)
         table = _scored(trials.table, trials.sweep.report.bar)
         others = [name for name in labels if name != self._axis]
-        own = {str(name): _Method(each, others) for name, each in table.groupby(self._axis, sort=False)}
+        groups = table.groupby(self._axis, sort=False)
+        own = {str(name): _Method(each, others) for name, each in groups if each["score"].notna().any()}
         numbers = pd.DataFrame([method.row(name) for name, method in own.items()])
         for name in self._references:
             if name in own:
                 numbers = numbers.join(_against(own, own[name]).add_suffix(f" {name}"), on="method")
         curves = {name: own[name] for name in (self._curves or [*own][:MOST]) if name in own}
         figure = _figure(own, numbers, curves)
-        return Picture(figure, numbers, _caption(numbers, trials.sweep.report.bar))
+        return Picture(figure, numbers, _caption(numbers, trials.sweep))
 
 
 def _scored(table: pd.DataFrame, bar: float) -> pd.DataFrame:
-    """The trials, with what their last policies hold."""
+    """The trials, with what their last policies hold; the score of those that raised is nan."""
     tests = [*map(passed, table["test_episodes"], table["lasting_episodes"])]
+    scores = np.array([text.count("1") / len(text) if text else 0.0 for text in tests])
     return table.assign(
-        score=[text.count("1") / len(text) if text else 0.0 for text in tests],
+        score=np.where(table["outcome"] == "error", np.nan, scores),
         holds=[holds(text, bar) for text in tests],
-        experiments=table["experiments"].fillna(0.0),
     )
 
 
@@ -105,29 +107,32 @@ class _Method:
     """The trials of a method: scores (r, c) of as many repetitions as all of its cells have."""
 
     def __init__(self, trials: pd.DataFrame, others: list[str]) -> None:
-        self.trials = trials.set_index([*others, "repetition"])
+        self.trials = trials[trials["score"].notna()].set_index([*others, "repetition"])
+        self.raised = len(trials) - len(self.trials)
         grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
         cells = {" ".join(map(str, name)): own["score"].to_numpy() for name, own in grouped}
         repetitions = min(map(len, cells.values()))
         self.cells = [*cells]
         self.scores: Array = np.array([cell[:repetitions] for cell in cells.values()]).T
+        self.tried = ~np.isnan(self.scores).all(axis=0)  # cells (c,) in which a trial ran to its end
 
     def row(self, name: str) -> dict[str, Any]:
         """The method in numbers."""
         held, count = int(self.trials["holds"].sum()), len(self.trials)
-        low, high = stratified_bootstrap(interquartile_mean, self.scores)
+        scores = self.scores[:, self.tried]
+        low, high = stratified_bootstrap(interquartile_mean, scores)
         least, most = wilson(held, count)
         return {
             "method": name,
             "trials": count,
-            "raised": int((self.trials["outcome"] == "error").sum()),
+            "raised": self.raised,
             "holds": held,
             "holds_low": least,
             "holds_high": most,
-            "share": interquartile_mean(self.scores),
+            "share": interquartile_mean(scores),
             "share_low": low,
             "share_high": high,
-            "mean_share": float(self.scores.mean()),
+            "mean_share": float(np.nanmean(scores)),
             "experiments": float(self.trials["experiments"].mean()),
         }
 
@@ -138,7 +143,8 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
     for name, method in methods.items():
         if method is reference or method.scores.shape[1] != reference.scores.shape[1]:
             continue
-        both = method.scores, reference.scores
+        tried = method.tried & reference.tried
+        both = method.scores[:, tried], reference.scores[:, tried]
         low, high = stratified_bootstrap(probability_of_improvement, *both)
         rows[name] = {"better": probability_of_improvement(*both), "better_low": low, "better_high": high}
         pairs = method.trials["holds"].astype(float) - reference.trials["holds"].astype(float)
@@ -147,17 +153,18 @@ def _against(methods: dict[str, _Method], reference: _Method) -> pd.DataFrame:
     return table.assign(p=pd.Series(holm(p)))
 
 
-def _caption(numbers: pd.DataFrame, bar: float) -> str:
+def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
     """The caption, from the numbers."""
-    best = numbers.iloc[int(numbers["holds"].to_numpy().argmax())]
-    held = f"{best['holds']} ({best['holds_low']:.0%} to {best['holds_high']:.0%})"
-    most = f"most hold by {best['method']}: {held}" if best["holds"] else "none ends with a policy that holds"
+    shares = numbers["holds"] / numbers["trials"]
+    best = numbers[shares == shares.max()].to_dict("records")
+    held = ", ".join(f"{row['method']} {counted_share(row['holds'], row['trials'])}" for row in best)
+    most = f"Most trials hold by {held}" if shares.any() else "No trial ends with a policy that holds"
     return (
-        "Above: share of test episodes that succeed and last to their end, mean of each cell; at the right "
-        "the interquartile mean of cells, with its 95% bootstrap interval (runs are resampled within cells; "
-        "cells, where each has one run). Below: share of trials with more than so much; share of all trials "
-        f"that end within so many experiments with a policy that holds (lower Wilson limit above {bar:.0%}). "
-        f"Of {best['trials']} trials each, {most}."
+        f"Above: share of test episodes in which the last policy {sweep.success}, long ones to their end, "
+        "mean of each cell; at the right the interquartile mean of cells, with its 95% bootstrap interval "
+        "(runs are resampled within cells; cells, where each has one run). Below: share of trials with more "
+        "than so much; share of trials that end within so many experiments with a policy that holds (lower "
+        f"Wilson limit above {sweep.report.bar:.0%}). {most}."
     )
 
 
@@ -179,7 +186,7 @@ def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
     names = next(iter(methods.values())).cells
     shares = np.full((len(methods), len(names)), np.nan)
     for row, method in enumerate(methods.values()):
-        for name, share in zip(method.cells, method.scores.mean(axis=0), strict=True):
+        for name, share in zip(method.cells, pd.DataFrame(method.scores).mean(), strict=True):
             if name in names:
                 shares[row, names.index(name)] = share
     axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.25, aspect="auto")

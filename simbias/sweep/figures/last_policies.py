@@ -18,12 +18,11 @@ from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_r
 
 ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
 SPREAD = 0.62  # of a row's height, over which dots that would hide each other are spread
-WORDS = {"experiments": "experiments", "success_rate": "success rate of the last policy"}
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
 class LastPolicies(SweepFigure):
-    """Each trial of each cell: its experiments, and the success rate of its last policy.
+    """Each trial of each cell: its experiments, and the share of test episodes that its last policy passes.
 
     A dot is a trial, a bar the mean of its cell.
     """
@@ -53,30 +52,32 @@ class LastPolicies(SweepFigure):
         )
         cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
         episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
-        return Picture(_figure(numbers, cells), numbers, _caption(numbers, episodes))
+        success = trials.sweep.success
+        words = "test episodes in which the last policy " + success.partition(" (")[0]
+        return Picture(_figure(numbers, cells, words), numbers, _caption(numbers, episodes, success))
 
 
-def _caption(numbers: pd.DataFrame, episodes: str) -> str:
+def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
     """The caption, from the numbers."""
     enough = numbers["success_rate"] >= RELIABLE
     solved = enough.groupby(numbers["cell"]).mean() >= RELIABLE
     return (
         "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments until success, "
         "without it all that a trial may make. Right: the share of "
-        f"{episodes} test episodes in which its last policy succeeds. {share(enough.sum(), len(numbers))} "
-        f"trials end with a policy that succeeds in at least {RELIABLE:.0%} of them (dashed); nine in ten "
+        f"{episodes} test episodes in which its last policy {success}. {share(enough.sum(), len(numbers))} "
+        f"trials end with a policy that does in at least {RELIABLE:.0%} of them (dashed); nine in ten "
         f"trials do in {solved.sum()} of {len(solved)} cells."
     )
 
 
-def _figure(numbers: pd.DataFrame, cells: Sequence[str]) -> Figure:
+def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     """Experiments beside shares, a row for each cell, the first one on top."""
     figure = Figure(figsize=(WIDTH, ROW * len(cells) + REST), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.6))
-    for axes, column in ((left, "experiments"), (right, "success_rate")):
+    for axes, column, label in ((left, "experiments", "experiments"), (right, "success_rate", words)):
         for row, cell in enumerate(cells):
             _draw_row(axes, row, numbers[numbers["cell"] == cell], column)
-        axes.set_xlabel(WORDS[column])
+        axes.set_xlabel(label)
         plain(axes, "x")
     left.set_xlim(left=0)
     left.xaxis.set_major_locator(MaxNLocator(4, integer=True))
