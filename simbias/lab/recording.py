@@ -184,6 +184,26 @@ class Reader:
         rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
         return rate
 
+    def _late(self, found: Mapping[int, Signal], pieces: list[Rollout]) -> list[str]:
+        """Notes on recorded rates that agree clearly better with how their values changed before."""
+        frame, names, notes = self._task.time_step, [state.name for state in self._task.states], []
+        k, latest = max(1, round(SLOWEST / frame)), max(1, round(LATEST / frame))
+        for i, position in self._rates.items():
+            errors = np.zeros(latest + 1)  # by frames that the rate is late
+            for values, rates in [(r.states[:, position], r.states[:, i]) for r in pieces if i in found]:
+                told = frame * (np.cumsum(rates) - rates / 2)  # by the trapezoidal rule
+                last = len(values) - latest
+                for late in range(latest + 1) if last > k else ():
+                    moved = values[k:last] - values[: last - k]
+                    errors[late] += np.sum(
+                        (told[late + k : late + last] - told[late : late + last - k] - moved) ** 2
+                    )
+            late = int(np.argmin(errors))
+            if errors[late] < CLEARLY * errors[0]:
+                follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"
+                notes.append(f"{follows}; without its column, it is estimated")
+        return notes
+
     def _beyond_limits(self, path: Path, pieces: list[Rollout]) -> list[str]:
         """Notes on inputs beyond their limits; those far beyond are refused."""
         inputs, notes = np.abs(np.concatenate([piece.inputs for piece in pieces])), []
