@@ -143,6 +143,10 @@ REFUSED: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         + [line.replace(",", ";").replace(".", ",") for line in text[7:]],
         "row 2, column time: expected a finite number, got '0.0'",
     ),
+    "a position in degrees": (
+        lambda text: lines(HEADER, np.c_[TIMES, 0.5 - 57.3 * TIMES, 0 * TIMES - 1, 0 * TIMES]),
+        "position changes 57.3 times as fast as velocity says: is a unit wrong, or a column?",
+    ),
     "a failure in between": (cell(7, 4, "fell"), "row 7, column failure: expected it in the last row alone"),
 }  # fmt: skip
 

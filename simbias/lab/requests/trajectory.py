@@ -13,6 +13,7 @@ from simbias.core import HardwareError, Quantity, Task, wrapped
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import unwound
+from simbias.lab.recording import check_rates, rates_of
 from simbias.lab.requests.request import START_DEVIATIONS, ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
@@ -127,6 +128,7 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
     else:
         states = np.stack([np.interp(wanted, times, column) for column in measured.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
+    check_rates(source, [states], task, rates_of(task))
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
     failure = recording.failure if within else None
     return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
