@@ -6,10 +6,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 
 from simbias.core.records import Array
 from simbias.pictures.elements.layout import legend, panels
-from simbias.pictures.elements.style import HARDWARE, NOMINAL, SIMULATION, SMALL, label, logarithmic, plain
+from simbias.pictures.elements.style import (
+    HARDWARE,
+    NOMINAL,
+    SIMULATION,
+    SMALL,
+    label,
+    literal,
+    logarithmic,
+    plain,
+)
 from simbias.recordings.assessment import Assessment
 from simbias.recordings.findings import Finding
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
@@ -18,19 +28,25 @@ COLUMNS = 4  # of parameters, and of states
 SECONDS = 1.0  # of each prediction that is drawn
 DRAWN = 5  # s of a part, at most
 PRIOR = "0.75"  # grey
+WIDER = 1.0  # times the prior's interval on either side of it, up to which parameters are drawn
+WIDE = 20.0  # largest over smallest error, below which decades are too few ticks
 CLEAR = 6.0  # times the range of what is measured: a prediction beyond is not drawn
 
 
 def parameters(assessment: Assessment) -> Figure:
-    """Prior and posterior of each parameter, from 5% to 95%, and its estimates from each part alone."""
+    """Prior and posterior of each parameter, from 5% to 95%, and its estimates from each part alone.
+
+    An interval that leaves the axes, at a multiple of the prior's, has an arrow there.
+    """
     found = assessment.findings
     figure, (grid,) = panels(len(found), 0.8, COLUMNS)
     for axes, finding in zip(grid, found, strict=True):
         _parameter(axes, finding)
+    alone = f"alone, from top to bottom: {', '.join(literal(part.name) for part in assessment.parts)}"
     shown = {
         "prior, 5% to 95%": Line2D([], [], color=PRIOR, linewidth=3.0),
         "posterior": Line2D([], [], color=SIMULATION, linewidth=3.0),
-        "of each part alone": Line2D([], [], color=HARDWARE, linewidth=1.2),
+        alone: Line2D([], [], color=HARDWARE, linewidth=1.2),
     }
     legend(figure, shown)
     return figure
@@ -39,18 +55,31 @@ def parameters(assessment: Assessment) -> Figure:
 def _parameter(axes: Axes, finding: Finding) -> None:
     """The intervals of a parameter, one below the other."""
     axes.plot(finding.prior_interval, [0, 0], color=PRIOR, linewidth=4.0)
-    axes.plot([finding.estimate.low, finding.estimate.high], [1, 1], color=SIMULATION, linewidth=4.0)
-    axes.plot(finding.estimate.value, 1, "o", color=SIMULATION, markeredgecolor="white")
-    for i, estimate in enumerate(finding.by_part):
-        axes.plot([estimate.low, estimate.high], [2 + 0.5 * i] * 2, color=HARDWARE, linewidth=1.2)
-        axes.plot(estimate.value, 2 + 0.5 * i, "s", color=HARDWARE, markersize=3)
+    rows = [(1.0, finding.estimate, SIMULATION, 4.0, "o")]
+    rows += [(2 + 0.5 * i, each, HARDWARE, 1.2, "s") for i, each in enumerate(finding.by_part)]
+    low, high = _view(finding)
+    for y, each, color, width, marker in rows:
+        axes.plot(np.clip([each.low, each.high], low, high), [y, y], color=color, linewidth=width)
+        for beyond, edge, arrow in ((each.low < low, low, "<"), (each.high > high, high, ">")):
+            if beyond:
+                axes.plot(edge, y, arrow, color=color, markersize=4 + width, clip_on=False)
+        if low <= each.value <= high:
+            axes.plot(each.value, y, marker, color=color, markersize=4, markeredgecolor="white")
     axes.set_ylim(2.5 + 0.5 * len(finding.by_part), -0.5)
     axes.set_yticks([])
     axes.locator_params(axis="x", nbins=3)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_title(f"{finding.prior.name} ({finding.prior.unit})", fontsize=SMALL)
     axes.tick_params(labelsize=SMALL)
     axes.spines[["left"]].set_visible(False)
     plain(axes)
+
+
+def _view(finding: Finding) -> tuple[float, float]:
+    """What is drawn of a parameter: at most a multiple of the prior's interval."""
+    low, high = finding.prior_interval
+    room = WIDER * (high - low)
+    return low - room, high + room
 
 
 def errors(assessment: Assessment) -> Figure:
@@ -68,6 +97,9 @@ def errors(assessment: Assessment) -> Figure:
         logarithmic(axes.xaxis)
         if np.nanmin(both[:, :, i]) > 0:
             logarithmic(axes.yaxis)
+            if np.nanmax(both[:, :, i]) < WIDE * np.nanmin(both[:, :, i]):
+                axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axes.yaxis.set_major_formatter("{x:g}")
         axes.set_xticks([0.1, 1.0], ["0.1", "1"])
         plain(axes)
     legend(figure, {"nominal model": _line(NOMINAL), "identified model": _line(SIMULATION)})

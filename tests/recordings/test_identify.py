@@ -352,6 +352,22 @@ def test_errors_of_many_states_are_drawn_in_rows() -> None:
     twelve = SimpleNamespace(states=3 * cart_pole().states)
     figure = plots.errors(SimpleNamespace(task=twelve, predictions=[Prediction(0.1, wrong, wrong, none)]))  # type: ignore[arg-type]
     assert [len(figure.axes), figure.axes[0].get_gridspec().ncols] == [12, 4]  # type: ignore[union-attr]
+    axes = plots.errors(  # of one decade
+        SimpleNamespace(  # type: ignore[arg-type]
+            task=twelve, predictions=[Prediction(0.1, wrong, (0.3 * wrong[0],), none)]
+        )
+    ).axes[0]
+    low, high = axes.get_ylim()
+    assert sum(low <= tick <= high for tick in axes.get_yticks()) >= 2
+
+
+def test_what_is_far_wider_than_the_prior_hides_nothing(assessment: Assessment) -> None:
+    """An interval that leaves the axes has an arrow there."""
+    first, *_ = assessment.findings
+    wide = replace(first, by_part=(first.estimate._replace(high=1e6), first.estimate))
+    axes, *_ = plots.parameters(replace(assessment, findings=[wide])).axes
+    assert axes.get_xlim()[1] < 4 * wide.prior_interval[1]
+    assert [line.get_marker() for line in axes.lines].count(">") == 1
 
 
 def test_draws_are_within_the_priors(assessment: Assessment) -> None:

@@ -315,6 +315,12 @@ def test_a_urdf_has_motors_where_its_joints_are_named(tmp_path: Path) -> None:
     task = cart_pole(states=states, failure={"far": {"value": "abs(position)", "above": 5.0}})
     after = Mujoco(task, str(file), actuators=["rail"]).step(np.zeros(2), np.array([3.0]))
     assert after[1] == pytest.approx(3.0 / 2.0 * 0.02)
+    mesh = '<collision><geometry><mesh filename="package://a/b.stl"/></geometry></collision>'
+    file.write_text(URDF.replace('<link name="cart">', f'<link name="cart">{mesh}'))
+    with pytest.raises(
+        ValueError, match=r"b\.stl' \(no geometry is needed to move: visual and collision may "
+    ):
+        Mujoco(task, str(file), actuators=["rail"])
     file.write_text(URDF.replace('effort="20"', 'effort="9"'))
     with pytest.raises(ValueError, match="the task's input may be 20; the actuator rail gives 9"):
         Mujoco(task, str(file), actuators=["rail"])

@@ -51,7 +51,9 @@ def read_model(file: str, actuators: Sequence[str] = ()) -> Any:
     try:
         return _spec(path, actuators).compile()
     except Exception as error:  # MuJoCo's, of many types
-        raise ValueError(f"{file}: {words(error)}") from error
+        told = words(error)
+        hint = " (no geometry is needed to move: visual and collision may be removed)" * ("package:/" in told)
+        raise ValueError(f"{file}: {told}{hint}") from error
 
 
 def source_files(file: str) -> list[Path]:
