@@ -147,8 +147,9 @@ def test_a_state_that_is_no_number_has_failed_whatever_the_criteria_measure(poin
 
 
 def test_a_cost_that_is_no_number_names_its_class(point_mass: Study) -> None:
-    record = run_trial(replace(point_mass, cost=Always(np.nan)))
-    assert record.summary.reason == "ValueError: Always.of: expected a finite number, got nan"
+    for value, got in ((np.nan, "nan"), (np.array([2.0]), "[2.]")):
+        record = run_trial(replace(point_mass, cost=Always(value)))
+        assert record.summary.reason == f"ValueError: Always.of: expected a finite number, got {got}"
 
 
 @pytest.mark.slow

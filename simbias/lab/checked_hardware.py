@@ -158,7 +158,8 @@ class CheckedHardware(Hardware):
     def _checked(self, returned: Any, theta: Array, start: Array) -> Rollout:
         """The rollout that the hardware returned."""
         try:
-            return check_rollout(returned, self._name, self._task, self._bounds)
+            begins = start if self.sets_start else None
+            return check_rollout(returned, self._name, self._task, self._bounds, begins)
         except Exception as error:  # also what a rollout of its own class raises
             problem = str(error)
             if not isinstance(error, HardwareError):

@@ -7,17 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core import HardwareError, Task
+from simbias.core import HardwareError, Task, wrapped
 from simbias.core.messages import LONGEST_VALUE, brief, quote
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import unwound
 from simbias.lab.safety import Bounds, hold
 
+START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one
 LARGEST = 1e15  # size of a state or input in any unit: no sensor exceeds it, and float32 holds its square
 
 
-def check_rollout(rollout: Any, source: str, task: Task, bounds: Bounds | None = None) -> Rollout:
+def start_tolerance(task: Task) -> Array:
+    """Largest deviation (n,) from the start where an experiment begins; inf where starts do not vary."""
+    return np.where(task.start_deviation > 0, START_DEVIATIONS * task.start_deviation, np.inf)
+
+
+def check_rollout(
+    rollout: Any, source: str, task: Task, bounds: Bounds | None = None, start: Array | None = None
+) -> Rollout:
     """A rollout with float64 arrays of its own, held against safety limits; without cost and parameters.
+
+    Unless it is of sensors, it has to begin near the start (n,), if one is given.
 
     Raises
     ------
@@ -40,6 +50,15 @@ def check_rollout(rollout: Any, source: str, task: Task, bounds: Bounds | None =
             f"{source}: inputs: expected at most {T} frames of {task.time_step:g} s, got {k}; "
             f"is its rate another?"
         )
+    if start is not None and not rollout.sensed:
+        off = np.abs(wrapped(states[0] - start, task.states)) / start_tolerance(task)
+        if off.max() > 1:
+            state, at = task.states[i := int(off.argmax())], start[i]
+            raise HardwareError(
+                f"{source}: states: expected {state.name} to begin at {at:g} {state.unit}, within "
+                f"{START_DEVIATIONS:g} deviations of the task's starts, got {states[0, i]:g}; is it another "
+                f"unit? If it cannot begin where it is asked to, sets_start is False"
+            )
     failed_at = _frame(rollout.failed_at, f"{source}: failed_at")
     if failed_at is None and k < T:
         raise HardwareError(

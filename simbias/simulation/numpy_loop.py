@@ -112,11 +112,11 @@ def _rows_of(parts: Sequence, scenarios: Indices) -> Iterator[tuple[Any, Any]]:
 def costs_of(cost: Cost, rollouts: Sequence[Rollout]) -> tuple[Array, Indices]:
     """Costs (k,) of rollouts, and their frames (k,)."""
     frames = np.array([rollout.frames for rollout in rollouts], dtype=np.int64)
-    costs = np.array([cost.of(rollout) for rollout in rollouts])
-    if not np.isfinite(costs).all():
-        got = costs[~np.isfinite(costs)][0]
-        raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
-    return costs, frames
+    costs = [cost.of(rollout) for rollout in rollouts]
+    for got in costs:
+        if np.shape(got) or not np.isfinite(got):  # np.array([1.0]) is no number
+            raise ValueError(f"{type(cost).__name__}.of: expected a finite number, got {got}")
+    return np.array(costs), frames
 
 
 def shaped(name: str, given: Any, *shape: int) -> Array:

@@ -51,6 +51,7 @@ LINES = {
     "ended early": "run: ended after 50 of 100 frames without a failure; failed_at and failure say of one",
     "NaN": "run: states: expected finite numbers, got [nan, ",
     "absurd": "run: states: expected numbers up to 1e+15, got [-1e+300, ",
+    "elsewhere": "run: states: expected position to begin at 0.503456 m, within 20 dev",
     "a class of its own": "run: expected a Rollout, got KeyError: 'no connection'",
     "complex": "run: states: expected real numbers, got complex128",
     "object": "run: states: expected real numbers, got object",

@@ -82,6 +82,7 @@ RETURNED: dict[str, Callable[[Rollout], Any]] = {
     "ended early": lambda rollout: replace(rollout, states=rollout.states[:51], inputs=rollout.inputs[:50]),
     "NaN": lambda rollout: replace(rollout, states=_hole(rollout)),
     "absurd": lambda rollout: replace(rollout, states=np.full_like(rollout.states, -1e300)),
+    "elsewhere": lambda rollout: replace(rollout, states=rollout.states + 100.0),
     "a class of its own": lambda rollout: Unread(rollout.states, rollout.inputs),
     "complex": lambda rollout: replace(rollout, states=rollout.states.astype(complex)),
     "object": lambda rollout: replace(rollout, states=rollout.states.astype(object)),

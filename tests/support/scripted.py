@@ -30,6 +30,8 @@ class ScriptedPrediction(Evaluation):
 class ScriptedHardware(Hardware):
     """Each experiment has the next cost, by the point mass's mean distance."""
 
+    sets_start = False
+
     def __init__(self, costs: Sequence[float]) -> None:
         self._costs = iter(costs)
 

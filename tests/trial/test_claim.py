@@ -26,6 +26,8 @@ from simbias.trial.summary import Outcome
 class Fickle(Hardware):
     """Every policy passes with the same probability, whatever it does."""
 
+    sets_start = False
+
     def __init__(self, share: float, horizon: int = 100) -> None:
         self._share, self._horizon = share, horizon
 

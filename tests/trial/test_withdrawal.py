@@ -33,6 +33,8 @@ SHORT = ["tracking=none", "optimizer.max_evaluations=20", "method.max_iterations
 class Loose(Hardware):
     """A wind that no policy withstands, and a cable that is loose in the third experiment."""
 
+    sets_start = False
+
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
         self.loose = True

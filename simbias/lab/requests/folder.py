@@ -8,6 +8,7 @@ from textwrap import fill
 
 import numpy as np
 
+from simbias.lab.checks import start_tolerance
 from simbias.lab.requests.request import HEADER, MODULE, ExperimentRequest
 from simbias.lab.requests.trajectory import template
 
@@ -81,7 +82,7 @@ def _readme(request: ExperimentRequest) -> str:
     """Instructions for a person."""
     task, bounds = request.task, request.bounds
     why = request.why_no_code
-    start = zip(task.states, request.start, request.start_tolerance, strict=True)
+    start = zip(task.states, request.start, start_tolerance(task), strict=True)
     targets = f"\nto the targets, which the policy knows,\n{_indented(request.targets)}" * bool(
         request.targets
     )

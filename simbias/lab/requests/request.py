@@ -13,6 +13,7 @@ import numpy as np
 from simbias.core import Controller, Policy, Quantity, Task
 from simbias.core.digest import short_digest
 from simbias.core.records import Array
+from simbias.lab.checks import start_tolerance
 from simbias.lab.requests.controller import c_header, python_module
 from simbias.lab.requests.verification import difference
 from simbias.lab.safety import NO_LIMITS, Bounds, SafetyLimitedPolicy, without_limits
@@ -20,7 +21,6 @@ from simbias.lab.targets import WithTargets
 from simbias.simulation.compiler import NUMPY, Formulas, formulas_of
 
 FORMAT = 1  # of a request: raised when what is in it changes its meaning
-START_DEVIATIONS = 20.0  # of the task's starts, that an experiment may begin away from the requested one
 HEADER, MODULE = "controller.h", "controller.py"
 
 
@@ -51,12 +51,6 @@ class ExperimentRequest:
         if isinstance(self.policy, SafetyLimitedPolicy):
             return self.policy.safety_bounds
         return NO_LIMITS.bounds(self.task)
-
-    @property
-    def start_tolerance(self) -> Array:
-        """Largest deviation (n,) from the start where an experiment begins; inf where starts do not vary."""
-        deviation = self.task.start_deviation
-        return np.where(deviation > 0, START_DEVIATIONS * deviation, np.inf)
 
     @property
     def targets(self) -> list[str]:
@@ -98,7 +92,7 @@ class ExperimentRequest:
         task, law, bounds = self.task, self.policy.law(self.theta), self.bounds
         policy = without_limits(self.policy)
         policy = policy.policy if isinstance(policy, WithTargets) else policy
-        states = zip(_named(task.states), self.start, self.start_tolerance, bounds.states, strict=True)
+        states = zip(_named(task.states), self.start, start_tolerance(task), bounds.states, strict=True)
         inputs = zip(_named(task.inputs), *bounds.input_bounds, bounds.input_rates, strict=True)
         return {
             "policy": {

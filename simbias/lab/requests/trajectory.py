@@ -13,8 +13,9 @@ from simbias.core import HardwareError, Quantity, Task, wrapped
 from simbias.core.messages import quote
 from simbias.core.records import Array, Rollout
 from simbias.core.robot import unwound
+from simbias.lab.checks import START_DEVIATIONS, start_tolerance
 from simbias.lab.recording import check_rates, rates_of
-from simbias.lab.requests.request import START_DEVIATIONS, ExperimentRequest
+from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
@@ -146,7 +147,7 @@ def _check_start(states: Array, rows: Sequence[int], request: ExperimentRequest,
     task, start, got, begun = request.task, request.start, states[0], _unwound(states[:1], request)[0]
     reason = "; are these degrees?" if _in_degrees(got, start, task) else "; is it another unit?"
     for index, quantity in enumerate(task.states):
-        limit, tolerance = request.bounds.states[index], request.start_tolerance[index]
+        limit, tolerance = request.bounds.states[index], start_tolerance(task)[index]
         where = f"{source}: row {rows[0]}, column {quantity.name}: expected"
         if abs(start[index]) <= limit < abs(begun[index]):
             raise HardwareError(f"{where} at most {limit:g} {quantity.unit}, got {got[index]:g}{reason}")
