@@ -76,7 +76,7 @@ def _parameter(axes: Axes, finding: Finding) -> None:
 
 
 def _view(finding: Finding) -> tuple[float, float]:
-    """What is drawn of a parameter: at most a multiple of the prior's interval."""
+    """The interval that is drawn of a parameter: at most a multiple of the prior's interval."""
     low, high = finding.prior_interval
     room = WIDER * (high - low)
     return low - room, high + room

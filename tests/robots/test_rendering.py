@@ -40,9 +40,9 @@ def drawn_from(**figure: Any) -> Any:
     return construct({**shipped_task("double_cartpole"), "drawing": None, "figure": figure}, Task, "task")
 
 
-def slider(file: Path) -> Any:
-    """A slider, drawn from a file of which a stick figure lacks the hull."""
-    states = {"x": {"unit": "m"}, "d_x": {"unit": "m/s"}}
+def slider(file: Path, unit: str = "m") -> Any:
+    """A slider, or a hinge, drawn from a file of which a stick figure lacks the hull."""
+    states = {"x": {"unit": unit}, "d_x": {"unit": f"{unit}/s"}}
     leaves = {"value": "abs(x)", "above": 1.0}
     return cart_pole(states=states, failure={"leaves": leaves}, figure={"file": str(file)})
 
@@ -135,7 +135,7 @@ def test_a_flat_robot_is_seen_from_the_side_that_it_moves_in(tmp_path: Path) -> 
     for axis, plane in (("1 0 0", [1, 2]), ("0 1 0", [0, 2]), ("0 0 1", [0, 1])):
         file = tmp_path / f"{axis}.xml"
         file.write_text(flat.format(axis=axis))
-        task, straight = slider(file), np.array([0.3, 0.2, 0.1])
+        task, straight = slider(file, "rad"), np.array([0.3, 0.2, 0.1])
         for angle, sign in ((0.0, 1.0), (np.pi, -1.0)):
             middle = task.points(np.array([angle, 0.0]))["arm"].mean(axis=0)
             np.testing.assert_allclose(middle, sign * straight[plane] / 2, atol=1e-9)
