@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from simbias.pictures import save_animation
 from simbias.pictures.elements.drawing import NoPictureError
 from simbias.pictures.elements.style import HARDWARE, SIMULATION
 from simbias.pictures.trial.comparison import simulated, worst_experiment
-from simbias.pictures.trial.gallery import ANIMATION, FIGURES, pictures
+from simbias.pictures.trial.gallery import ANIMATION, FIGURES, illustrate, pictures
 from simbias.trial.folder import Withdrawal
+from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
+from simbias.trial.summary import Outcome, TrialSummary
 
 pytestmark = pytest.mark.slow
 
@@ -68,3 +71,15 @@ def test_a_trial_has_pictures_of_what_it_has(
     assert marked != files
     with pytest.raises(NoPictureError, match="PointMass"):
         save_animation(*of_point_mass, BytesIO())
+
+
+def test_what_a_full_disk_left_half_written_is_drawn_again(
+    of_point_mass: tuple[Study, list[Iteration]], tmp_path: Path
+) -> None:
+    study, iterations = of_point_mass
+    record = TrialRecord(study, TrialSummary(Outcome.SUCCEEDED), tuple(iterations))
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "costs.png.part").touch()
+    for _ in range(2):  # the second time all is there
+        illustrate(record, tmp_path, ["costs"])
+    assert [file.name for file in tmp_path.glob("pictures/*")] == ["costs.png"]

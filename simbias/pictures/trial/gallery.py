@@ -24,7 +24,7 @@ from simbias.pictures.trial.forecast import forecast
 from simbias.pictures.trial.overview import overview
 from simbias.pictures.trial.phases import phases
 from simbias.pictures.trial.rejections import rejections
-from simbias.trial.disk import write_whole
+from simbias.trial.disk import PART, write_whole
 from simbias.trial.folder import PICTURES, Withdrawal
 from simbias.trial.run import TrialRecord
 from simbias.trial.study import Study
@@ -72,7 +72,8 @@ def pictures(
 def illustrate(record: TrialRecord, folder: Path, names: Sequence[str] = ALL) -> None:
     """Draw pictures into the folder of a trial that has ended, but for those that are there."""
     target = folder / PICTURES
-    missing = [name for name in names if not any(target.glob(f"{name}.*"))]
+    there = {file.stem for file in target.glob("*") if file.suffix != PART}
+    missing = [name for name in names if name not in there]
     if not record.outcome.final or not missing:
         return
     with threadpool_limits(1, user_api="blas"):  # as when the trial ran
