@@ -149,6 +149,8 @@ class SweepConsole(SweepObserver):
             cell = " ".join(str(row[axis.name]) for axis in self._sweep.axes)
             line = f"{cell} #{row['repetition']} (seed {row['seed']}) raised {row['raised']}"
             say(self._console, line, "red")
+        if more := len(raised[SHOWN_ERRORS:]):
+            say(self._console, f"and {more} more raised an error", "red")
         for words, trials_with in self._diagnostics.most_common():
             ran = counted(self._ran, "trial")
             say(self._console, f"In {trials_with} of {ran}: {words}.")

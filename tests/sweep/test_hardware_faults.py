@@ -50,6 +50,7 @@ def test_a_sweep_continues_whatever_its_hardware_does(tmp_path: Path) -> None:
             assert "expected" in line
     raised = [*RAISED, *RETURNED, *DEADLY]
     assert f"{len(raised)} trials raised an error" in out
+    assert f"and {len(raised) - 5} more raised an error" in out
     assert out.count("(traceback in ") == len(raised) - len(DEADLY)
     assert state(tmp_path)["verdict"] == "**Ended**, some trials with an error"
     assert "1 raised" in state(tmp_path)["table"]

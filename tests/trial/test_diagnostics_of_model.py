@@ -37,7 +37,7 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     (direction,) = undetermined(nominal)
     assert direction.weights == {"length": 1.0}
     assert said == [
-        "this policy lasts in simulation, but not a standard deviation aside in 1.0 length, which "
+        "this policy lasts in simulation, but not a standard deviation aside in length, which "
         "the experiments do not determine"
     ]
     model = study.model(None, nominal)
@@ -46,7 +46,7 @@ def test_it_is_told_and_the_direction_named(study: Study) -> None:
     kind = "a policy stands on what the data do not determine"
     assert kind in {remark.kind for remark in of_trial(made, study)}
     first, second = (iteration_summary(study, made[i], made[:i])["events"] for i in range(2))
-    assert any("not a standard deviation aside in 1.0 length" in event for event in first)
+    assert any("not a standard deviation aside in length, which" in event for event in first)
     assert kind in second
 
 

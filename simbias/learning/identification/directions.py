@@ -23,6 +23,8 @@ class Direction:
     weights: Mapping[str, float]  # those of parameters that matter
 
     def __str__(self) -> str:
+        if len(self.weights) == 1:
+            return next(iter(self.weights))
         text = " ".join(f"{weight:+.1f} {name}" for name, weight in self.weights.items())
         return text.removeprefix("+").replace(" +", " + ").replace(" -", " - ")
 
