@@ -30,6 +30,8 @@ QUIET = {
 IMPATIENT = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0", "MLFLOW_HTTP_REQUEST_TIMEOUT": "10"}  # seconds
 LOGGERS = ("mlflow", "alembic", "sqlalchemy.pool")  # they log, with a traceback, what is raised too
 OTHER_VERSION = "of another version of MLflow; update MLflow, or make a copy and run `mlflow db upgrade URI`"
+NO_FOLDER = "MLflow no longer uses folders as stores; sqlite:///FILE works, and the address of a server"
+KNOWN = {"out-of-date database schema": OTHER_VERSION, "filesystem tracking backend": NO_FOLDER}
 DATABASE_SERVERS = ("postgresql", "mysql", "mssql")  # that MLflow's documentation names
 SQLITE = re.compile(r"sqlite(\+\w+)?:(//)?(/(?P<file>[^?]*))?(\?.*)?")
 ARTIFACTS = "mlartifacts"  # folder of a SQLite store's files, beside it
@@ -75,7 +77,7 @@ def reaching(uri: str) -> Iterator[None]:
         raise
     except Exception as error:
         words = cause(error)
-        problem = OTHER_VERSION if "out-of-date database schema" in words else words
+        problem = next((told for part, told in KNOWN.items() if part in words), words)
         raise ConfigError("tracking.uri", redact(f"{uri}: {problem}", uri)) from error
 
 

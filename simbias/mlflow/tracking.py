@@ -24,7 +24,8 @@ class Mlflow(Tracking):
     Parameters
     ----------
     uri
-        Any MLflow tracking URI. The artifacts of a SQLite store lie in `mlartifacts` beside the database.
+        MLflow's store: a database, or a server's address. The artifacts of a SQLite store lie in
+        `mlartifacts` beside it.
     experiment
         MLflow's experiment, which holds the runs; it is created if need be.
     pictures

@@ -22,7 +22,7 @@ values that people change most (--cfg job shows all):
   experiment_timeout=60                s of wall time, after which a hardware experiment is stopped
   hardware.confirm=true                show what is predicted, and ask, before the first experiment
   hardware.safety.states={angle: 0.5}  abort beyond; also inputs, input_rates (per s), criteria=true
-  tracking.uri=sqlite:///mlflow.db     any MLflow tracking URI
+  tracking.uri=sqlite:///mlflow.db     MLflow's store: a database, or the http:// address of a server
 of the default robot:
   hardware.noise.torque_variance=0.1   (N m)^2; also angle_variance (rad^2), velocity_variance ((rad/s)^2)
   hardware.inertia_error=0.2           the hardware's masses and inertias are 20% larger
