@@ -123,9 +123,11 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     FigureCanvasAgg(figure).draw()
     left, right = figure.axes
     assert len(left.get_yticklabels()) == 24
-    dots = [tuple(at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
-    assert len(set(dots)) == 10
-    assert all(abs(height) < 0.5 for _, height in dots)
+    dots: Any = [(some, at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
+    assert all(abs(height) < 0.5 for _, (_, height) in dots)
+    places = [some.get_offset_transform().transform(at) * 72 / figure.dpi for some, at in dots]
+    assert len(places) == 10
+    assert min(np.hypot(*(a - b)) for a, b in itertools.combinations(places, 2)) > 3.2  # pt, of a dot
 
 
 def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:
@@ -159,12 +161,15 @@ def test_eight_series_are_told_from_each_other() -> None:
     sweep = expand([f"+sweep={{trials: 3, axes: {axes}}}"])
     labels = [dict(zip((axis.name for axis in sweep.axes), cell.labels, strict=True)) for cell in sweep.cells]
     rows = [
-        {**cell, "outcome": "succeeded", "experiments": 2 * repetition + 2, "iterations": 3, **LATER}
+        {**cell, "outcome": "succeeded", "experiments": repetition % 3 + 2, "iterations": 3, **LATER}
         for cell in labels
-        for repetition in range(3)
+        for repetition in range(12)
     ]
+    rows[0]["outcome"] = rows[12]["outcome"] = "not succeeded"  # 11/12 above both
     figure = Experiments().draw(swept(sweep, rows), ()).figure
     assert_nothing_is_cut(figure)
+    one, other = (text.get_window_extent() for text in figure.axes[0].texts)
+    assert not one.overlaps(other)
     points = [container.lines[0] for container in figure.axes[0].containers]
     assert len({to_hex(line.get_color()) for line in points}) == 8
     assert len({line.get_marker() for line in points}) == 8

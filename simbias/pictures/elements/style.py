@@ -72,8 +72,11 @@ def seconds(task: Task, frame: int) -> float:
     return frame * task.time_step
 
 
-def shade_beyond(axes: Axes, limit: float, words: str) -> None:
-    """Mark a limit on the vertical axis and shade what lies beyond it; call it after all else is drawn."""
+def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "right"] = "right") -> None:
+    """Mark a limit on the vertical axis and shade what lies beyond it; call it after all else is drawn.
+
+    The words are below the limit, at the side where nothing comes near it.
+    """
     axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
     scale = axes.yaxis.get_transform()
     bottom, top, at = scale.transform(np.array([*axes.get_ylim(), limit]))
@@ -83,11 +86,11 @@ def shade_beyond(axes: Axes, limit: float, words: str) -> None:
     axes.set_ylim(bottom, top)
     axes.annotate(
         words,
-        (1.0, limit),
+        (float(side == "right"), limit),
         xycoords=axes.get_yaxis_transform(),
-        xytext=(-2, -3),
+        xytext=(-2 if side == "right" else 2, -3),
         textcoords="offset points",
-        ha="right",
+        ha=side,
         va="top",
         fontsize=SMALL,
         color=LIMIT,

@@ -154,7 +154,7 @@ def _draw_measure(
     axes.set_xlim(ticks[0] - ticks[1] / 2, ticks[-1] + ticks[1] / 2)
     axes.set_xticks(ticks)
     axes.set(xlabel="time (s)", ylabel=measure.label)
-    shade_beyond(axes, measure.limit, measure.limit_label)
+    shade_beyond(axes, measure.limit, measure.limit_label, "left")  # a rollout begins far from it
     _name_failure(axes, study, rollouts[-1].rollout, measure.limit)
     axes.legend(loc="best", bbox_to_anchor=(0.0, 0.0, 1.0, 0.87), frameon=False, fontsize=SMALL)
     plain(axes)

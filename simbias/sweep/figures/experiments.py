@@ -75,7 +75,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
         for axis, label in zip(others, labels, strict=True):
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
-        _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))))
+        _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))), len(curves) > 1)
     _label(axes, along)
     axes.set_ylim(bottom=0)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
@@ -97,8 +97,8 @@ def _ours_first(axes: Axes) -> dict[str, Artist]:
     return dict(sorted(entries, key=lambda entry: entry[0].endswith("paper")))
 
 
-def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) -> None:
-    """The cells of one curve, moved sideways so that no interval hides another."""
+def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str, narrow: bool) -> None:
+    """The cells of one curve, moved sideways so that no interval hides another, nor a fraction if narrow."""
     x = np.arange(len(own)) + offset
     mean, low, high = (own[column].to_numpy(dtype=float) for column in ("mean", "low", "high"))
     color, marker = series_style(index)
@@ -111,7 +111,8 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str) 
     for at, top, row in zip(x, np.fmax(high, mean), own.to_dict("records"), strict=True):
         if row["succeeded"] < row["trials"]:
             text = f"{row['succeeded']}/{row['trials']}"
-            axes.annotate(text, (at, top), (0, 3), textcoords="offset points", ha="center", fontsize=7)
+            fraction = axes.annotate(text, (at, top), (0, 5), textcoords="offset points", fontsize=7)
+            fraction.set(ha="center", va="bottom", rotation=90 * narrow)
 
 
 def _label(axes: Axes, along: Axis) -> None:

@@ -9,15 +9,18 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.transforms import ScaledTranslation
 
 from simbias.core.records import Array
 from simbias.pictures.elements.style import HARDWARE, LIMIT, SIMULATION, literal, plain
 from simbias.sweep.batches import Outcomes
 from simbias.sweep.figure import UNTESTED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_rate
+from simbias.trial.policy_test import LASTS
 
-ROW, REST, WIDTH = 0.25, 1.1, 7.2  # in, of a cell and of all else
-SPREAD = 0.62  # of a row's height, over which dots that would hide each other are spread
+ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
+SPREAD = 0.8  # of a row's height, over which dots that would hide each other are spread
+FEW, ASIDE = 5, 1.6 / 72  # dots that fit one above the other; in, by which more of them lie left and right
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
 
 
@@ -53,7 +56,7 @@ class LastPolicies(SweepFigure):
         cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
         episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
         success = trials.sweep.success
-        words = "test episodes in which the last policy " + success.partition(" (")[0]
+        words = "test episodes that last" if success == LASTS else "success rate of the last policy"
         return Picture(_figure(numbers, cells, words), numbers, _caption(numbers, episodes, success))
 
 
@@ -95,16 +98,22 @@ def _draw_row(axes: Axes, row: int, own: pd.DataFrame, column: str) -> None:
         return
     values, color = own[column].to_numpy(dtype=float), COLORS[column]
     succeeded = own["succeeded"].to_numpy(dtype=bool)
-    heights = row + _aside(values)
+    order = np.argsort(succeeded, kind="stable")  # hollow dots lie above filled ones
+    values, faces = values[order], np.where(succeeded[order], color, "white")
+    heights, sides = _aside(values)
     axes.vlines(values.mean(), row - 0.4, row + 0.4, color="0.2", linewidth=1.2, zorder=2)
-    for some, face in ((succeeded, color), (~succeeded, "white")):
-        axes.scatter(values[some], heights[some], s=11, color=face, edgecolors=color, alpha=0.75, zorder=3)
+    for side in (-1, 0, 1):
+        shift = axes.transData + ScaledTranslation(side * ASIDE, 0, axes.figure.dpi_scale_trans)
+        x, y, c = (each[sides == side] for each in (values, row + heights, faces))
+        axes.scatter(x, y, s=11, c=c, edgecolors=color, linewidths=0.8, transform=shift, zorder=3)
 
 
-def _aside(values: Array) -> Array:
-    """How far dots (k,) move off their row's middle, so that equal values lie one above the other."""
-    aside = np.zeros(len(values))
+def _aside(values: Array) -> tuple[Array, Array]:
+    """How far dots (k,) move up or down, so that equal values lie one above the other, and to which side."""
+    aside, sides = np.zeros((2, len(values)))
     for value in np.unique(values):
         equal = np.flatnonzero(values == value)
-        aside[equal] = SPREAD * (np.arange(len(equal)) - (len(equal) - 1) / 2) / max(len(equal), 4)
-    return aside
+        order, count = np.arange(len(equal)), len(equal)
+        aside[equal] = SPREAD * (order - (count - 1) / 2) / max(count, FEW)
+        sides[equal] = (2 * (order % 2) - 1) * (count > FEW)
+    return aside, sides
