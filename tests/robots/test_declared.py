@@ -17,7 +17,7 @@ from point_mass import PointMass
 import simbias
 from simbias.config.components import construct
 from simbias.config.identity import identity_fields
-from simbias.core import Model, Quantity, Task, wrapped
+from simbias.core import Model, Quantity, SlowWarning, Task, wrapped
 from simbias.core.records import Rollout
 from simbias.core.robot import check_quantities, unwound
 from simbias.lab.checks import check_rollout
@@ -298,9 +298,13 @@ def test_a_reference_that_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     for text, message in (
         ("t,position\n0,0\n3,0.1\n", "ends at 3 s; an episode takes 5 s"),
         ("t,position\n0,0\n1,0.1\n1.01,0.7\n5,0.8\n", "position jumps after t = 1 s"),
-        ("t,position\n0,0\n5,a\n", "could not convert string to float"),
-        ("time,position\n0,0\n5,1\n", "expected rows of t and of the goal's quantities"),
+        ("t,position\n0,0\n\n5,\n", "row 4, column position: expected a number, got ''"),
+        ("t,position\n0,0\n5,0,1\n", "row 3: expected 2 cells, got 3"),
+        ("time,position\n0,0\n5,1\n", "with commas between, got the columns 'time,position'"),
+        ("t;position\n0;0\n5;1\n", "with commas between, got the columns 't;position'"),
         ("t,position\n0,0\n0,1\n5,1\n", "t has to grow from 0"),
     ):
         with one_line(message):
             declared(reference=table(tmp_path, text))
+    with pytest.warns(SlowWarning, match=r"goes on to 5000 s, and an episode takes 5 s: is its t in ms\?"):
+        declared(reference=table(tmp_path, "t,position\n0,0\n5000,0.1\n"))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simbias.core import Criterion, Quantity
+from simbias.core import Criterion, Quantity, SlowWarning
 from simbias.core.messages import quote
 from simbias.core.records import Array
 from simbias.robots.declared.declarations import Failure, criterion_of
@@ -17,6 +18,7 @@ from simbias.simulation.compiler import Expressions
 
 TIME = "t"  # the name of the time in expressions, and of its column
 MOST_ROWS = 400  # of a file: each is an operation of the compiled loop
+LONG = 100.0  # episodes: a file that goes on for longer may have its time in ms
 JUMP, BRIEF = 0.5, 0.02  # share of its range, in this share of its time: no robot follows that
 
 
@@ -76,12 +78,15 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
     """The names (g), times (k,) and values (k, g) of a reference's file."""
     try:
         with Path(file).open(newline="", encoding="utf-8") as stream:
-            header, *rows = filter(None, csv.reader(stream))
-        table = np.array([[float(cell) for cell in row] for row in rows])
+            (_, header), *rows = [(i, row) for i, row in enumerate(csv.reader(stream), 1) if any(row)]
     except (OSError, ValueError) as error:
         raise ValueError(f"reference {quote(file)}: {error}") from error
-    if header[0] != TIME or table.ndim != 2 or table.shape[1] != len(header) or len(header) < 2:
-        raise ValueError(f"reference {quote(file)}: expected rows of t and of the goal's quantities")
+    if header[0] != TIME or len(header) < 2 or not rows:
+        raise ValueError(
+            f"reference {quote(file)}: expected rows of t and of the goal's quantities, with commas between, "
+            f"got the columns {quote(','.join(header))}"
+        )
+    table = np.array([_numbers(f"reference {quote(file)}: row {i}", header, row) for i, row in rows])
     times, values = table[:, 0], table[:, 1:]
     if len(times) > MOST_ROWS:
         raise ValueError(
@@ -91,12 +96,32 @@ def _rows(file: str, seconds: float) -> tuple[tuple[str, ...], Array, Array]:
         raise ValueError(f"reference {quote(file)}: t has to grow from 0, and all have to be finite numbers")
     if times[-1] < seconds - 1e-9:
         raise ValueError(f"reference {quote(file)} ends at {times[-1]:g} s; an episode takes {seconds:g} s")
+    if times[-1] > LONG * seconds:
+        warnings.warn(
+            f"reference {quote(file)} goes on to {times[-1]:g} s, and an episode takes {seconds:g} s: "
+            f"is its t in ms?",
+            SlowWarning,
+            stacklevel=4,
+        )
     jumps = np.abs(np.diff(values, axis=0)) > JUMP * np.ptp(values, axis=0)
     jumps &= np.diff(times)[:, None] < BRIEF * np.ptp(times)
     if jumps.any():
         row, column = np.argwhere(jumps)[0]
         raise ValueError(f"reference {quote(file)}: {header[column + 1]} jumps after t = {times[row]:g} s")
     return tuple(header[1:]), times, values
+
+
+def _numbers(where: str, header: Sequence[str], row: Sequence[str]) -> list[float]:
+    """The numbers in a row of a file."""
+    if len(row) != len(header):
+        raise ValueError(f"{where}: expected {len(header)} cells, got {len(row)}")
+    numbers = []
+    for name, cell in zip(header, row, strict=True):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            raise ValueError(f"{where}, column {name}: expected a number, got {quote(cell)}") from None
+    return numbers
 
 
 def check_within(reference: Reference, criteria: Sequence[Criterion], seconds: float) -> None:
