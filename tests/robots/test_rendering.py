@@ -43,8 +43,9 @@ def drawn_from(**figure: Any) -> Any:
 def slider(file: Path, unit: str = "m") -> Any:
     """A slider, or a hinge, drawn from a file of which a stick figure lacks the hull."""
     states = {"x": {"unit": unit}, "d_x": {"unit": f"{unit}/s"}}
+    inputs = {"force": {"unit": "N" if unit == "m" else "N m", "limit": 20.0}}
     leaves = {"value": "abs(x)", "above": 1.0}
-    return cart_pole(states=states, failure={"leaves": leaves}, figure={"file": str(file)})
+    return cart_pole(states=states, inputs=inputs, failure={"leaves": leaves}, figure={"file": str(file)})
 
 
 def rendered(task: Any, x: Array) -> Image:
