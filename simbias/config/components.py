@@ -6,6 +6,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
 
@@ -19,6 +20,7 @@ from simbias.core.files import FOLDERS
 from simbias.core.messages import quote, with_type, words
 
 TYPOS = ("extra_forbidden", "unexpected_keyword_argument")  # pydantic's words for an unknown key
+NEAR = 0.8  # difflib's ratio, from which a key is another one, mistyped
 
 PROVIDED = frozenset({"task", "hardware_from"})  # what constructors are given beside their config,
 BESIDE = {"task": frozenset[str](), "policy": PROVIDED | {"nominal"}}  # of these groups
@@ -149,7 +151,7 @@ def _converted(
     try:
         converted = dict(adapter.validate_python(values, context={FOLDERS: folders}))
     except ValidationError as error:
-        raise _in_one_line(error, key) from error
+        raise _in_one_line(error, key, list(adapter._type.__annotations__)) from error
     except Exception as error:  # of the system, where a path cannot even be asked for
         raise ConfigError(key, reason(error)) from error
     _check_numbers(values, converted, key)
@@ -174,8 +176,8 @@ def _path(key: str, error: Mapping[str, Any]) -> str:
     return ".".join(str(part) for part in ((key,) if key else ()) + error["loc"])
 
 
-def _in_one_line(error: ValidationError, key: str) -> ConfigError:
-    """The first of pydantic's errors, as one line that names the key."""
+def _in_one_line(error: ValidationError, key: str, known: Sequence[str]) -> ConfigError:
+    """The first of pydantic's errors, as one line that names the key; of typos in known names, the name."""
     errors = error.errors(include_url=False)
     first = next((each for each in errors if each["type"] in TYPOS), errors[0])
     typos = [_path(key, each) for each in errors if each["type"] in TYPOS]
@@ -184,6 +186,8 @@ def _in_one_line(error: ValidationError, key: str) -> ConfigError:
         hint = ""
         if ")" in where:  # `{value: max(a, b)}` of YAML is a key `value` and a key `b)`
             hint = "; quotes keep an expression with commas together"
+        elif near := get_close_matches(where.removeprefix(f"{key}."), known, 1, NEAR):
+            hint = f"; is it {near[0]}?"
         elif where.count(".") == 1:  # of a component that took the place of a preset's
             it, leaves = ("it", "leaves") if len(typos) == 1 else ("them", "leave")
             hint = f"; if a preset sets {it}, {' '.join(f'~{each}' for each in typos)} {leaves} {it} out"

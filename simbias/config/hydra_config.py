@@ -141,7 +141,10 @@ def in_one_line(error: Exception) -> ConfigError:
     lines = [line.strip().removesuffix(".") for line in str(error).splitlines() if "hydra.cc" not in line]
     if isinstance(error, OverrideParseException):
         said = "" if lines[0].startswith("Lexer") else f" ({lines[:2][-1]})"  # else it is the override again
-        return ConfigError(error.override, f"cannot be parsed{said}; quotes keep a value together")
+        of_ours = "an expression is quoted, as in {x: 'sin(t)'}" if "Unknown function" in said else ""
+        return ConfigError(
+            error.override, f"cannot be parsed{said}; {of_ours or 'quotes keep a value together'}"
+        )
     if isinstance(error, OmegaConfBaseException) and error.full_key:
         return ConfigError(error.full_key, lines[0])
     quoted = re.findall("'(.+?)'", lines[0])
@@ -159,4 +162,5 @@ def _no_such_key(key: str) -> ConfigError:
         return ConfigError(key, f"no such key; {adds}, whose own keys are keys, values, labels and points")
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
-    return unknown([key], key, "no such key; --cfg job shows them all, --help the groups")
+    left_out = f"; +{key}=... sets what the config leaves out" if "." in key else ""
+    return unknown([key], key, f"no such key; --cfg job shows them all, --help the groups{left_out}")

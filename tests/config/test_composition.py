@@ -26,7 +26,8 @@ BAD = {  # by override: its key, and what is said of it
     "bias.d=abc": ("bias.d", "must be a valid number"),
     "++nominal.uncertainty.masses=true": ("nominal.uncertainty.masses", "must be a number, got true"),
     "bias.d=-1": ("bias.d", "must be greater than 0, got -1"),
-    "bias.dd=1": ("bias.dd", "no such key"),
+    "bias.dd=1": ("bias.dd", "no such key; --cfg job shows them all, --help the groups; +bias.dd=... sets "),
+    "+task.horizion=100": ("task.horizion", "no such key; is it horizon?"),
     "+bias.dd=1": ("bias.dd", "no such key; if a preset sets it, ~bias.dd leaves it out"),
     "++bias={dd: 1, ee: 2}": (
         "bias.dd",
@@ -39,6 +40,7 @@ BAD = {  # by override: its key, and what is said of it
     "+nosuch=1": ("nosuch", "no such group"),
     "~bias": ("bias", "missing"),
     "bias.d=[1": ("bias.d=[1", "cannot be parsed (no viable alternative at input '[1'); quotes keep"),
+    "+task.goal={x: log(t)}": ("+task.goal=", "an expression is quoted, as in {x: 'sin(t)'}"),
     "bias=gp,none": ("bias=gp,none", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=range(1,3)": ("seed=range(1,3)", "a list needs brackets, many trials are a sweep (+sweep=NAME)"),
     "seed=???": ("seed", "Missing mandatory value"),
