@@ -45,6 +45,7 @@ def test_phases_show_every_rollout(short: Study, trial: list[Iteration]) -> None
     shaded = [patch for axes in portrait.axes[:3] for patch in axes.patches if isinstance(patch, Rectangle)]
     edges = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in shaded]
     assert short.task.limits.distance in np.abs(edges)
+    assert {"failure", "beyond a limit"} < {text.get_text() for text in portrait.legends[0].get_texts()}
 
 
 def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[Iteration]]) -> None:
@@ -57,7 +58,9 @@ def test_phases_of_a_state_that_never_changes(of_point_mass: tuple[Study, list[I
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        (axes,) = phases(study, [replace(first, experiments=still, model=None)]).axes
+        figure = phases(study, [replace(first, experiments=still, model=None)])
+    (axes,), (legend,) = figure.axes, figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["hardware"]
     assert axes.get_ylim()[0] < 0.0 < axes.get_ylim()[1]
     task = type(study.task)()
     task.states = (Quantity("position", "m"), Quantity("mass", "kg"))
@@ -109,6 +112,8 @@ def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
                 assert mark[0, 1] == pytest.approx(np.median(norms))
     assert [axes.get_ylabel().split(" (")[-1] for axes in figure.axes[::2]] == ["rad)", "rad/s)"]
     assert figure.axes[1].get_title() == "20 frames ahead (20 ms)"
+    alone = prediction_errors(short, trial[:1], [1])
+    assert lines(alone.axes[0], NOMINAL, "s")[0][0, 0] == 0.0  # on its tick
     slow = copy(short.task)
     slow.time_step = 60.0
     first, *_ = prediction_errors(replace(short, task=slow), trial, [1]).axes

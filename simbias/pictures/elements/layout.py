@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from simbias.pictures.elements.style import SMALL
 
 WIDTH = 9.0  # in, of a figure
+BETWEEN = 0.08  # in, beside axes and their labels
 PAD = 12  # points, below a headline
 LABELS = 0.8  # in, of the height of a row: its headline, ticks and labels
 MOST_COLUMNS = 5  # of a legend
@@ -25,6 +26,7 @@ def panels(count: int, height: float, most: int = 3, blocks: int = 1) -> tuple[F
     columns = min(most, count)
     rows = -(-count // columns)  # of each block
     figure = Figure(figsize=(WIDTH, blocks * rows * (height + LABELS)), layout="constrained")
+    figure.get_layout_engine().set(w_pad=BETWEEN)  # type: ignore[union-attr, call-arg]
     grid = figure.subplots(blocks * rows, columns, squeeze=False).reshape(blocks, rows * columns)
     for axes in grid[:, count:].flat:
         axes.axis("off")

@@ -65,8 +65,10 @@ def prediction_errors(
     groups = _groups(study.task)
     figure, grid = panels(len(horizons), HEIGHT, len(horizons), blocks=len(groups))
     shown: dict[str, Line2D] = {}
-    for iteration in iterations:
-        for name, (bias, nominal) in _models(study, iterations, iteration).items():
+    by_iteration = [(each, _models(study, iterations, each)) for each in iterations]
+    beside = len({name for _, models in by_iteration for name in models}) > 1
+    for iteration, models in by_iteration:
+        for name, (bias, nominal) in models.items():
             color, marker = STYLES[name]
             shown[name] = Line2D([], [], color=color, marker=marker, linewidth=2.5, markeredgecolor="white")
             pieces = windows(study, iteration, max(horizons))
@@ -76,7 +78,7 @@ def prediction_errors(
             for row, states in zip(grid, groups.values(), strict=True):
                 for axes, values in zip(row, errors, strict=True):
                     norms = np.linalg.norm(values[:, states], axis=1)
-                    _draw(axes, iteration.index + ASIDE[name], norms, STYLES[name])
+                    _draw(axes, iteration.index + beside * ASIDE[name], norms, STYLES[name])
     for row, (unit, states) in zip(grid, groups.items(), strict=True):
         symbols = [symbol(study.task.states[i].name) for i in states]
         lines = [", ".join(symbols[i : i + NAMES]) for i in range(0, len(symbols), NAMES)]

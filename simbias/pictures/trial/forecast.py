@@ -126,7 +126,7 @@ def _entries(curves: Sequence[NamedRollout], draws: Array | None, beyond: bool) 
     }
     if draws is not None:
         failures = int(np.isnan(draws[:, -1]).any(axis=1).sum())
-        words = f"90 % of {DRAWS} draws of model and bias" + (f", {failures} fail" if failures else "")
+        words = f"90% of {DRAWS} draws of model and bias" + (f", {failures} fail" if failures else "")
         entries[words] = Patch(color=SIMULATION, alpha=0.2)
     if beyond:
         entries["the band leaves the axes"] = Patch(color=SIMULATION)

@@ -47,6 +47,7 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
         raise NoPictureError(f"no state of {type(task).__name__} has another's unit per second")
     both = first_and_last(on_hardware(iterations))
     figure, blocks = panels(len(pairs), HEIGHT, blocks=len(both))
+    rollouts: list[Rollout] = []
     for block, iteration in zip(blocks, both, strict=True):
         headline(block[0], compared_words(study, iteration))
         experiments = policy_experiments(iteration)
@@ -54,10 +55,13 @@ def phases(study: Study, iterations: Sequence[Iteration]) -> Figure:
         for axes, pair in zip(block, pairs, strict=True):
             _draw(axes, task, pair, models, SIMULATION, "--")
             _draw(axes, task, pair, experiments, HARDWARE, "-")
+        rollouts += [*experiments, *models]
     bounds = state_bounds(task)
     for index, pair in enumerate(pairs):
         _share_view(list(blocks[:, index]), bounds[list(pair)])
-    legend(figure, _entries(any(iteration.model is not None for iteration in both)))
+    simulates = any(iteration.model is not None for iteration in both)
+    fails = any(rollout.failed_at is not None for rollout in rollouts)
+    legend(figure, _entries(simulates, fails, any(axes.patches for axes in blocks.flat)))
     return figure
 
 
@@ -110,12 +114,12 @@ def _share_view(all_axes: Sequence[Axes], bounds: Array) -> None:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
-def _entries(with_simulation: bool) -> dict[str, Artist]:
-    """The legend."""
-    simulation = {"simulation": Line2D([], [], color=SIMULATION, linestyle="--")} if with_simulation else {}
+def _entries(simulates: bool, fails: bool, shaded: bool) -> dict[str, Artist]:
+    """The legend, of what there is."""
+    failure = Line2D([], [], color=LIMIT, marker="X", linestyle="", markeredgecolor="white")
     return {
         "hardware": Line2D([], [], color=HARDWARE),
-        **simulation,
-        "failure": Line2D([], [], color=LIMIT, marker="X", linestyle="", markeredgecolor="white"),
-        "beyond a limit": Patch(color=BEYOND),
+        **({"simulation": Line2D([], [], color=SIMULATION, linestyle="--")} if simulates else {}),
+        **({"failure": failure} if fails else {}),
+        **({"beyond a limit": Patch(color=BEYOND)} if shaded else {}),
     }

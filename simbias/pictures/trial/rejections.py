@@ -65,7 +65,7 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
     axes.invert_yaxis()
     whole_numbers(axes.xaxis, axes.yaxis)
     plain(axes)
-    headline(axes, "Samples of each iteration's experiments")
+    headline(axes, "Samples of each iteration's experiments; D is all data so far")
     figure.legend(loc="outside right upper", frameon=False, fontsize=SMALL)
     return figure
 
