@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from typing import Any, NotRequired, Required, get_type_hints
@@ -103,7 +103,7 @@ def constructor_arguments(
     except Exception as error:  # of annotations that name what is imported for type checkers alone, say
         problem = f"the annotations of {component.__name__}'s constructor cannot be read ({with_type(error)})"
         raise ConfigError(key, problem) from error
-    return _converted(given, schema, key, folders)
+    return _converted(given, schema, key, constructor_parameters(component), folders)
 
 
 @cache
@@ -141,17 +141,21 @@ def validate(values: Mapping[str, Any], fields: dict[str, Any], key: str) -> dic
     ConfigError
         Naming `key` and the field.
     """
-    return _converted(values, _adapter(fields), key)
+    return _converted(values, _adapter(fields), key, fields)
 
 
 def _converted(
-    values: Mapping[str, Any], adapter: TypeAdapter, key: str, folders: Sequence[str] = ()
+    values: Mapping[str, Any],
+    adapter: TypeAdapter,
+    key: str,
+    known: Collection[str],
+    folders: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The values as the adapter converts them."""
+    """The values as the adapter converts them, whose names are known."""
     try:
         converted = dict(adapter.validate_python(values, context={FOLDERS: folders}))
     except ValidationError as error:
-        raise _in_one_line(error, key, list(adapter._type.__annotations__)) from error
+        raise _in_one_line(error, key, known) from error
     except Exception as error:  # of the system, where a path cannot even be asked for
         raise ConfigError(key, reason(error)) from error
     _check_numbers(values, converted, key)
@@ -176,7 +180,7 @@ def _path(key: str, error: Mapping[str, Any]) -> str:
     return ".".join(str(part) for part in ((key,) if key else ()) + error["loc"])
 
 
-def _in_one_line(error: ValidationError, key: str, known: Sequence[str]) -> ConfigError:
+def _in_one_line(error: ValidationError, key: str, known: Collection[str]) -> ConfigError:
     """The first of pydantic's errors, as one line that names the key; of typos in known names, the name."""
     errors = error.errors(include_url=False)
     first = next((each for each in errors if each["type"] in TYPOS), errors[0])
