@@ -72,7 +72,11 @@ class Reader:
             times.append(measured)
         measured_rates = {i: position for i, position in self._rates.items() if i in found}
         check_rates(str(path), [piece.states for piece in pieces], self._task, measured_rates)
-        notes += [*self._late(found, pieces), *self._beyond_limits(path, pieces), *self._still(pieces)]
+        notes += [
+            *self._late(measured_rates, pieces),
+            *self._beyond_limits(path, pieces),
+            *self._still(pieces),
+        ]
         return Recording(tuple(pieces), tuple(times), tuple(notes))
 
     def _signals(self, file: Signals, notes: list[str]) -> dict[int, Signal]:
@@ -184,20 +188,20 @@ class Reader:
         rate: Array = savgol_filter(values, width, 2, deriv=1, delta=self._task.time_step)
         return rate
 
-    def _late(self, found: Mapping[int, Signal], pieces: list[Rollout]) -> list[str]:
+    def _late(self, measured_rates: Mapping[int, int], pieces: list[Rollout]) -> list[str]:
         """Notes on recorded rates that agree clearly better with how their values changed before."""
         frame, names, notes = self._task.time_step, [state.name for state in self._task.states], []
         k, latest = max(1, round(SLOWEST / frame)), max(1, round(LATEST / frame))
-        for i, position in self._rates.items():
+        long = [piece.states for piece in pieces if len(piece.states) > latest + k]
+        for i, position in measured_rates.items():
             errors = np.zeros(latest + 1)  # by frames that the rate is late
-            for values, rates in [(r.states[:, position], r.states[:, i]) for r in pieces if i in found]:
+            for states in long:
+                values, rates = states[: len(states) - latest, position], states[:, i]
+                moved = values[k:] - values[:-k]
                 told = frame * (np.cumsum(rates) - rates / 2)  # by the trapezoidal rule
-                last = len(values) - latest
-                for late in range(latest + 1) if last > k else ():
-                    moved = values[k:last] - values[: last - k]
-                    errors[late] += np.sum(
-                        (told[late + k : late + last] - told[late : late + last - k] - moved) ** 2
-                    )
+                changes = told[k:] - told[:-k]
+                lagged = (changes[late : late + len(moved)] for late in range(latest + 1))
+                errors += [np.sum((each - moved) ** 2) for each in lagged]
             late = int(np.argmin(errors))
             if errors[late] < CLEARLY * errors[0]:
                 follows = f"{names[i]} follows {names[position]} by {1e3 * late * frame:.3g} ms"

@@ -76,9 +76,8 @@ def _moments_of_directions(F: Array, observed: Array, P: Array, R: Array) -> tup
     U, s, V = np.linalg.svd(F * scale / noise, full_matrices=False)
     told = (U.transpose(0, 2, 1) @ (observed / noise)) * (s / (1.0 + s**2))[:, :, None]
     root = scale[:, None] * V.transpose(0, 2, 1) / np.sqrt(1.0 + s**2)[:, None]
-    of_starts = np.sum((scale[:, None] * (V.transpose(0, 2, 1) @ told)) ** 2, axis=2) + np.sum(
-        root**2, axis=2
-    )
+    starts = scale[:, None] * (V.transpose(0, 2, 1) @ told)
+    of_starts = np.sum(starts**2, axis=2) + np.sum(root**2, axis=2)
     predicted = noise * (U @ (s[:, :, None] * told))
     spread = noise * U * (s / np.sqrt(1.0 + s**2))[:, None]
     return of_starts, np.sum((observed - predicted) ** 2, axis=2) + np.sum(spread**2, axis=2)

@@ -118,10 +118,10 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     if model is None:
         return
     task, safety = model.task, study.conditions.safety
-    start = task.start_mean
-    says_success = task.succeeds(np.tile(start, (task.horizon + 1, 1))) is not None
+    says_success = task.says_success
     if safety.limits or says_success:
-        rollout = simulator(model, cost=study.cost).rollout(theta, start)  # in the loop that searches compile
+        in_searches = simulator(model, cost=study.cost)  # the loop that they have compiled
+        rollout = in_searches.rollout(theta, task.start_mean)
         if says_success:
             yield from of_goal(rollout, task)
         if safety.limits:

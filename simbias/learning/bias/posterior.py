@@ -58,15 +58,19 @@ class Posterior(FittedBias):
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n) (Eq. 4) and variance (k, n), noise included (Eq. 5), at raw inputs (k, n+m)."""
         scaled = self._hyper.scale(inputs)
-        mean, variance = self.relative(inputs)
+        k_star = self._hyper.covariance(scaled, self._points)
+        mean, variance = self._given_trend(k_star)
         basis = self._hyper.basis(scaled)
-        of_trend = basis - self._hyper.covariance(scaled, self._points) @ self._trend.G
+        of_trend = basis - k_star @ self._trend.G
         variance = variance + np.sum((of_trend @ self._trend.root.T) ** 2, axis=1)
         return mean + basis @ self._trend.mean, variance[:, None] * self._scale**2
 
     def relative(self, inputs: Array) -> tuple[Array, Array]:
         """Mean (k, n), and variance (k,) over each output's mean square, given the linear function."""
-        k_star = self._hyper.covariance(self._hyper.scale(inputs), self._points)
+        return self._given_trend(self._hyper.covariance(self._hyper.scale(inputs), self._points))
+
+    def _given_trend(self, k_star: Array) -> tuple[Array, Array]:
+        """The same, of covariances k_star (k, N) of inputs with the points."""
         known = np.sum((k_star[:, : len(self._U)] @ self._U.T) ** 2, axis=1)
         return k_star @ self._W, self._hyper.prior_variance - known
 
@@ -139,7 +143,7 @@ class Waves:
 
 @final
 class GPSample(FittedBias):
-    """A sample k^T W of a posterior, with waves or a linear function (p, n) or without: it is certain.
+    """A function k^T W drawn from a posterior, with waves and a linear function (p, n) if there are any.
 
     Its weight in Eq. 7 is one: samples differ where there is little data, so a smaller weight there would
     count the same uncertainty twice.

@@ -85,13 +85,7 @@ class Mechanism:
             )
         if len(task.inputs) != len(actuators):
             raise ValueError(f"the task has {len(task.inputs)} inputs; {file} has actuators {actuators}")
-        types = [model.joint(name).type[0] for name in joints]
-        wanted = [unit for part in (0, 1) for each in types for unit in STATE_UNITS[each][part]]
-        for state, unit in zip(task.states, wanted, strict=True):
-            if unit not in ("", state.unit):
-                raise ValueError(
-                    f"the task's state {state.name} is in {state.unit}; in {file} it is in {unit}"
-                )
+        self._check_states(task)
         steps = task.time_step / model.opt.timestep if model.opt.timestep > 0 else np.inf
         if steps > MOST_STEPS:
             raise ValueError(
@@ -109,6 +103,21 @@ class Mechanism:
         self.state_places = 1 + np.concatenate([*positions, *(model.nq + each for each in velocities)])
         self.control_places = np.array([model.actuator(name).id for name in actuators])  # (m,) in controls
         self.units = np.array([_unit(engine, model, i) for i in self.control_places])  # (m,) of controls
+        self._check_inputs(task, actuators)
+
+    def _check_states(self, task: Task) -> None:
+        """Refuse states in other units than those of the engine."""
+        types = [self.model.joint(name).type[0] for name in self.joints]
+        wanted = [unit for part in (0, 1) for each in types for unit in STATE_UNITS[each][part]]
+        for state, unit in zip(task.states, wanted, strict=True):
+            if unit not in ("", state.unit):
+                raise ValueError(
+                    f"the task's state {state.name} is in {state.unit}; in {self._file} it is in {unit}"
+                )
+
+    def _check_inputs(self, task: Task, actuators: Sequence[str]) -> None:
+        """Refuse inputs in other units than those of motors, or beyond what actuators give."""
+        engine, model = mujoco(), self.model
         places = zip(task.inputs, actuators, self.control_places, self.units, strict=True)
         for (quantity, name, index, unit), lower, upper in zip(places, *task.input_bounds, strict=True):
             force = _input_unit(engine, model, index)  # volts, or a share, may be a gain away from it
