@@ -19,7 +19,14 @@ NOT_A_NUMBER = "not_a_number"  # the failure of a state that is not finite and v
 
 
 class HardwareError(RuntimeError):
-    """The hardware could not carry out an experiment; a robot that falls is no error but a failure."""
+    """The hardware could not carry out an experiment; a robot that falls is no error but a failure.
+
+    What it `returned` in place of a rollout is kept: the robot may have moved.
+    """
+
+    def __init__(self, problem: str, returned: Any = None) -> None:
+        super().__init__(problem)
+        self.returned = returned
 
 
 class Waiting(Exception):  # noqa: N818 (no error: a lab takes its time)

@@ -189,6 +189,9 @@ class CheckedHardware(Hardware):
             if limited and (aborted := limited.aborted):
                 _Call(self._hardware.stop).ended(STOP_SECONDS)
                 return aborted
+            if isinstance(error, HardwareError) and error.returned is not None and self._record:
+                where = self._record.refuse(error.returned, theta, start, str(error))
+                raise HardwareError(f"{error}{where}") from error
             if isinstance(error, HardwareError | Waiting):
                 raise
             got = with_type(error, MESSAGE_LENGTH)

@@ -1,6 +1,7 @@
 """A person as the hardware: requests go out in folders, trajectories come back."""
 
 import json
+import shutil
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -54,6 +55,11 @@ def test_a_trial_waits_for_a_person_and_resumes(folder: Path, capsys: pytest.Cap
         assert f"make the experiment of {asked}/README.txt, and put its trajectory.csv there" in error
         assert f"({answered} hardware experiment{'s' * (answered != 1)} kept; " in error
         if answered == 1:
+            (before,) = Path("requests").glob("*/trajectory.csv")
+            shutil.copy(before, asked)
+            assert main(command) == FAILED
+            copied = f"{asked}/trajectory.csv: is the file that answers another request, {before}"
+            assert copied in capsys.readouterr().err
             (asked / "trajectory.csv").write_text("time (s),position (m)\n0,0\n")
             assert main(command) == FAILED
             line = capsys.readouterr().err

@@ -1,5 +1,6 @@
 """A program as the hardware: it answers, or is one line; it never runs on alone, and never beside another."""
 
+import json
 import os
 import resource
 import shlex
@@ -29,6 +30,7 @@ from simbias.lab.checked_hardware import CheckedHardware, ExperimentConditions
 from simbias.lab.requests import process
 from simbias.lab.requests.process import Process
 from simbias.lab.requests.program import alone
+from simbias.trial.run import run_trial
 from simbias.trial.study import Study
 
 pytestmark = pytest.mark.slow
@@ -99,10 +101,22 @@ def test_what_is_no_trajectory_is_one_line(point_mass: Study, tmp_path: Path) ->
             build(compose(["hardware=process", override]))
 
 
+def test_what_a_program_said_is_kept_if_it_is_no_rollout(point_mass: Study, tmp_path: Path) -> None:
+    """The robot may have moved: nobody makes that experiment again to see what it was."""
+    for number, text in enumerate((f"states[3][0] = float('nan'); {ANSWER}", f"{ANSWER}; sys.exit(3)")):
+        hardware = Process(point_mass.task, program(tmp_path, f"{ROWS}\n{text}"))
+        record = run_trial(replace(point_mass, hardware=hardware), tmp_path / "trial")
+        kept = tmp_path / "trial" / f"refused_{number:04d}.json"
+        assert record.summary.reason.endswith(f"; it is kept in {kept}")
+        assert len(json.loads(json.loads(kept.read_text())["returned"])["states"]) == 101
+
+
 def test_a_robot_may_fail_before_anything_acts(point_mass: Study, tmp_path: Path) -> None:
     text = f"{ROWS}; failure = 'stop'; states[1:] = inputs[:] = []; {ANSWER}"
     made = run(point_mass, program(tmp_path, text))
     assert (made.failed_at, made.failure, made.inputs.shape) == (0, "stop", (0, 1))
+    made = run(point_mass, program(tmp_path, f"{ROWS}; failure = ''; {ANSWER}"))  # as its controller says it
+    assert (made.failed_at, made.failure) == (None, None)
 
 
 def test_an_answer_at_a_higher_rate_is_resampled_and_one_may_wait(point_mass: Study, tmp_path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +67,20 @@ def write_request(request: ExperimentRequest, folder: Path) -> Path:
         (part / name).write_text(text, encoding="utf-8")
     part.rename(own)
     return own
+
+
+def copied_from(trajectory: Path) -> Path | None:
+    """The trajectory of another request, with another policy or start, that is the same file."""
+    own, folder = trajectory.read_bytes(), trajectory.parent
+    for other in sorted(folder.parent.glob(f"*_*/{TRAJECTORY}")):
+        if other != trajectory and other.read_bytes() == own and _asked(other.parent) != _asked(folder):
+            return other
+    return None
+
+
+def _asked(folder: Path) -> dict[str, Any]:
+    """The content of a request, less what tells it from another of the same content."""
+    return {**json.loads((folder / POLICY).read_text(encoding="utf-8")), "request": ""}
 
 
 def files(request: ExperimentRequest) -> dict[str, str]:

@@ -10,7 +10,7 @@ import numpy as np
 from simbias.core import Hardware, HardwareError, Policy, Task, Waiting
 from simbias.core.messages import words
 from simbias.core.records import Array, Rollout
-from simbias.lab.requests.folder import README, TRAJECTORY, write_request
+from simbias.lab.requests.folder import README, TRAJECTORY, copied_from, write_request
 from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.requests.trajectory import read
 
@@ -52,4 +52,6 @@ class Manual(Hardware):
         file = folder / TRAJECTORY
         if not file.exists():
             raise Waiting(f"make the experiment of {folder / README}, and put its {TRAJECTORY} there")
+        if other := copied_from(file):
+            raise HardwareError(f"{file}: is the file that answers another request, {other}")
         return read(file, request)

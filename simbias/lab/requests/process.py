@@ -57,7 +57,7 @@ class Process(Hardware):
         self._command = shlex.split(command)
         self._timeout = timeout
         self._exclusive = exclusive
-        self._running: Program | None = None
+        self._program: Program | None = None
         if not self._command:
             raise ValueError("command is empty")
 
@@ -72,28 +72,30 @@ class Process(Hardware):
             If it says so.
         """
         request = ExperimentRequest(self._task, policy, theta, start, int(rng.integers(2**62)))
+        self._program = None
         try:
             return self._rollout(self._answer(request.text()), request)
         except HardwareError as error:
-            raise HardwareError(f"{type(self).__name__} {shlex.join(self._command)}: {error}") from error
+            said = self._program.out.text if self._program else ""
+            problem = f"{type(self).__name__} {shlex.join(self._command)}: {error}"
+            raise HardwareError(problem, said or None) from error
 
     def stop(self) -> None:
         """End the program."""
-        if self._running is not None:
-            self._running.end()
+        if self._program is not None:
+            self._program.end()
 
     def _answer(self, text: str) -> Any:
         """The JSON that the program prints."""
         held = alone(self._command, self._timeout + END_SECONDS) if self._exclusive else nullcontext()
         with held as lock:
-            self._running = program = Program(self._command, text, [lock.fileno()] if lock else [])
+            self._program = program = Program(self._command, text, [lock.fileno()] if lock else [])
             try:
                 if lock:
                     note(lock, program.pid)
                 status = program.wait(self._timeout)
             finally:  # also where this is interrupted
                 program.end()
-                self._running = None
         out, said = program.out, program.err.text
         if out.too_long or program.err.too_long:
             raise HardwareError(f"expected at most {MOST_OUTPUT >> 20} MB of output, got more")
@@ -137,7 +139,7 @@ class Process(Hardware):
         failure = answer.get("failure")
         if failure is not None and not isinstance(failure, str):
             raise HardwareError(f"failure: expected a name or null, got {quote(failure)}")
-        return frame(Recording(times, states, inputs, failure), request, "the answer")
+        return frame(Recording(times, states, inputs, failure or None), request, "the answer")
 
 
 def _rows(given: Any, name: str, columns: int) -> Array:

@@ -19,6 +19,7 @@ from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
+NO_FAILURE = ("", "-", "none", "nan", "null", "ok")  # how tools write that nothing failed
 JITTER = 0.25  # of a frame, within which a row counts as on time
 GAP = 2.5  # intervals between rows that are no gap yet
 COARSEST = 1.05  # of the task's time step that the rows may be apart
@@ -91,16 +92,17 @@ def _failure(table: Table) -> str | None:
     """The failure named in the last row, and in no other."""
     if FAILURE not in table.names:
         return None
-    column, last = table.names.index(FAILURE), len(table.rows) - 1
+    column, last, named = table.names.index(FAILURE), len(table.rows) - 1, ""
     for index, cells in enumerate(table.cells):
         cell = cells[column].strip()
         if POINT.fullmatch(cell):
             raise table.error(
                 index, column, f"expected a name, got {quote(cell)}; has a decimal comma cut a number in two?"
             )
-        if cell and index < last:
+        named = "" if cell.lower() in NO_FAILURE else cell
+        if named and index < last:
             raise table.error(index, column, f"expected it in the last row alone, got {quote(cell)}")
-    return table.cells[last][column].strip() or None
+    return named or None
 
 
 def frame(recording: Recording, request: ExperimentRequest, source: str) -> Rollout:
