@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from html import unescape
 
 MARKUP = re.compile(r"[&<>|`*\\]|\](?=[(\[])")  # of HTML, tables, code, emphasis and links
 
@@ -22,3 +23,9 @@ def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
     """A table of words, its columns to the right."""
     lines = [map(text, head), ["--:"] * len(head), *(map(text, row) for row in body)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def cells(lines: str) -> list[list[str]]:
+    """The words of a table, those of its head first."""
+    head, _, *body = lines.splitlines()
+    return [[unescape(cell) for cell in line[2:-2].split(" | ")] for line in (head, *body)]

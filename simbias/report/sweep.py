@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pandas as pd
 
+from simbias.core import markdown
 from simbias.core.proportions import counted_share, wilson
 from simbias.pictures.elements.html import heading, image, page, paragraph, table
 from simbias.report.parts import made_with
@@ -15,7 +15,6 @@ from simbias.sweep.tables import left_out
 from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import TrialSummary
 
-TABLE = "table.csv"
 MOST_ROWS = 1000  # of a table on the page
 
 
@@ -50,11 +49,14 @@ def _parts(folder: SweepFolder, description: dict) -> Iterator[str]:
             yield heading(file.stem)
             yield image(file.read_bytes(), words)
             yield paragraph(words)
-            yield from _table(file.with_suffix(".csv"))
-    if (folder.path / TABLE).exists():
+            if (numbers := file.with_suffix(".csv")).is_file():
+                frame = pd.read_csv(numbers, dtype=str, keep_default_na=False)
+                yield from _table(list(frame.columns), frame.to_numpy().tolist())
+    if "table" in (state := folder.state()):
         yield heading("Cells")
-        yield paragraph(str(folder.state().get("legend", "")))
-        yield from _table(folder.path / TABLE)
+        yield paragraph(str(state["legend"]))
+        head, *rows = markdown.cells(state["table"])
+        yield from _table(head, rows)
     yield from made_with(description)
 
 
@@ -73,10 +75,7 @@ def _claims(ended: list[TrialSummary]) -> Iterator[str]:
     )
 
 
-def _table(path: Path) -> Iterator[str]:
-    """A table of a CSV file, if it is there and not too long to be read."""
-    if not path.is_file():
-        return
-    frame = pd.read_csv(path, dtype=str, keep_default_na=False)
-    if len(frame) <= MOST_ROWS:
-        yield table(list(frame.columns), frame.to_numpy().tolist())
+def _table(head: list[str], rows: list[list[str]]) -> Iterator[str]:
+    """A table, if it is not too long to be read."""
+    if len(rows) <= MOST_ROWS:
+        yield table(head, rows)

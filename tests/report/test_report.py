@@ -130,7 +130,7 @@ def test_the_page_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     html = file.read_text()
     assert self_contained(html)
     said = ["2 of 2 trials have ended; of these succeeded", "&lt;script&gt;alert(1)&lt;/script&gt;"]
-    said += ["data:image/png;base64,", "preset=cartpole"]
+    said += ["data:image/png;base64,", "preset=cartpole", "<th>succeeded</th>", "/1 ["]
     assert [words for words in said if words not in html] == []
 
 

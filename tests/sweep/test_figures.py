@@ -123,11 +123,35 @@ def test_last_policies_are_dots_that_no_other_hides() -> None:
     FigureCanvasAgg(figure).draw()
     left, right = figure.axes
     assert len(left.get_yticklabels()) == 24
+    assert left.get_xlim()[1] > 13  # the most experiments of a trial, 5 above the mean
     dots: Any = [(some, at) for some in right.collections[1:] for at in some.get_offsets()]  # type: ignore[union-attr]
     assert all(abs(height) < 0.5 for _, (_, height) in dots)
     places = [some.get_offset_transform().transform(at) * 72 / figure.dpi for some, at in dots]
     assert len(places) == 10
     assert min(np.hypot(*(a - b)) for a, b in itertools.combinations(places, 2)) > 3.2  # pt, of a dot
+
+
+@pytest.mark.filterwarnings("error")
+def test_labels_may_be_long_and_cells_alike_when_joined() -> None:
+    points = "{no noise: {hardware.inertia_error: 0.1}, no: {hardware.inertia_error: 0.2}}"
+    others = (
+        f"{{learned: {{bias: gp}}, noise learned: {{bias: none}}, {'so much more ' * 8}: {{bias: mean}}}}"
+    )
+    sweep = expand([f"+sweep={{trials: 1, axes: {{a: {{points: {points}}}, b: {{points: {others}}}}}}}"])
+    ended = {"repetition": 0, "iterations": 1, "experiments": 2, **LATER, "test_episodes": "1111"}
+    rows = [
+        {**dict(zip("ab", cell.labels, strict=True)), "hash": str(i), "outcome": "succeeded", **ended}
+        for i, cell in enumerate(sweep.cells)
+    ]
+    trials = swept(sweep, [{**row, "lasting_episodes": "1111"} for row in rows])
+    last = LastPolicies().draw(trials, ())
+    assert "nine in ten trials do in 6 of 6 cells" in last.caption
+    for picture in (last, Experiments().draw(trials, ()), Comparison("a").draw(trials, ())):
+        FigureCanvasAgg(picture.figure).draw()
+        boxes = [axes.get_tightbbox() for axes in picture.figure.axes]  # with their labels
+        assert all(box and box.x0 >= 0 and box.x1 <= picture.figure.bbox.width for box in boxes)
+    with pytest.raises(FigureError, match="no trial of the sweep ran to an end"):
+        Experiments().draw(swept(sweep, [{**row, "outcome": "error"} for row in rows]), ())
 
 
 def test_a_series_number_says_of_what_and_several_numbers_do_not() -> None:

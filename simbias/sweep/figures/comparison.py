@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from simbias.sweep.statistics import (
 )
 
 WIDTH, ROW, CURVES, REST = 11.0, 0.24, 3.2, 2.6  # in: of the figure, of a method, of the curves, of all else
+LETTERS = 40  # of a line of a method's name
 MOST = 8  # curves in a panel
 SLANTED: dict[str, Any] = {"rotation": 40, "ha": "right", "va": "top", "rotation_mode": "anchor"}
 THRESHOLDS = np.linspace(0, 1, 101)
@@ -110,7 +111,7 @@ class _Method:
         self.trials = trials[trials["score"].notna()].set_index([*others, "repetition"])
         self.raised = len(trials) - len(self.trials)
         grouped: Any = trials.groupby(others, sort=False) if others else [((), trials)]
-        cells = {" ".join(map(str, name)): own["score"].to_numpy() for name, own in grouped}
+        cells = {name: own["score"].to_numpy() for name, own in grouped}  # by the labels of the others
         repetitions = min(map(len, cells.values()))
         self.cells = [*cells]
         self.scores: Array = np.array([cell[:repetitions] for cell in cells.values()]).T
@@ -170,7 +171,7 @@ def _caption(numbers: pd.DataFrame, sweep: Sweep) -> str:
 
 def _figure(methods: dict[str, _Method], numbers: pd.DataFrame, curves: dict[str, _Method]) -> Figure:
     """The figure of two rows."""
-    above = ROW * len(methods) + REST
+    above = ROW * sum(len(wrap(name, LETTERS)) for name in methods) + REST
     figure = Figure(figsize=(WIDTH, above + CURVES), layout="constrained")
     rows: Any = figure.subfigures(2, 1, height_ratios=[above, CURVES])
     top, bottom = rows
@@ -194,8 +195,8 @@ def _draw_cells(axes: Axes, methods: dict[str, _Method]) -> None:
         if np.isfinite(share):
             color = "white" if share > 0.8 else "0.25"
             axes.text(column, row, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=color)
-    axes.set_xticks(range(len(names)), [fill(name, 26) for name in names], fontsize=8, **SLANTED)
-    axes.set_yticks(range(len(methods)), [*methods])
+    axes.set_xticks(range(len(names)), [fill(" ".join(name), 26) for name in names], fontsize=8, **SLANTED)
+    axes.set_yticks(range(len(methods)), [fill(name, LETTERS) for name in methods])
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     axes.set_title("% of test episodes passed", fontsize=9)
@@ -236,4 +237,10 @@ def _draw_curves(figure: SubFigure, methods: dict[str, _Method]) -> None:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_ylim(-0.03, 1.03)
         plain(axes, "both")
-    figure.legend(handles.values(), handles, loc="outside right center", fontsize=8, frameon=False)
+    figure.legend(
+        handles.values(),
+        [fill(name, LETTERS) for name in handles],
+        loc="outside right center",
+        fontsize=8,
+        frameon=False,
+    )

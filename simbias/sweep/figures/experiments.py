@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from simbias.sweep.axes import Axis
     from simbias.sweep.grid import Sweep
 
-HEIGHT = 3.9  # in, without the legend
+HEIGHT, LINE = 3.75, 0.15  # in, without the legend and the ticks; of a line of these
+NARROWEST, WIDEST, BESIDE = 5.0, 16.0, 0.8  # in; beside the axes
+LETTER, SHORTEST = 0.085, 8  # in, of a tick's label; letters of its shortest lines
 PAPER_ASIDE = 0.12  # of the distance between two points of the axis
 
 
@@ -42,6 +45,8 @@ class Experiments(SweepFigure):
         if not trials.sweep.axes:
             raise FigureError("the sweep has no axis along which to draw its cells")
         table = cells(trials.table, trials.sweep)
+        if not table["trials"].any():
+            raise FigureError("no trial of the sweep ran to an end")
         return Picture(_figure(table, trials.sweep), table, _caption(table))
 
 
@@ -66,9 +71,11 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
     along = next((axis for axis in sweep.axes if axis.name != sweep.report.columns), sweep.axes[0])
     others = [axis for axis in sweep.axes if axis is not along]
     curves = list(itertools.product(*(axis.labels for axis in others)))
-    figure = Figure(
-        figsize=(max(5.0, 2.0 + 0.3 * len(along.labels) * (1 + len(curves))), HEIGHT), layout="constrained"
-    )
+    width = min(max(NARROWEST, 2.0 + 0.3 * len(along.labels) * (1 + len(curves))), WIDEST)
+    letters = max(SHORTEST, int((width - BESIDE) / len(along.labels) / LETTER))
+    ticks = ["\n".join(fill(literal(text), letters) for text in point) for point in along.texts]
+    lines = 1 + max(tick.count("\n") for tick in ticks)
+    figure = Figure(figsize=(width, HEIGHT + LINE * lines), layout="constrained")
     axes = figure.add_subplot()
     for index, labels in enumerate(curves):
         own = table
@@ -76,6 +83,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
         _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))), len(curves) > 1)
+    axes.set_xticks(range(len(ticks)), ticks)
     _label(axes, along)
     axes.set_ylim(bottom=0)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
@@ -116,8 +124,7 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str, 
 
 
 def _label(axes: Axes, along: Axis) -> None:
-    """Ticks: the points of the axis, a line for each value of those that have several."""
-    axes.set_xticks(range(len(along.labels)), map(literal, map("\n".join, along.texts)))
+    """What the points of the axis are; their ticks have a line for each value of those that have several."""
     names = heads(along)
     axes.set_xlabel(names[0] if len(names) == 1 else "from above: " + ", ".join(names))
     plain(axes, "y")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,8 @@ from simbias.sweep.tables import RELIABLE, numbers_of_episodes, share, success_r
 from simbias.trial.policy_test import LASTS
 
 ROW, REST, WIDTH = 0.3, 1.1, 7.2  # in, of a cell and of all else
+LETTERS, LINE = 44, 0.17  # of a line of a cell's label; in, its height
+RIGHTMOST = 1.06  # of the axis over the largest number of experiments, so that its dots are whole
 SPREAD = 0.8  # of a row's height, over which dots that would hide each other are spread
 FEW, ASIDE = 5, 1.6 / 72  # dots that fit one above the other; in, by which more of them lie left and right
 COLORS = {"experiments": SIMULATION, "success_rate": HARDWARE}
@@ -44,16 +47,18 @@ class LastPolicies(SweepFigure):
         rows = [row for row in trials.rows if row.get("test_episodes")]
         if not rows:
             raise FigureError(UNTESTED)
+        cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
+        places = [trials.cell(row) for row in rows]
         numbers = pd.DataFrame(
             {
-                "cell": [trials.cell(row) for row in rows],
+                "cell": [cells[place] for place in places],
                 "repetition": [row["repetition"] for row in rows],
                 "succeeded": [row["outcome"] == "succeeded" for row in rows],
                 "experiments": [row["experiments"] for row in rows],
                 "success_rate": [success_rate(row["test_episodes"]) for row in rows],
-            }
+            },
+            index=places,
         )
-        cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
         episodes = numbers_of_episodes(row["test_episodes"] for row in rows)
         success = trials.sweep.success
         words = "test episodes that last" if success == LASTS else "success rate of the last policy"
@@ -63,7 +68,7 @@ class LastPolicies(SweepFigure):
 def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
     """The caption, from the numbers."""
     enough = numbers["success_rate"] >= RELIABLE
-    solved = enough.groupby(numbers["cell"]).mean() >= RELIABLE
+    solved = enough.groupby(level=0).mean() >= RELIABLE
     return (
         "Dots: trials, filled where they succeeded; bars: means. Left: hardware experiments until success, "
         "without it all that a trial may make. Right: the share of "
@@ -75,19 +80,21 @@ def _caption(numbers: pd.DataFrame, episodes: str, success: str) -> str:
 
 def _figure(numbers: pd.DataFrame, cells: Sequence[str], words: str) -> Figure:
     """Experiments beside shares, a row for each cell, the first one on top."""
-    figure = Figure(figsize=(WIDTH, ROW * len(cells) + REST), layout="constrained")
+    labels = [fill(literal(cell), LETTERS) for cell in cells]
+    row = max(ROW, LINE * (1 + max(label.count("\n") for label in labels)))
+    figure = Figure(figsize=(WIDTH, row * len(cells) + REST), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 1.6))
     for axes, column, label in ((left, "experiments", "experiments"), (right, "success_rate", words)):
-        for row, cell in enumerate(cells):
-            _draw_row(axes, row, numbers[numbers["cell"] == cell], column)
+        for place in range(len(cells)):
+            _draw_row(axes, place, numbers[numbers.index == place], column)
         axes.set_xlabel(label)
         plain(axes, "x")
-    left.set_xlim(left=0)
+    left.set_xlim(0, RIGHTMOST * numbers["experiments"].max())
     left.xaxis.set_major_locator(MaxNLocator(4, integer=True))
     right.set_xlim(-0.03, 1.03)
     right.xaxis.set_major_formatter(PercentFormatter(1.0))
     right.axvline(RELIABLE, color=LIMIT, linewidth=0.8, linestyle="--", zorder=0)
-    left.set_yticks(range(len(cells)), map(literal, cells))
+    left.set_yticks(range(len(cells)), labels)
     left.set_ylim(len(cells) - 0.4, -0.6)
     return figure
 
