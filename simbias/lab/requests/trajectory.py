@@ -19,7 +19,7 @@ from simbias.lab.requests.request import ExperimentRequest
 from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
-NO_FAILURE = {"", *"- none nan na n/a null no false ok".split()}  # how tools write that nothing failed
+NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools write that nothing failed
 JITTER = 0.25  # of a frame, within which a row counts as on time
 GAP = 2.5  # intervals between rows that are no gap yet
 COARSEST = 1.05  # of the task's time step that the rows may be apart
