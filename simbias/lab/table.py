@@ -85,7 +85,9 @@ def read_table(path: Path, may_lack: str = "", may_be_cut: bool = False, whole_l
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
             raw = file.read(LARGEST + 1)
         text = raw.decode("utf-8-sig") if len(raw) <= LARGEST else ""
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise HardwareError(f"{path}: is no text in UTF-8 ({words(error)}); save it as such") from error
+    except (OSError, EOFError, zlib.error) as error:
         raise HardwareError(f"{path}: cannot be read ({words(error)})") from error
     if len(raw) > LARGEST:
         raise HardwareError(f"{path}: holds more than {LARGEST // 2**20} MiB")

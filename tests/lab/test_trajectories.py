@@ -162,7 +162,18 @@ def test_what_is_wrong_is_one_line_with_row_and_column(tmp_path: Path) -> None:
             path, request = written(tmp_path, cell(2, 1, "1.1")(moving())), near
         assert refusal(path, request).startswith(message), why
     path.write_bytes(b"\xff\xfe\x00")
-    assert refusal(path).startswith("cannot be read")
+    assert refusal(path).startswith("is no text in UTF-8")
+
+
+def test_a_sensor_that_stands_still_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    still = requested(TASK, np.array([0.5, 0.0]))
+    dead = {"velocity": [0.5 - TIMES, 0 * TIMES], "position": [0 * TIMES + 0.5, 0 * TIMES - 1.0]}
+    for name, states in dead.items():
+        asked = still if name == "velocity" else REQUEST
+        read(written(tmp_path, lines(HEADER, np.c_[TIMES, np.transpose(states), 0 * TIMES])), asked)
+        assert f"{name} stands still while" in caplog.messages[-1]
+    read(written(tmp_path, moving()), REQUEST)
+    assert len(caplog.messages) == 2
 
 
 def test_only_plain_digits_are_numbers(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from simbias.lab.table import POINT, Table, read_table
 
 TIME, FAILURE = Quantity("time", "s"), "failure"  # columns beside states and inputs
 NO_FAILURE = {"", "-", "none", "nan", "na", "n/a", "null", "no", "ok"}  # how tools write that nothing failed
+STILL = "simbias: %s: %s stands still while %s does not: is a sensor dead?"
 JITTER = 0.25  # of a frame, within which a row counts as on time
 GAP = 2.5  # intervals between rows that are no gap yet
 COARSEST = 1.05  # of the task's time step that the rows may be apart
@@ -132,6 +134,12 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
         states = np.stack([np.interp(wanted, times, column) for column in measured.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
     check_rates(source, [states], task, rates_of(task))
+    for rate, position in rates_of(task).items():
+        moves, has_rate = bool(np.ptp(states[:, position])), bool(states[:, rate].any())
+        if moves != has_rate:
+            still, other = (position, rate) if has_rate else (rate, position)
+            names = (task.states[i].name for i in (still, other))
+            logging.getLogger(__name__).warning(STILL, source, *names)
     within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
     failure = recording.failure if within else None
     return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
@@ -245,7 +253,7 @@ def _ended(
     if failure is None and k < task.horizon:
         raise HardwareError(
             f"{end}: expected {task.horizon} frames of {task.time_step:g} s, the recording ends after {k} "
-            f"without a failure; if the robot failed, name how in the last row's column {FAILURE}"
+            f"without a failure; if the robot failed, name how in its last row ({FAILURE})"
         )
     states, inputs = states[: k + 1], inputs[:k]
     return Rollout(states, inputs, None if failure is None else k, failure, measured=states, sensed=True)
