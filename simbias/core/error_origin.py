@@ -44,6 +44,12 @@ def told(error: BaseException) -> str:
     return f"{source}: expected a result, got {with_type(error)} ({place})"
 
 
+def written_at(component: Any, method: str) -> str:
+    """File and line of a component's method; its module if that is not known."""
+    code = getattr(getattr(type(component), method), "__code__", None)
+    return f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else type(component).__module__
+
+
 def has_own_code(error: BaseException) -> bool:
     """Whether an error, or one that it came from, passed through code that is no installed library's."""
     causes = [error]

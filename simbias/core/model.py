@@ -140,7 +140,7 @@ class Bias(ABC):
 
     @abstractmethod
     def fit(self, transitions: Transitions) -> FittedBias:
-        """Learn from the data; without data the bias is zero everywhere."""
+        """Learn from the data, which are read-only; without data the bias is zero everywhere."""
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
         """Learn from the data, or from the rollouts and the (identified) nominal model that it comes from."""

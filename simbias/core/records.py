@@ -67,10 +67,14 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Training data D of the dynamics bias (Section IV-C), in the task's units."""
+    """Training data D of the dynamics bias (Section IV-C), in the task's units; nothing may write into it."""
 
     inputs: Array  # (N, n+m) x~_t = (x_{t-1}, u_{t-1}), u what acted (`Nominal.acted`)
     residuals: Array  # (N, n) Delta_t of Eq. 6
+
+    def __post_init__(self) -> None:
+        for array in (self.inputs, self.residuals):
+            array.flags.writeable = False  # they are recorded, and learned from again
 
     def __len__(self) -> int:
         return len(self.inputs)

@@ -33,6 +33,7 @@ from simbias.simulation.closed_loop import simulator
 from simbias.simulation.numpy_loop import shaped
 from simbias.trial.ask_tell import AskTell
 from simbias.trial.budget import NO_LIMITS, Budget, BudgetSpent, Spending
+from simbias.trial.checked_bias import CheckedBias
 from simbias.trial.method import Method
 from simbias.trial.observer import Observer
 from simbias.trial.policy_test import NO_TEST, PolicyTest
@@ -117,7 +118,12 @@ class Study:
 
     def run(self, observer: Observer | None = None) -> Iterator[Iteration]:
         """Run the method within the budget; the same seed gives the same records on one kind of machine."""
-        study = replace(self, hardware=self.checked_hardware, spending=Spending(self.budget))
+        study = replace(
+            self,
+            hardware=self.checked_hardware,
+            bias=self.checked_bias,
+            spending=Spending(self.budget),
+        )
         with suppress(BudgetSpent):
             yield from self.method.run(study, np.random.default_rng(self.seed), observer or Observer())
 
@@ -191,6 +197,11 @@ class Study:
             return self.hardware
         return CheckedHardware(self.hardware, self.task, self.conditions)
 
+    @property
+    def checked_bias(self) -> CheckedBias:
+        """The learner, what it gives checked."""
+        return CheckedBias(self.bias, self.task.without_targets)
+
     def over(self, record: Record) -> Study:
         """The study, whose searches and experiments are replayed from a record, then kept in it."""
         hardware = CheckedHardware(self.hardware, self.task, self.conditions, record)
@@ -262,7 +273,8 @@ class Study:
 
     def _corrected(self, policy: Policy, bias: FittedBias | None, nominal: Nominal | None) -> Model:
         """The model with a policy as it is."""
-        return Model(self.task, policy, nominal or self.nominal, bias or self.bias.fit(self.no_data))
+        fitted = self.bias.fit(self.no_data) if bias is None else bias
+        return Model(self.task, policy, nominal or self.nominal, fitted)
 
     def first_model(self) -> Model:
         """The model before any experiment: as declared, or as recordings have identified it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ SECONDS = 0.2  # of a rollout that is learned from, so that what learns is compi
 
 def warm_up(study: Study) -> None:
     """Compile what a simulated rollout and a search need, so that none begins with it."""
+    study = replace(study, bias=study.checked_bias)
     theta, rng = np.clip(0.0, *study.policy.bounds), np.random.default_rng(0)
     n, m = len(study.task.without_targets.states), len(study.task.inputs)
     some_data = Transitions(rng.standard_normal((2, n + m)), rng.standard_normal((2, n)))

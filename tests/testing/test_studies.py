@@ -1,6 +1,7 @@
 """What is found before a trial begins: robots at rest, boxes without zero, costs of one horizon only."""
 
 import ctypes
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -13,9 +14,9 @@ from pendulum import pendulum
 from point_mass import Distance, Spring, WithoutWind
 
 import simbias
-from simbias.core import Cost, Evaluation, Model, Nominal, Policy
+from simbias.core import Bias, Cost, Evaluation, FittedBias, Model, Nominal, Policy
 from simbias.core.parameters import Parameter
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array, Rollout, Transitions
 from simbias.testing.conformance import verdicts
 from simbias.testing.expectations import ConformanceError, expect_arguments_left, rollout
 from simbias.trial.study import Study
@@ -139,6 +140,53 @@ def test_what_breaks_a_contract_is_told(point_mass: Study, group: str, component
     own = component() if group == "cost" else component(point_mass.task)
     first, *_ = problems(replace(point_mass, **{group: own}), group)
     assert first.startswith(problem)
+
+
+class Adds(FittedBias):
+    """Adds the same to any state."""
+
+    def __init__(self, *added: float) -> None:
+        self._added = added
+
+    def predict(self, inputs: Array) -> tuple[Array, Array]:
+        return np.tile(self._added, (len(inputs), 1)), np.zeros((len(inputs), len(self._added)))
+
+    def correction(self, x: Array, u: Array) -> Array:
+        return np.zeros((*x.shape[:-1], 1)) + self._added
+
+
+def zeroes(data: Transitions) -> FittedBias:
+    data.residuals[:] = 0.0
+    return Adds(0.0, 0.0)
+
+
+class Learner(Bias):
+    """Gives zero without data."""
+
+    def __init__(self, learned: Callable[[Transitions], Any]) -> None:
+        self._learned = learned
+
+    def fit(self, transitions: Transitions) -> FittedBias:
+        return self._learned(transitions) if len(transitions) else Adds(0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("learned", "problem"),
+    [
+        (lambda data: None, r"Learner.fit: expected a FittedBias, got None \(test_studies.py:\d+\)"),
+        (lambda data: Adds(np.nan, 0.0), r"Adds.correction: expected finite numbers, got nan \(test_.*\)"),
+        (lambda data: Adds(0.0), r"Adds.correction: expected the shape \(2, 2\), got \(2, 1\) \(test_.*\)"),
+        (zeroes, ".* is read-only"),
+    ],
+    ids=["nothing", "nan", "shape", "writes"],
+)
+def test_a_learner_that_breaks_its_contract_is_told_before_a_trial(
+    point_mass: Study, learned: Callable[[Transitions], Any], problem: str
+) -> None:
+    broken = replace(point_mass, bias=Learner(learned))
+    with pytest.raises(ValueError, match=f"^{problem}$"):
+        warm_up(broken)
+    assert problems(broken, "bias")
 
 
 def test_writes_are_told_that_raise_nothing_or_in_other_words() -> None:

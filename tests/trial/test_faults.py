@@ -13,10 +13,12 @@ from texts import write
 from trial_process import start
 
 import simbias
-from simbias.core import Hardware, Policy
-from simbias.core.records import Array, Rollout
+from simbias.core import Bias, FittedBias, Hardware, Policy
+from simbias.core.records import Array, Rollout, Transitions
+from simbias.learning.bias.none import ConstantBias
 from simbias.trial import record as folders
 from simbias.trial.folder import TrialFolder
+from simbias.trial.methods.model_based import ModelBased
 from simbias.trial.run import TrialRecord, run_trial
 from simbias.trial.study import Study
 from simbias.trial.summary import Outcome
@@ -159,3 +161,27 @@ def test_a_trial_whose_process_ends_resumes(study: Study, uninterrupted: TrialRe
         (folder / MENDED).touch()
         assert_equal(timeless(run_trial(faulty(study, fault), trial)), uninterrupted)
         (folder / MENDED).unlink()
+
+
+class Diverging(Bias):
+    """Learns infinity from the data of two experiments, unless it has been mended."""
+
+    def __init__(self, mended: bool = False) -> None:
+        self._mended = mended
+
+    def fit(self, transitions: Transitions) -> FittedBias:
+        diverges = len(transitions) > 20 and not self._mended
+        return ConstantBias(np.full(2, np.inf if diverges else 0.0), np.zeros(2))
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_a_learner_whose_correction_is_not_finite_ends_the_trial(point_mass: Study, folder: Path) -> None:
+    """Before an experiment with a policy of its model; mended, the trial resumes as uninterrupted."""
+    vars(point_mass.cost)["max_cost"] = 1e-3  # never reached
+    method = ModelBased(max_iterations=3, experiments=1, keep_data=True)
+    mended = replace(point_mass, method=method, bias=Diverging(mended=True))
+    record = run_trial(replace(mended, bias=Diverging()), folder)
+    reason = "ValueError: ConstantBias.correction: expected finite numbers, got inf (none.py:"
+    assert record.summary.reason.startswith(reason)
+    assert (record.outcome, record.summary.experiments) == (Outcome.ERROR, 2)
+    assert_equal(timeless(run_trial(mended, folder)), timeless(run_trial(mended)))

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from simbias.core import Cost, FittedBias, Kernel, Model, Nominal, Policy, Task
-from simbias.core.error_origin import is_users
+from simbias.core.error_origin import is_users, written_at
 from simbias.core.messages import with_type
 from simbias.core.records import Array
 from simbias.simulation.compiler.agreement import compare, compare_frames, rows
@@ -235,9 +235,7 @@ def _vectors(made: Any, sizes: Sequence[int], trace: Trace) -> list[list[Symbol]
 
 def _part(component: Any, method: str, trace: Callable, check: Callable) -> KernelOrReason:
     """The kernel of a method, or why there is none."""
-    function = getattr(type(component), method)
-    code = getattr(function, "__code__", None)
-    place = f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else ""
+    place = written_at(component, method)
     try:
         for each in _within(component):
             if _knows_foreign_code(type(each)):  # type: ignore[arg-type]  # (mypy: a class has a hash)
