@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from in_lanes import corrections
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import simbias
 from simbias.core.records import Array, Transitions
+from simbias.learning.bias import lscde
 from simbias.learning.bias.lscde import FittedDensity
+from simbias.robots.none import NoNominal
 from simbias.trial.study import Study
 
 
@@ -49,7 +52,10 @@ def test_a_motor_gain_is_a_residual_of_the_input(cartpole: Study) -> None:
         x, u = z[:, :4], z[:, 4:]
         return cartpole.nominal.step(x, 0.7 * u) - cartpole.nominal.step(x, u)
 
-    fitted = bias_of("input_residual").learn(Transitions(inputs, residual(inputs)), [], cartpole.nominal)
+    learner, data = bias_of("input_residual"), Transitions(inputs, residual(inputs))
+    with pytest.raises(ValueError, match="the nominal model does not depend on the inputs"):
+        learner.learn(data, [], NoNominal(cartpole.task))
+    fitted = learner.learn(data, [], cartpole.nominal)
     x, u = held_out[:, :4], held_out[:, 4:]
     mean, _ = fitted.predict(held_out)
     assert np.sqrt(np.mean((mean - residual(held_out)) ** 2)) < 0.15 * residual(held_out).std()
@@ -95,6 +101,19 @@ def test_lscde_finds_a_known_conditional_density() -> None:
     mean, variance = fitted.predict(centre)
     assert abs(mean[0, 0]) < 0.15
     assert variance[0, 0] == pytest.approx(1.0 + deviation**2, rel=0.25)
+
+
+def test_lscde_is_fitted_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: set[int] = set()
+
+    def noted(H: Array, h: Array, regularisation: float) -> Array:
+        threads.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return h
+
+    monkeypatch.setattr(lscde, "_weights", noted)
+    with threadpool_limits(2, user_api="blas"):
+        bias_of("lscde").fit(Transitions(points(10), smooth(points(10))))
+    assert threads == {1}
 
 
 @pytest.mark.slow

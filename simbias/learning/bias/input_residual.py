@@ -24,7 +24,18 @@ class InputResidual(GaussianProcess):
     """
 
     def learn(self, transitions: Transitions, rollouts: Sequence[Rollout], nominal: Nominal) -> FittedBias:
-        """Learn from the data and the (identified) nominal model that it comes from."""
+        """Learn from the data and the (identified) nominal model that it comes from.
+
+        Raises
+        ------
+        ValueError
+            If inputs do not act in this model, so that none could have caused a residual.
+        """
+        x, u = np.split(transitions.inputs, [transitions.residuals.shape[1]], axis=1)
+        lower, upper = np.nan_to_num(self._task.input_bounds, posinf=1.0, neginf=-1.0)
+        least, most = (np.full_like(u, upper - share * (upper - lower)) for share in (0.7, 0.0))
+        if len(x) and np.array_equal(nominal.step(x, least), nominal.step(x, most)):
+            raise ValueError("bias=input_residual: the nominal model does not depend on the inputs")
         return self.fit(Transitions(transitions.inputs, through_inputs(transitions, nominal)))
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from threadpoolctl import threadpool_limits
 
 from simbias.core import Bias, FittedBias, Kernel, Task
 from simbias.core.ranges import Count, Positive
@@ -53,6 +54,7 @@ class LeastSquaresDensity(Bias):
         self._kernels, self._folds = kernels, folds
         self._candidates = [(width, each) for width in widths for each in regularisations]
 
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save
     def fit(self, transitions: Transitions) -> FittedBias:
         """Fit a density to each state's residuals; of fewer samples than folds, zero."""
         N, n = transitions.residuals.shape
