@@ -91,9 +91,11 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file that is there in whole or not at all, and survives a power failure once this returns."""
-    part = require_file(path.with_name(f"{path.name}{PART}"))
-    with part.open("wb") as file:
+    part = _part(path)
+    part.touch()
+    with part.open("r+b") as file:  # in the room that may be taken already
         file.write(content)
+        file.truncate()
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)
@@ -101,6 +103,28 @@ def write_whole(path: Path, content: bytes) -> None:
         folder = os.open(path.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)
+
+
+@contextmanager
+def room_for(path: Path, size: int) -> Iterator[None]:
+    """Take room for a file of at most `size` bytes, so that `write_whole` cannot lack any.
+
+    Raises
+    ------
+    OSError
+        At once, if there is not so much room, or the folder cannot be written.
+    """
+    part = _part(path)
+    try:
+        part.write_bytes(bytes(size))
+        yield
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _part(path: Path) -> Path:
+    """The file in which a file is written, until it is whole."""
+    return require_file(path.with_name(f"{path.name}{PART}"))
 
 
 def append_line(path: Path, line: Mapping[str, Any]) -> None:

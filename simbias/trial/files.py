@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from simbias.core.messages import printable
-from simbias.core.records import Rollout
+from simbias.core import Task
+from simbias.core.messages import LONGEST_VALUE, printable
+from simbias.core.records import Array, Rollout
 
 
 def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
@@ -27,6 +28,13 @@ def packed_rollout(rollout: Rollout, place: tuple[int, ...]) -> bytes:
     file = io.BytesIO()
     np.savez(file, place=np.array(place, dtype=np.int64), **given)
     return file.getvalue()
+
+
+def largest(task: Task, theta: Array, place: tuple[int, ...]) -> int:
+    """Bytes that `packed_rollout` of an experiment with theta (p,) has at most."""
+    T, failure = task.horizon, LONGEST_VALUE * "-"
+    states, inputs = np.zeros((T + 1, len(task.states))), np.zeros((T, len(task.inputs)))
+    return len(packed_rollout(Rollout(states, inputs, T, failure, measured=states, parameters=theta), place))
 
 
 def load_rollout(path: Path) -> tuple[Rollout, tuple[int, ...]]:

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from simbias.core import platform
+from simbias.core import Task, platform
 from simbias.core.errors import ConfigError
 from simbias.core.messages import with_type, words
 from simbias.core.records import Array, Iteration, Optimum, Rollout
@@ -29,10 +29,11 @@ from simbias.trial.disk import (
     locked,
     read_json,
     require_file,
+    room_for,
     write_json,
     write_whole,
 )
-from simbias.trial.files import load_rollout, packed_rollout, raw_json
+from simbias.trial.files import largest, load_rollout, packed_rollout, raw_json
 from simbias.trial.folder import (
     ATTEMPTS,
     EPISODES,
@@ -130,9 +131,17 @@ class FolderRecord(Record):
             return rollout
         place = (TEST, *place_of(rng)) if self.testing else place_of(rng)
         superseded, withdrawn = self._former(theta, place)
-        rollout = superseded or make(another(rng, withdrawn))
-        self._keep(EXPERIMENT, packed_rollout(rollout, place))
+        file = self._next(EXPERIMENT)
+        with room_for(file, largest(self._longest_task, theta, place)):
+            rollout = superseded or make(another(rng, withdrawn))
+            write_whole(file, packed_rollout(rollout, place))
         return rollout
+
+    @property
+    def _longest_task(self) -> Task:
+        """The task, in a test as long as its longest episodes."""
+        task, seconds = self._study.task, self._study.policy_test.long_seconds
+        return task.with_horizon(max(task.horizon, task.frames(seconds))) if self.testing else task
 
     def _fits(self, rollout: Rollout, theta: Array) -> bool:
         """Whether an experiment is with theta (p,): on the trial's only platform to the last bit."""
@@ -228,9 +237,13 @@ class FolderRecord(Record):
 
     def _keep(self, kind: str, content: bytes) -> None:
         """Append a step: whole, and on disk when this returns."""
+        write_whole(self._next(kind), content)
+
+    def _next(self, kind: str) -> Path:
+        """The file of the next step."""
         last = self.folder.all_steps()[-1:]
         count = number(last[0]) + 1 if last else 0
-        write_whole(self.folder.path / f"{count:04d}_{kind}", content)
+        return self.folder.path / f"{count:04d}_{kind}"
 
 
 def another(rng: np.random.Generator, times: int) -> np.random.Generator:

@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import re
+import resource
 import shutil
 from dataclasses import replace
 from io import StringIO
@@ -25,9 +26,9 @@ from simbias.core import platform
 from simbias.core.records import Rollout
 from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
-from simbias.trial.disk import LOCK, is_locked, write_whole
+from simbias.trial.disk import LOCK, PART, is_locked, write_whole
 from simbias.trial.files import load_rollout
-from simbias.trial.folder import ATTEMPTS, EPISODES, OUTCOME, TRIAL, TrialFolder
+from simbias.trial.folder import ATTEMPTS, EPISODES, EXPERIMENT, OUTCOME, TRIAL, TrialFolder
 from simbias.trial.observer import Observer
 from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.study import Study
@@ -298,6 +299,33 @@ def test_a_full_disk_loses_nothing(
             assert (record.outcome, len(step_names(tmp_path))) == (Outcome.ERROR, room)
             assert "No space left on device" in record.summary.reason
     assert_equal(timeless(run_trial(short, tmp_path)), timeless(whole[1]))
+
+
+def test_no_experiment_is_made_that_could_not_be_kept(
+    short: Study, whole: Whole, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where files may not grow to its size, as on a full disk, the hardware is not asked."""
+    (study, log), limits = counted(short), resource.getrlimit(resource.RLIMIT_FSIZE)
+    kept = min(file.stat().st_size for file in whole[0].glob("*_experiment.npz"))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (kept // 2, limits[1]))
+    try:
+        record = run_trial(study, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (record.outcome, record.summary.reason) == (Outcome.ERROR, "OSError: [Errno 27] File too large")
+    assert log == []
+    assert not list(tmp_path.glob("*_experiment*"))
+    spare = []
+
+    def write(path: Path, content: bytes) -> None:
+        if path.name.endswith(EXPERIMENT):
+            spare.append(path.with_name(f"{path.name}{PART}").stat().st_size - len(content))
+        write_whole(path, content)
+
+    monkeypatch.setattr(records, "write_whole", write)
+    assert_equal(timeless(run_trial(study, tmp_path)), timeless(whole[1]))
+    assert log.count("made") == len(spare) == EXPERIMENTS
+    assert min(spare) >= 0
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(
