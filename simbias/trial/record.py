@@ -256,10 +256,10 @@ def another(rng: np.random.Generator, times: int) -> np.random.Generator:
 
 
 def changed(path: Path) -> ConfigError:
-    """The error of a step that does not fit the trial, as its code is another or a step before is gone."""
+    """The error of a step that does not fit the trial, as its code or a step before is another or gone."""
     there = {*map(number, TrialFolder(path.parent).all_steps())}
     gone = next((index for index in range(number(path)) if index not in there), None)
-    code = "its code has changed since. Move"
+    code = "its code has changed since, or this folder has. Move"
     why = code if gone is None else f"step {gone:04d} is missing. Put it back, or move"
     return ConfigError(str(path), f"does not fit the trial: {why} the folder away to begin again")
 

@@ -233,7 +233,7 @@ def test_steps_of_other_code_are_one_line(short: Study, whole: Whole, tmp_path: 
         file.write_text(json.dumps(json.loads(file.read_text()) | change))
     names = ("0000_experiment.npz", "0001_experiment.npz", "0003_iteration.json")
     for folder, file in zip((kind, theta, iteration), names, strict=True):
-        message = f"{file}: does not fit the trial: its code has changed since"
+        message = f"{file}: does not fit the trial: its code has changed since, or this folder has"
         with pytest.raises(ConfigError, match=message):
             read_trial(short, folder)
         record = run_trial(short, folder)
