@@ -32,8 +32,8 @@ from simbias.trial.study import Study
 class SweepObserver(FigureObserver):
     """Follows a sweep; this one does nothing."""
 
-    def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
-        """The trials begin, but for those that are finished; `keeps` tells whether any is kept."""
+    def begun(self, sweep: Sweep, finished: DataFrame, folder: Path | None) -> None:
+        """The trials begin, but for those that are finished; they are kept in the folder, if there is one."""
 
     def ended(self, trial: Trial, result: Result) -> None:
         """A trial has ended or stopped, and is kept."""
@@ -139,7 +139,7 @@ def run_sweep(
         state = SweepState(sweep, store, again)
         try:
             with Interruption() as interruption:
-                observer.begun(sweep, state.finished, store.folder is not None)
+                observer.begun(sweep, state.finished, store.folder)
                 try:
                     state.begin()
                     for trial, result in _results(trials_engine, state):

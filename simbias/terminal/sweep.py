@@ -27,6 +27,7 @@ from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, 
 from simbias.sweep.worker import Result
 from simbias.terminal.lines import say
 from simbias.terminal.trial import traceback_file
+from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import Outcome
 
 SHOWN_ERRORS = 5
@@ -52,25 +53,27 @@ class SweepConsole(SweepObserver):
         self._experiments: dict[tuple[str, ...], list[float]] = defaultdict(list)
         self._figures: list[tuple[str, str, Sequence[Path]]] = []
         self._outcomes: list[str] = []
-        self._diagnostics: Counter[str] = Counter()  # in how many trials of this process
+        self._diagnostics: dict[str, tuple[str, ...]] = {}  # of each trial, by its hash
         self._progress = Progress(
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[state]}")
         )
         self._live: Live | None = None
 
-    def begun(self, sweep: Sweep, finished: DataFrame, keeps: bool) -> None:
+    def begun(self, sweep: Sweep, finished: DataFrame, folder: Path | None) -> None:
         """Tell what will run and how much of it is done, and follow it."""
-        self._sweep, self._keeps, self._total = sweep, keeps, len(sweep.trials)
+        self._sweep, self._keeps, self._total = sweep, folder is not None, len(sweep.trials)
         self._outcomes = list(finished["outcome"])
         names = [axis.name for axis in sweep.axes]
         for row in finished.to_dict("records"):
             self._experiments[tuple(row[name] for name in names)].append(row["experiments"])
+            if folder and (summary := TrialFolder(folder / row["hash"]).summary()):
+                self._diagnostics[row["hash"]] = summary.diagnostics
         done = len(finished)
         self._bar = self._progress.add_task("", total=self._total, completed=done, state="")
         resumed = f", {done} of them finished already" if done else ""
         counts = f"{len(sweep.cells)} cells x {sweep.repetitions} trials = {self._total}"
         say(self._console, f"[bold]{escape(brief(sweep.name))}[/bold]: {counts}{resumed}", markup=True)
-        if not keeps:
+        if not self._keeps:
             say(self._console, "No trial is kept (tracking=none): once interrupted, it starts again.")
         self._start = time.monotonic()
         if self._console.is_terminal:
@@ -87,7 +90,7 @@ class SweepConsole(SweepObserver):
         summary = result.summary
         self._ran += 1
         self._outcomes.append(summary.outcome)
-        self._diagnostics.update(summary.diagnostics)
+        self._diagnostics[trial.hash] = summary.diagnostics
         if summary.outcome.final:
             self._experiments[trial.cell.labels].append(summary.experiments_until_success)
         self._progress.update(self._bar, completed=len(self._outcomes), state=self._state())
@@ -151,9 +154,9 @@ class SweepConsole(SweepObserver):
             say(self._console, line, "red")
         if more := len(raised[SHOWN_ERRORS:]):
             say(self._console, f"and {more} more raised an error", "red")
-        for words, trials_with in self._diagnostics.most_common():
-            ran = counted(self._ran, "trial")
-            say(self._console, f"In {trials_with} of {ran}: {words}.")
+        kinds = Counter(kind for each in trials["hash"] for kind in self._diagnostics.get(each, ()))
+        for words, trials_with in sorted(kinds.items(), key=lambda item: (-item[1], item[0])):
+            say(self._console, f"In {trials_with} of {counted(len(trials), 'trial')}: {words}.")
         if raised:
             say(self._console, f"{counted(len(raised), 'trial')} raised an error; the same command resumes.")
         if self.waiting:

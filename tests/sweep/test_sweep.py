@@ -104,6 +104,17 @@ def test_the_command_that_resumes_names_folders_and_modules_of_ones_own(folder: 
     assert told == f"simbias.run_sweep({command[0]!r}, config_dir='{conf.name}', allow=['json'])"
 
 
+def test_what_is_odd_is_counted_in_all_trials_of_the_table(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whichever of them ran in an earlier process."""
+    refuted = [*SMOKE, NO_FIGURES, "bias=none", "cost.max_cost=1e-3"]  # never reached
+    for trials in (1, 2, 2):
+        assert main([*refuted, f"sweep.trials={trials}"]) == 0
+        said = f"\nIn {2 * trials} of {2 * trials} trials: a refuted policy was tried again.\n"
+        assert said in capsys.readouterr().out
+
+
 def test_dry_run_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def told() -> tuple[list[str], str]:
         """How far each cell is, and what is said of the sweep."""
@@ -264,7 +275,7 @@ def test_live_view_fills() -> None:
     sweep = expand(["+sweep=smoke", "tracking=none", *QUICK])
     out = io.StringIO()
     console = SweepConsole(Console(file=out, force_terminal=True, width=100))
-    console.begun(sweep, pd.DataFrame(columns=["outcome"]), keeps=False)
+    console.begun(sweep, pd.DataFrame(columns=["outcome"]), None)
     for trial in sweep.trials:
         console.ended(trial, run_plan(Plan(trial.composition)))
     console.all_ended()
