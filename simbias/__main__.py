@@ -180,10 +180,11 @@ def _show_config(parsed: argparse.Namespace) -> int:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    """Show the trials and sweeps of a folder in MLflow."""
-    for line in _mlflow(parsed).export_all():
+    """Show the trials and sweeps of a folder in MLflow; some of them may not be readable."""
+    store = _mlflow(parsed)
+    for line in store.export_all():
         print(line)
-    return SUCCEEDED
+    return FAILED if store.unshown else SUCCEEDED
 
 
 def _ui(parsed: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,7 @@ class SweepRun(RunExport):
         self._known: dict[str, list[Run]] = {}  # runs of earlier exports by their trials' hash
         self._exports: dict[str, TrialExport] = {}  # likewise, of this one
         self._done: set[str] = set()  # trials that nothing is added to
+        self.shown: list[bool] = []  # whether each trial that there is could be shown, by the last export
 
     def trial_ended(self, folder: Path) -> None:
         """Export a trial into a nested run."""
@@ -49,12 +51,12 @@ class SweepRun(RunExport):
     def write(self, final: bool = False) -> None:
         """Write what the run lacks, and at the end all trials that the store lacks."""
         state, run = self._folder.state(), self._run()
-        for identity in self._description["trials"] if final else ():
-            folder = TrialFolder(self._folder.trials / identity)
-            readable(lambda folder=folder: self._write_trial(folder))  # type: ignore[misc]
+        paths = [self._folder.trials / identity for identity in self._description["trials"] if final]
+        there = [TrialFolder(path) for path in paths if path.exists()]
+        self.shown = [readable(partial(self._write_trial, folder)) for folder in there]
         tables = self._folder.tables() if final else []
-        paths = (*self._folder.figures(), *tables)
-        files: dict[str, Path | bytes] = {file.relative_to(self.path).as_posix(): file for file in paths}
+        own = (*self._folder.figures(), *tables)
+        files: dict[str, Path | bytes] = {file.relative_to(self.path).as_posix(): file for file in own}
         files["sweep.yaml"] = as_yaml(self._description["config"])
         points = [*self._points(run, state)] if final and state else []
         tags = {NOTE: self._note(state)}

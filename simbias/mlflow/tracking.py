@@ -47,6 +47,7 @@ class Mlflow(Tracking):
         self._experiment = experiment
         self._trials = trials
         self.pictures = pictures
+        self.unshown = 0  # trials that `export_all` could not show
 
     @cached_property
     def folder(self) -> Path:  # type: ignore[override]
@@ -84,6 +85,8 @@ class Mlflow(Tracking):
     def export_all(self) -> Iterator[str]:
         """Export all trials and sweeps of the folder; a line for each sweep, and one for the other trials.
 
+        A trial that cannot be read is reported, and counted in `unshown`.
+
         Raises
         ------
         ConfigError
@@ -96,9 +99,12 @@ class Mlflow(Tracking):
         with reaching(self._uri):
             for sweep in sweep_folders(self.folder):
                 about = sweep.description()
-                SweepRun(self._runs, sweep).write(final=True)
+                run = SweepRun(self._runs, sweep)
+                run.write(final=True)
                 in_sweeps |= about["trials"].keys()
-                yield f"sweep {about['name']}: {counted(len(about['trials']), 'trial')}"
+                self.unshown += run.shown.count(False)
+                yield f"sweep {about['name']}: {sum(run.shown)} of {counted(len(about['trials']), 'trial')}"
             alone = [folder for folder in folders if folder.name not in in_sweeps]
             exported = sum(readable(TrialExport(self._runs, folder).write) for folder in alone)
+            self.unshown += len(alone) - exported
             yield f"{counted(exported, 'trial')} in no sweep"

@@ -20,6 +20,7 @@ from processes import wait_for
 from records import assert_equal
 
 import simbias
+from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core import Hardware, HardwareError
 from simbias.core.records import Iteration
@@ -260,10 +261,11 @@ def test_a_trial_is_read_back_by_its_folder_and_by_its_run(folder: Path) -> None
 
 
 def test_a_folder_that_cannot_be_read_is_named_and_stops_no_other(
-    folder: Path, caplog: pytest.LogCaptureFixture
+    folder: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (at(folder, 0) / TRIAL).write_text("{")
-    assert export_all(folder) == ["4 trials in no sweep"]
+    assert main(["export", f"tracking.uri={uri(folder)}"]) == 1
+    assert capsys.readouterr().out == "4 trials in no sweep\n"
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{study(0).hash}/{TRIAL}: cannot be read" in warning
     assert [*pages(uri(folder))] == ["1", "2", "3", "4"]

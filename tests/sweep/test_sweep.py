@@ -332,7 +332,9 @@ def test_a_trial_that_waits_has_one_run(folder: Path, store: str) -> None:
     assert state(folder)["verdict"].startswith("**Waiting**")
 
 
-def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Path, store: str) -> None:
+def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(
+    folder: Path, store: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A trial that is not of it any more keeps its run, in case it is of it again; a figure its file."""
     figures = "experiments: {_target_: simbias.sweep.figures.experiments.Experiments}"
     axis = "error: {keys: hardware.inertia_error, values: [0.0, 0.2], labels: [none, some]}"
@@ -366,3 +368,12 @@ def test_a_sweep_that_was_shrunk_and_relabelled_is_shown_as_it_is_now(folder: Pa
         assert main(["export", store]) == 0
     steps, means = zip(*histories(folder)[parent.info.run_id, "experiments/mean"], strict=True)
     assert np.isnan(means).tolist() == [False] * (len(steps) - 1) + [True]
+    capsys.readouterr()
+    damaged, gone = (folder / "trials" / run.data.tags["hash"] for run in trials)
+    shutil.rmtree(gone)
+    assert main(["export", store]) == 0
+    (damaged / "outcome.json").write_text("{")
+    assert main(["export", store]) == 1
+    assert capsys.readouterr().out == "".join(
+        f"sweep mine: {count} of 2 trials\n0 trials in no sweep\n" for count in (1, 0)
+    )
