@@ -37,7 +37,7 @@ class Runs:
 
     def __init__(self, uri: str, experiment: str, trials: Path) -> None:
         self.uri, self._experiment, self._trials = uri, experiment, trials
-        self._away = False
+        self.away = False  # the store, when it was last written to
         self._client: MlflowClient | None = None
         if not is_server(self.uri):
             self._connect()
@@ -80,6 +80,11 @@ class Runs:
         changed = [f"tracking.{key}={value}" for key, (value, usual) in values.items() if value != usual]
         return f"{python()} {shlex.join(['-m', 'simbias', *words, *changed])}"
 
+    @property
+    def export_command(self) -> str:
+        """The command that shows all trials in the store, to be pasted."""
+        return self._command("export", trials=(self._trials, trials_beside(self.uri)))
+
     def page(self, identity: str | None) -> str:
         """The page of the run of this hash, or of all runs, within the UI.
 
@@ -98,17 +103,16 @@ class Runs:
 
     def reach(self, write: Callable[[], None], again: bool = False) -> None:
         """Write into the store; one that fails is reported once, and left alone until `again`."""
-        if self._away and not again:
+        if self.away and not again:
             return
         try:
             with reaching(self.uri):
                 readable(write)
-            self._away = False
+            self.away = False
         except ConfigError as error:
-            if not self._away:
-                export = self._command("export", trials=(self._trials, trials_beside(self.uri)))
-                logging.getLogger(__name__).warning(AWAY, error, self._trials, export)
-            self._away = True
+            if not self.away:
+                logging.getLogger(__name__).warning(AWAY, error, self._trials, self.export_command)
+            self.away = True
 
     def find(self, identity: str) -> list[Run]:
         """The runs of this hash that are in no sweep; those that somebody deleted are not found."""
@@ -185,7 +189,9 @@ class RunExport(Export):
 
     @property
     def where(self) -> str:
-        """The way to look at the run, or its folder while the store is away."""
+        """The way to look at the run; its folder, and how to show it later, while the store is away."""
+        if self.runs.away:
+            return f"{self.path}; in MLflow, once the store is back:  {self.runs.export_command}"
         identity = self.path.name.rpartition("_")[2]  # a sweep's name comes before its hash
         return self.runs.address(identity, self.run_id) if self.run_id else str(self.path)
 

@@ -334,10 +334,11 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     assert run_trial(study(0), at(folder, 0), shown).outcome.final
     shown.update(final=True)
     assert time.monotonic() - began < 30
-    assert shown.where == str(at(folder, 0))
     (warning,) = [each.getMessage() for each in caplog.records]
     assert f"{address}: " in warning
     command = f"-m simbias export tracking.uri={address} tracking.trials={trials}"
+    assert shown.where.startswith(f"{at(folder, 0)}; in MLflow, once the store is back:  ")
+    assert shown.where.endswith(command)
     assert f"All is kept in {trials}; once the store is back, this shows it:  " in warning
     assert warning.endswith(command)
     with pytest.raises(ConfigError, match=rf"^tracking\.uri: {address}: "):
@@ -359,6 +360,7 @@ def test_a_server_that_is_away_loses_nothing_and_stops_nothing(
     assert record.outcome.final
     assert len(record.iterations) > 1
     assert len(caplog.records) == 2
+    assert shown.where.startswith(f"{at(folder, 1)}; in MLflow, once ")  # no page of the dead server
     again = exported_again(folder)
     assert [each["status"] for each in again.values()] == ["FINISHED"] * 2
     assert found.items() <= again.items()
