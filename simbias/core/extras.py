@@ -1,7 +1,10 @@
-"""Libraries that come with an extra of simbias, imported where they are used."""
+"""Libraries that may be missing, or say too much."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -22,3 +25,15 @@ def library(module: str, name: str, extra: str) -> Any:
         raise ValueError(
             f"{name} is not installed ({words(error)}): pip install 'simbias[{extra}]'"
         ) from error
+
+
+@contextmanager
+def silent(name: str) -> Iterator[None]:
+    """The logger of this name says nothing for a while."""
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

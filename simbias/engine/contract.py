@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from typing import TypeVar
 
+from simbias.core.errors import ConfigError
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -14,6 +16,10 @@ MOST_LOSSES = 3  # of a task's worker, until the task is to blame
 
 class WorkerLostError(RuntimeError):
     """A worker died with its task, again and again."""
+
+
+class EngineLostError(ConfigError):
+    """What ran the tasks is gone before they have ended; the same command resumes."""
 
 
 Results = Generator[tuple[int, R | WorkerLostError], None, None]  # a task's index, and its result

@@ -12,15 +12,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from simbias.core.errors import ConfigError
-from simbias.core.extras import library
+from simbias.core.extras import library, silent
 from simbias.core.ranges import Workers
-from simbias.engine.contract import MOST_LOSSES, Engine, R, Results, T, WorkerLostError
+from simbias.engine.contract import MOST_LOSSES, Engine, EngineLostError, R, Results, T, WorkerLostError
 from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 CONNECT_SECONDS = 5.0
+JOIN_SECONDS = 5.0  # that a first worker may take to join before a line says that it is waited for
+LOGGER = "distributed.client"  # which logs, with a traceback, that the scheduler is gone
 UNREADABLE = "deserialization"  # in Dask's words of a task that a worker cannot unpickle
 
 
@@ -61,7 +63,7 @@ class Dask(Engine):
         losses: Counter[int] = Counter()
         waiting, suspects = deque(range(len(tasks))), deque[int]()
         futures: dict[Future, int] = {}
-        with self._client(code) as client, self._scheduler_in_reach():
+        with silent(LOGGER), self._client(code) as client, self._scheduler_in_reach():
             # With with_results=True it would wait for ever for a result that is lost with its worker.
             ended = as_completed([], loop=client.loop)
             while waiting or suspects or futures:
@@ -106,6 +108,7 @@ class Dask(Engine):
         except Exception as error:  # also of an address that is none
             raise ConfigError("engine.address", f"{self._address}: no scheduler answers") from error
         try:
+            self._await_worker(client)
             _check_workers(client)
             if packed := code():
                 from simbias.engine.sent_code import SentCode
@@ -116,14 +119,22 @@ class Dask(Engine):
             with suppress(Exception):  # of a scheduler that is gone: would hide the reason
                 client.close()
 
+    def _await_worker(self, client: Client) -> None:
+        """Say so if no worker has joined after a while; Dask waits for one."""
+        try:
+            client.wait_for_workers(1, timeout=JOIN_SECONDS)
+        except TimeoutError:
+            waiting = "simbias: no worker has joined the scheduler at %s yet; waiting for one"
+            logging.getLogger(__name__).warning(waiting, self._address)
+
     @contextmanager
     def _scheduler_in_reach(self) -> Iterator[None]:
         """Say so if the scheduler ends."""
         try:
             yield
         except (CancelledError, OSError) as error:
-            problem = f"{self._address or 'local'}: the scheduler is gone"
-            raise ConfigError("engine.address", problem) from error
+            problem = f"the scheduler at {self._address or 'a local address'} is gone"
+            raise EngineLostError("", problem) from error
 
 
 def _check_workers(client: Client) -> None:

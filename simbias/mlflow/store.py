@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import re
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simbias.core.errors import ConfigError
+from simbias.core.extras import silent
 from simbias.core.messages import redact
 from simbias.engine import workplace
 from simbias.trial.disk import locked
@@ -71,7 +71,7 @@ def reaching(uri: str) -> Iterator[None]:
     try:
         with _environment(IMPATIENT), ExitStack() as stack:
             for name in LOGGERS:
-                stack.enter_context(_silent(logging.getLogger(name)))
+                stack.enter_context(silent(name))
             yield
     except ConfigError:
         raise
@@ -186,17 +186,6 @@ def trials_beside(uri: str) -> Path:
     """The folder of trials where none is named: beside a SQLite store, else in the working folder."""
     file = database(uri)
     return (file.parent if file else Path()) / "trials"
-
-
-@contextmanager
-def _silent(logger: logging.Logger) -> Iterator[None]:
-    """A logger that says nothing for a while."""
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import sys
 from simbias.config import Composition, ConfigError, Variations
 from simbias.config.build import service
 from simbias.core.commands import FAILED, INTERRUPTED, SUCCEEDED, WAITING
-from simbias.engine.contract import Engine
+from simbias.engine.contract import Engine, EngineLostError
 from simbias.mlflow.store import cause
 from simbias.sweep import running
 from simbias.sweep.tracking import Tracking
@@ -32,6 +32,9 @@ def run(variations: Variations, composition: Composition, again: str) -> int:
     except KeyboardInterrupt:
         console.stopped("interrupted", again)
         return INTERRUPTED
+    except EngineLostError as error:
+        console.stopped(str(error), again)
+        return FAILED
     except ConfigError:
         raise
     except Exception as error:  # of the store or the engine: what a trial raises is in its record

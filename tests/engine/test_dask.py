@@ -2,8 +2,10 @@
 
 import asyncio
 import importlib
+import logging
 import os
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -19,7 +21,7 @@ from processes import runs, wait_for
 from simbias.config import ConfigError, compose
 from simbias.config.build import service
 from simbias.engine import dask as module
-from simbias.engine.contract import Engine
+from simbias.engine.contract import Engine, EngineLostError
 from simbias.engine.dask import Dask
 
 pytestmark = pytest.mark.slow
@@ -158,12 +160,30 @@ def test_what_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
         service(compose(["engine=dask"]), "engine", Engine)
 
 
-def test_a_scheduler_that_ends_ends_the_sweep(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_is_waited_for_and_a_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(module, "JOIN_SECONDS", 0.2)
+    inside = {"n_workers": 0, "threads_per_worker": 1, "processes": False, "protocol": "tcp"}
+    with distributed.LocalCluster(**inside, dashboard_address=":0") as cluster:
+        threading.Timer(0.6, cluster.scale, [1]).start()
+        address = cluster.scheduler_address
+        assert list(Dask(address=address).run(str, [1])) == [(0, "1")]
+    said = [each.getMessage() for each in caplog.records if each.name == module.__name__]
+    assert said == [f"simbias: no worker has joined the scheduler at {address} yet; waiting for one"]
+
+
+def test_a_scheduler_that_ends_ends_the_sweep(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """The last test of this cluster."""
     monkeypatch.setattr(module, "CONNECT_SECONDS", 0.3)
     tasks = [(0.5 if number else 0.0, os.devnull) for number in range(9)]
     results = Dask(address=cluster.scheduler_address).run(wait_and_write, tasks)
     next(results)
+    logging.getLogger(module.LOGGER).addHandler(caplog.handler)  # as Dask's loggers do not propagate
     cluster.close()
-    with pytest.raises(ConfigError, match=r"engine\.address: .*: the scheduler is gone"):
+    with pytest.raises(EngineLostError, match=rf"^the scheduler at {cluster.scheduler_address} is gone$"):
         list(results)
+    logging.getLogger(module.LOGGER).removeHandler(caplog.handler)
+    assert module.LOGGER not in {each.name for each in caplog.records}

@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -32,6 +33,8 @@ from texts import write
 import simbias
 from simbias.__main__ import main
 from simbias.config import ConfigError
+from simbias.engine.contract import EngineLostError
+from simbias.engine.sequential import Sequential
 from simbias.sweep.folder import SweepFolder
 from simbias.sweep.grid import Trial, expand
 from simbias.sweep.running import SweepObserver
@@ -208,6 +211,21 @@ def test_a_sweep_that_is_interrupted_before_its_trials_are_read_counts_none(
     monkeypatch.setattr("simbias.sweep.running.SweepState", Mock(side_effect=KeyboardInterrupt))
     assert main([*SMOKE, NO_FIGURES]) == 130
     assert capsys.readouterr().err.startswith("simbias: interrupted.\nResume with:  ")
+
+
+def test_an_engine_that_is_lost_is_one_line_and_the_command_that_resumes(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(_: object, function: Callable[[Any], Any], tasks: Sequence[Any], code: object) -> Iterator[Any]:
+        yield 0, function(tasks[0])
+        raise EngineLostError("", "the scheduler is gone")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Sequential, "run", lost)
+        assert main([*SMOKE, NO_FIGURES]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "simbias: the scheduler is gone; 1 of 4 trials are done."
+    assert said[1].startswith("Resume with:  ")
 
 
 def test_bad_input_runs_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
