@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -76,6 +76,7 @@ class SweepState:
         drawn = self.folder.state().get("captions", {})  # by an earlier run, until they are drawn anew
         self._captions = {name: caption for name, caption in drawn.items() if name in sweep.figures}
         self._due = 0.0
+        self.export = Export()  # shows the sweep elsewhere, once MLflow is imported; that is not begun twice
         tell_what_is_in_clear(sweep.base.from_environment if store.folder else (), self.folder.path)
         self.folder.begin(_description(sweep, again))
         for left in self.folder.path.glob(f"{MARKER}*"):  # by a process that was killed
@@ -83,13 +84,9 @@ class SweepState:
         self._marker = (self.folder.path / f"{MARKER}{uuid4().hex}").absolute()
         self._marker.touch()
 
-    @cached_property
-    def export(self) -> Export:
-        """Shows the sweep elsewhere."""
-        return self._store.export_sweep(self.folder)
-
     def begin(self) -> None:
         """Note that trials or figures are about to be made; a finished sweep stays so."""
+        self.export = self._store.export_sweep(self.folder)
         if self.missing or self.folder.state().get("verdict") != DONE:
             self._write(RUNNING)
 

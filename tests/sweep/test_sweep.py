@@ -205,12 +205,22 @@ def test_figures_stay_while_a_sweep_grows_and_once_it_is_interrupted(folder: Pat
     assert len(SweepFolder(sweep_folder(folder)).figures()) == 4
 
 
-def test_a_sweep_that_is_interrupted_before_its_trials_are_read_counts_none(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("interrupted", "counts"),
+    [("running.SweepState", ""), ("tracking.Tracking.export_sweep", "; 0 of 4 trials are done")],
+)
+def test_a_sweep_that_is_interrupted_at_its_start(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    interrupted: str,
+    counts: str,
 ) -> None:
-    monkeypatch.setattr("simbias.sweep.running.SweepState", Mock(side_effect=KeyboardInterrupt))
+    """Before its trials are read it counts none; what MLflow has imported by then is not imported again."""
+    monkeypatch.setattr(f"simbias.sweep.{interrupted}", begin := Mock(side_effect=KeyboardInterrupt))
     assert main([*SMOKE, NO_FIGURES]) == 130
-    assert capsys.readouterr().err.startswith("simbias: interrupted.\nResume with:  ")
+    assert capsys.readouterr().err.startswith(f"simbias: interrupted{counts}.\nResume with:  ")
+    assert begin.call_count == 1
 
 
 def test_an_engine_that_is_lost_is_one_line_and_the_command_that_resumes(
