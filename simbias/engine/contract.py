@@ -19,7 +19,7 @@ class WorkerLostError(RuntimeError):
 
 
 class EngineLostError(ConfigError):
-    """What ran the tasks is gone before they have ended; the same command resumes."""
+    """The scheduler of the tasks is gone before they have ended; the same command resumes."""
 
 
 Results = Generator[tuple[int, R | WorkerLostError], None, None]  # a task's index, and its result
