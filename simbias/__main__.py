@@ -30,8 +30,8 @@ GARBAGE = 100_000  # new objects between two garbage collections; Python's 700 c
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what the command line asks for; return the exit status."""
     gc.set_threshold(GARBAGE)
-    parsed = parse(arguments, __version__)
     try:
+        parsed = parse(arguments, __version__)
         with Interruption():
             status = (_show_config if parsed.cfg else COMMANDS[parsed.command])(parsed)
         sys.stdout.flush()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Collection, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from simbias.config import options, sweeps
+from simbias.config import ConfigError, options, sweeps
 
 PROGRAM = "python -m simbias"
 RUN = "run"  # the command that is meant where none is named
@@ -54,6 +55,8 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
 
     Raises
     ------
+    ConfigError
+        If the first of them is neither a command nor an override.
     SystemExit
         With status 2, if they cannot be parsed, or with 0 once help or the version is shown.
     """
@@ -66,6 +69,9 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     known, rest = own.parse_known_args(arguments)
     parser, commands = _parser(own, known.config_dir)
     if not rest or rest[0] not in (*commands, "-h", "--help"):
+        if rest and "=" not in rest[0] and rest[0][:1] not in ("-", "~"):
+            known_names = ", ".join(get_close_matches(rest[0], commands, len(commands), 0.0))
+            raise ConfigError("", f"no such command: {rest[0]}; there are {known_names}")
         rest = [RUN, *rest]
     parsed, behind = parser.parse_known_args(rest)
     words: Any = vars(parsed).get("words", vars(parsed).get("overrides"))

@@ -73,7 +73,7 @@ def test_bad_input_exits_2_with_one_line(line: Any, tmp_path: Path) -> None:
     for arguments, said in (
         (["bias.d=abc"], "bias.d"),
         (["optimizer=unknown"], "optimizer=unknown"),
-        (["chekc"], "chekc"),
+        (["chekc"], "no such command: chekc; there are check, "),
         (["report", "trials", "--cfg", "job"], "--cfg: report has no config to show"),
         (["preview", "method=ideal", "hardware=manual"], "method: searches on the hardware itself"),
         (["report", "x" * 5000], "File name too long"),
