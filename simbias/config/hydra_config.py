@@ -162,5 +162,8 @@ def _no_such_key(key: str) -> ConfigError:
         return ConfigError(key, f"no such key; {adds}, whose own keys are keys, values, labels and points")
     if key.startswith("sweep."):
         return unknown([key], key, f"no such key; +{key}=... if the sweep's file only leaves it out")
+    if key.startswith("hardware.noise."):
+        sets = "+hardware.noise.NAME_variance=... sets that of a quantity or kind that the robot has"
+        return unknown([key], key, f"no such key; {sets}")
     left_out = f"; +{key}=... sets what the config leaves out" if "." in key else ""
     return unknown([key], key, f"no such key; --cfg job shows them all, --help the groups{left_out}")

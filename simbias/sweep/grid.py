@@ -266,8 +266,7 @@ def _composed(variations: Variations, settings: Mapping[str, Any], axes: Sequenc
     except ConfigError as error:
         for axis in axes:
             if error.key in axis.keys and error.problem.startswith("no such key"):
-                where, problem = f"sweep.axes.{axis.name}.keys", f"{error}; +{error.key} would add it"
-                raise ConfigError(where, problem) from error
+                raise ConfigError(f"sweep.axes.{axis.name}.keys", str(error)) from error
         raise
 
 

@@ -125,7 +125,9 @@ def test_bad_sweep() -> None:
         "sweep.trialss: no such key": ["+sweep=smoke", "+sweep.trialss=1"],
         "sweep.axes: must be a valid dictionary, got 3": ["+sweep=smoke", "sweep.axes=3"],
         "sweep.axes.nosuch.keys: nosuch: no such key": ["+sweep=smoke", "+sweep.axes.nosuch=[1]"],
-        "sweep.axes.noise.keys: hardware.noise.torque_variance: ": ["+sweep=fig6", "preset=cartpole"],
+        "noise.keys: hardware.noise.torque_variance: no such key; +hardware.noise.NAME_variance=... sets": [
+            "+sweep=fig6", "preset=cartpole"
+        ],
         "bias=nosuch: no such option": ["+sweep=smoke", "+sweep.axes.bias=[gp, nosuch]"],
         "sweep.axes.bias: has no values": ["+sweep=smoke", "+sweep.axes.bias=[]"],
         "sweep.axes.x: tracking changes no trial's result": [
