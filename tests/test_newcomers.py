@@ -22,7 +22,7 @@ from simbias.core.ranges import frames_in
 from simbias.core.records import Array, Rollout, Selection, Transitions
 from simbias.learning.bias.none import NoBias
 from simbias.learning.samples.thresholds import Thresholds, Windows
-from simbias.terminal.trial import TrialConsole
+from simbias.terminal.trial import TrialConsole, cost_text
 from simbias.testing.rehearsal import rehearse
 from simbias.trial import diagnostics as remarks
 from simbias.trial.methods.algorithm1 import Algorithm1
@@ -207,16 +207,23 @@ def test_a_span_in_seconds_is_whole_frames(point_mass: Study) -> None:
     assert len(one) == 49
 
 
-def test_while_an_experiment_is_under_way_the_screen_says_so(point_mass: Study) -> None:
-    file = StringIO()
+def test_the_screen_says_what_is_under_way(point_mass: Study) -> None:
+    """A search, as long as it plans, too."""
+    iteration, file = next(point_mass.run()), StringIO()
     console = Console(file=file, width=100, force_terminal=True, highlight=False)
     with TrialConsole(point_mass, console) as observer:
+        assert "policy search" in file.getvalue()
         observer.searching(20, 3.0)
         observer.experimenting(np.zeros(3), np.zeros(2))
         observer._progress.refresh()
         last = file.getvalue().rpartition("policy search")[2]
         assert "hardware experiment 1 under way" in last
         assert "best 3" not in last
+        observer.experimented(iteration.experiments[0])
+        observer.iterated(iteration)
+        row = cost_text(iteration.search.predicted_cost)
+        assert "policy search" in (after := file.getvalue().rpartition(row)[2])
+        assert "hardware experiment" not in after
 
 
 def test_config_yaml_in_an_own_folder_is_refused(tmp_path: Path) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.console import Console
 from rich.markup import escape
 
 from simbias.config import compose
 from simbias.config.build import build
 from simbias.config.hydra_config import overridden
 from simbias.core.messages import counted, with_trace
-from simbias.terminal.lines import say, temporary_traceback
+from simbias.terminal.lines import say, standard_output, temporary_traceback
 from simbias.testing.conformance import CHECKS, ConformanceError, Verdict, verdicts
 
 
@@ -25,7 +24,7 @@ def check(overrides: Sequence[str], config_dir: str | None, allow: Sequence[str]
     ConfigError
         If an override is bad, or a component refuses its arguments.
     """
-    console = Console(highlight=False)
+    console = standard_output()
     study = build(compose(overrides, config_dir, allow))
     covered = {each.group for each in CHECKS}
     groups = covered & set(overridden(overrides)) or covered - {"hardware"}

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from simbias.config import ConfigError
 from simbias.core.records import Array, Rollout
@@ -16,7 +15,7 @@ from simbias.recordings.files import trajectory
 from simbias.recordings.noise import noise_of
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table
-from simbias.terminal.lines import say
+from simbias.terminal.lines import say, standard_output
 from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
 
@@ -34,7 +33,7 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     """
     if not LEAST <= seconds <= MOST:
         raise ConfigError("--seconds", f"must be from {LEAST:g} to {MOST:g}, got {seconds:g}")
-    console = Console(highlight=False)
+    console = standard_output()
     study, given, _ = request.opened(console)
     learned = given.pieces
     with slowness_in_one_line(), console.status("looking for what tells most"):
@@ -74,7 +73,7 @@ def recovery(request: Request) -> bool:
     ConfigError
         If a recording cannot be read, all are held out, or no inputs keep the limits.
     """
-    console = Console(highlight=False)
+    console = standard_output()
     study, recordings, _ = request.opened(console)
     if request.recordings and not recordings.rollouts:
         raise ConfigError("--held-out", "leaves no recording")

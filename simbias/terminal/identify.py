@@ -21,7 +21,7 @@ from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
 from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import Recordings, read
-from simbias.terminal.lines import say
+from simbias.terminal.lines import say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
@@ -88,7 +88,7 @@ def identify(request: Request, attach: bool = False) -> bool:
         If an override is bad, a recording cannot be read, a file cannot be written, or a trial is attached
         whose hardware has no recordings.
     """
-    console = Console(highlight=False)
+    console = standard_output()
     with slowness_in_one_line():
         study, recordings, held_out = request.opened(console, LONGEST)
         if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from tempfile import NamedTemporaryFile
 
 from rich.console import Console
 
 TRACEBACK = "simbias-error-"  # of files that are kept for a person
+
+
+def standard_output(soft_wrap: bool = False) -> Console:
+    """The console; plain text where it is no terminal, although notebooks set FORCE_COLOR for their pipes."""
+    force_terminal = None if sys.stdout.isatty() else False
+    return Console(highlight=False, soft_wrap=soft_wrap, force_terminal=force_terminal)
 
 
 def say(console: Console, line: str, style: str = "", markup: bool = False) -> None:

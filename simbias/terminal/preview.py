@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
@@ -19,7 +18,7 @@ from simbias.lab.safety import Bounds, exceeded
 from simbias.pictures.elements.style import save
 from simbias.pictures.preview import predicted
 from simbias.pictures.preview import preview as picture
-from simbias.terminal.lines import say
+from simbias.terminal.lines import say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.testing.rehearsal import rehearse
 from simbias.trial.prediction import DRAWS, Prediction, predict
@@ -39,7 +38,7 @@ def preview(overrides: Sequence[str], config_dir: str | None, allow: Sequence[st
     ConfigError
         If an override is bad, a component breaks its contract, or the picture cannot be written.
     """
-    console = Console(highlight=False)
+    console = standard_output()
     with slowness_in_one_line():
         with preparing():
             study = build(compose(overrides, config_dir, allow))

@@ -25,7 +25,7 @@ from simbias.sweep.grid import Sweep, Trial
 from simbias.sweep.running import SweepObserver
 from simbias.sweep.tables import BLANK, Layout, arrange, cells, layout, legend, plain
 from simbias.sweep.worker import Result
-from simbias.terminal.lines import say
+from simbias.terminal.lines import say, standard_output
 from simbias.terminal.trial import traceback_file
 from simbias.trial.folder import TrialFolder
 from simbias.trial.summary import Outcome
@@ -44,7 +44,7 @@ class SweepConsole(SweepObserver):
     """A bar and a table that fills on a terminal; else a line for every trial."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console(highlight=False)
+        self._console = console or standard_output()
         self._sweep: Sweep
         self._keeps = True
         self._total = 0

@@ -14,7 +14,7 @@ from simbias.core import Model, Policy
 from simbias.core.messages import brief
 from simbias.core.records import Array, Iteration, Rollout, Search
 from simbias.lab.checked_hardware import ask
-from simbias.terminal.lines import say, temporary_traceback
+from simbias.terminal.lines import say, standard_output, temporary_traceback
 from simbias.trial import diagnostics
 from simbias.trial.diagnostics import Remark
 from simbias.trial.folder import TRIAL, TrialFolder
@@ -37,7 +37,7 @@ class TrialConsole(Observer):
 
     def __init__(self, study: Study, console: Console | None = None) -> None:
         self._study = study
-        self._console = console or Console(highlight=False, soft_wrap=True)  # also what a hardware prints
+        self._console = console or standard_output(soft_wrap=True)  # also what a hardware prints
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -48,7 +48,7 @@ class TrialConsole(Observer):
             transient=True,
             disable=not self._console.is_terminal,
         )
-        self._bar = self._progress.add_task("", total=study.optimizer.max_evaluations, best="", visible=False)
+        self._bar = self._progress.add_task("policy search", total=study.optimizer.max_evaluations, best="")
         self._experiments = 0
         self._iterations: list[Iteration] = []
         self._model: Model | None = None
@@ -74,7 +74,6 @@ class TrialConsole(Observer):
             description="policy search",
             completed=min(evaluations, self._study.optimizer.max_evaluations),
             best=f"best {cost_text(best_cost)}",
-            visible=True,
         )
 
     def designed(self, theta: Array, model: Model | None = None, search: Search | None = None) -> None:
@@ -93,7 +92,7 @@ class TrialConsole(Observer):
     def experimenting(self, theta: Array, start: Array) -> None:
         """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
         words = f"hardware experiment {self._experiments + 1} under way"
-        self._progress.update(self._bar, description=words, completed=0, best="", visible=True)
+        self._progress.update(self._bar, description=words, completed=0, best="")
 
     def ask(self, policy: Policy, theta: Array, start: Array) -> bool:
         """Show what is predicted of an experiment, and ask whether it may be made, on a screen at rest."""
@@ -117,11 +116,11 @@ class TrialConsole(Observer):
     def trying(self, number: int, count: int) -> None:
         """Tell that a test episode is under way."""
         words = f"test episode {number + 1} of {count}"
-        self._progress.update(self._bar, description=words, visible=True)
+        self._progress.update(self._bar, description=words)
 
     def iterated(self, iteration: Iteration) -> None:
         """One line for an iteration."""
-        self._progress.update(self._bar, visible=False)
+        self._progress.update(self._bar, description="policy search", completed=0, best="", refresh=True)
         search, learning = iteration.search, iteration.learning
         predicted = cost_text(search.predicted_cost) if search else ""
         samples = str(len(learning.data)) if learning else ""

@@ -24,14 +24,18 @@ pytestmark = pytest.mark.slow
 QUICK = ["task.horizon=200", "optimizer.max_evaluations=20"]  # 0.2 s are balanced without any torque
 
 
-def test_success_exits_0_and_says_how_many_experiments(new_store: Path, tmp_path: Path) -> None:
-    """And a reader that has seen enough meets no traceback."""
+def test_success_exits_0_and_says_how_many_experiments(
+    new_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In plain text, as into a notebook; a reader that has seen enough meets no traceback."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
     shutil.copy(new_store, tmp_path)
     status, out, err = run(*QUICK, "tracking.pictures=false", folder=tmp_path)
     assert status == 0, err
     assert "Succeeded after 2 hardware experiments (1 iteration, " in out
     assert " -m simbias ui " in out
     assert "Traceback" not in err
+    assert "\x1b" not in out + err
     assert not list(tmp_path.glob("trials/*/pictures"))
     process = start(*QUICK, "tracking=folders", "seed=1", folder=tmp_path)
     assert process.stdout is not None
