@@ -4,6 +4,7 @@ import importlib
 import sys
 import warnings
 from copy import copy
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures import drawing_of, snapshots
 from simbias.pictures.elements import style
 from simbias.pictures.elements.drawing import NoPictureError, share_view
-from simbias.pictures.elements.style import png
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, png
 from simbias.pictures.trial import animation
 from simbias.pictures.trial.comparison import NamedRollout
 from simbias.robots.bongoboard.task_drawing import draw, move
@@ -105,8 +106,10 @@ def test_a_failure_is_shown(study: Study) -> None:
 def test_snapshots_have_one_scale_and_show_all(study: Study) -> None:
     """Each is of its time."""
     fallen, balanced = study.simulate(np.zeros(5)), study.simulate(BALANCING)
+    balanced = replace(balanced, measured=balanced.states)
     figure = snapshots(study.task, {"nominal model": fallen, "hardware": balanced}, [0.0, 1.5, 5.0])
     assert len({(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}) == 1
+    assert [figure.axes[row].texts[0].get_color() for row in (0, 3)] == [SIMULATION, HARDWARE]
     (left, right), (bottom, top) = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
     for axes in figure.axes:
         assert axes.get_aspect() == 1.0

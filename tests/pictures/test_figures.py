@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from figures import lines, texts
+from matplotlib.collections import Collection
+from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 
 from simbias.core import Quantity
@@ -18,6 +20,10 @@ from simbias.pictures.trial.comparison import simulated, worst_experiment
 from simbias.pictures.trial.errors import prediction_error, windows
 from simbias.pictures.trial.phases import phase_pairs, state_bounds
 from simbias.trial.study import Study
+
+
+def color_of(each: Collection) -> str:
+    return to_hex(each.get_facecolor()[0]).upper()
 
 
 def again(study: Study, iteration: Iteration) -> list[Rollout]:
@@ -112,6 +118,7 @@ def test_error_marks_are_medians(short: Study, trial: list[Iteration]) -> None:
                 assert mark[0, 1] == pytest.approx(np.median(norms))
     assert [axes.get_ylabel().split(" (")[-1] for axes in figure.axes[::2]] == ["rad)", "rad/s)"]
     assert figure.axes[1].get_title() == "20 frames ahead (20 ms)"
+    assert "markers: medians, bars: quartiles" in texts(figure)
     alone = prediction_errors(short, trial[:1], [1])
     assert lines(alone.axes[0], NOMINAL, "s")[0][0, 0] == 0.0  # on its tick
     slow = copy(short.task)
@@ -135,7 +142,7 @@ def test_experiments_shorter_than_the_horizon_are_left_out(short: Study, trial: 
 @pytest.mark.slow
 def test_forecast_shows_the_experiment_and_its_predictions(short: Study, trial: list[Iteration]) -> None:
     """A band begins at the start, known for sure, and grows; bars show where it leaves the axes."""
-    last, figure, left = trial[-1], forecast(short, trial), []
+    last, figure, left, gone = trial[-1], forecast(short, trial), [], []
     measured = worst_experiment(last)
     corrected = short.simulate(last.parameters, last.model.bias, measured.states[0])
     nominal = short.simulate(last.parameters, None, measured.states[0])
@@ -143,7 +150,7 @@ def test_forecast_shows_the_experiment_and_its_predictions(short: Study, trial: 
         for color, rollout in ((HARDWARE, measured), (SIMULATION, corrected), (NOMINAL, nominal)):
             (curve,) = lines(axes, color)
             np.testing.assert_array_equal(curve[:, 1], rollout.states[:, i])
-        band, *bars = axes.collections
+        band, *bars = (each for each in axes.collections if color_of(each) == SIMULATION)
         (path,) = band.get_paths()
         at, values = path.vertices.T
         width = {t: np.ptp(values[np.isclose(at, t, atol=1e-3)]) for t in (at.min(), at.max())}
@@ -151,9 +158,14 @@ def test_forecast_shows_the_experiment_and_its_predictions(short: Study, trial: 
         assert width[at.max()] > 1e-3
         bottom, top = axes.get_ylim()
         assert len(bars) == int(values.max() > top) + int(values.min() < bottom)
-        left += bars
+        beyond = [each for each in axes.collections if color_of(each) == NOMINAL]
+        alone = nominal.states[:, i]
+        assert len(beyond) == int(alone.max() > top) + int(alone.min() < bottom)
+        left, gone = left + bars, gone + beyond
     assert left
-    assert "leaves the axes" in texts(figure)
+    assert "90% of 20 draws of bias" in (words := texts(figure))
+    assert "the band leaves the axes" in words
+    assert bool(gone) == ("the nominal model leaves the axes" in words)
     assert not any(axes.collections for axes in forecast(short, trial[:1]).axes)  # nothing was learned
 
 
@@ -165,6 +177,7 @@ def test_rejections_count_every_sample(short: Study, trial: list[Iteration]) -> 
     texts = [text.get_text() for text in axes.texts]
     for iteration in trial:
         assert any(text.startswith(f"{len(iteration.learning.data)} in D") for text in texts)
+    assert [text.endswith("a pass adds none") for text in texts if "in D" in text] == [False, True]
 
 
 @pytest.mark.slow

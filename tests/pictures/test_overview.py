@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from simbias.core.records import Iteration
 from simbias.pictures import NoPictureError, overview
-from simbias.pictures.elements.style import HARDWARE, SIMULATION
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, label, symbol
 from simbias.trial.study import Study
 
 
@@ -21,6 +21,11 @@ def panel(figure: Figure, label: str) -> Axes:
 @pytest.fixture(scope="module")
 def figure(short: Study, trial: list[Iteration]) -> Figure:
     return overview(short, trial)
+
+
+def test_a_rate_is_named_as_one() -> None:
+    names = ("d_theta_1", "d_pole_angle", "board_angle", "d")
+    assert list(map(symbol, names)) == [r"$\dot{\theta}_{1}$", "rate of pole angle", "board angle", "d"]
 
 
 def test_it_says_what_happened(short: Study, trial: list[Iteration], figure: Figure) -> None:
@@ -35,7 +40,7 @@ def test_it_says_what_happened(short: Study, trial: list[Iteration], figure: Fig
         short.task.words(fallen.failure),
         "time (s)",
         "cost Z (dimensionless)",
-        f"({criterion.unit})",
+        f"criterion\n{label(criterion)}",
     ):
         assert sentence in words
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -54,10 +55,10 @@ def label(quantity: Quantity | Criterion) -> str:
 
 
 def symbol(name: str) -> str:
-    """A name as it is read: `d_theta_1` as a Greek letter with an index and a dot, `board_angle` in words."""
+    """A name as it is read: `d_theta_1` as a Greek letter with an index and a dot, `d_angle` in words."""
     base, _, index = name.removeprefix("d_").partition("_")
     if base not in GREEK:
-        return name.replace("_", " ")
+        return re.sub("^d ", "rate of ", name.replace("_", " "))
     letter = rf"\dot{{\{base}}}" if name.startswith("d_") else rf"\{base}"
     return f"${letter}_{{{index}}}$" if index else f"${letter}$"
 

@@ -70,7 +70,7 @@ def prediction_errors(
     for iteration, models in by_iteration:
         for name, (bias, nominal) in models.items():
             color, marker = STYLES[name]
-            shown[name] = Line2D([], [], color=color, marker=marker, linewidth=2.5, markeredgecolor="white")
+            shown[name] = Line2D([], [], color=color, marker=marker, linewidth=2.5, markerfacecolor="white")
             pieces = windows(study, iteration, max(horizons))
             if not len(pieces):
                 continue  # its experiments ended too early
@@ -92,7 +92,7 @@ def prediction_errors(
         axes.set_xlabel("iteration")
     for axes in grid.flat:
         axes.set_xlim(iterations[0].index - 0.5, iterations[-1].index + 0.5)
-    legend(figure, shown)
+    legend(figure, shown | {"markers: medians, bars: quartiles": Line2D([], [], linestyle="none")})
     return figure
 
 
@@ -138,8 +138,8 @@ def _groups(task: Task) -> dict[str, list[int]]:
 def _draw(axes: Axes, x: float, values: Array, style: SeriesStyle) -> None:
     """Median and quartiles of the errors (w,) of an iteration."""
     low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
-    axes.plot([x, x], [low, high], color=style.color, linewidth=2.5, solid_capstyle="butt")
-    axes.plot(x, median, style.marker, color=style.color, markersize=6, markeredgecolor="white")
+    axes.plot([x, x], [low, high], color=style.color, linewidth=2.5, solid_capstyle="butt", zorder=3)
+    axes.plot(x, median, style.marker, color=style.color, markersize=6, markerfacecolor="white")
 
 
 def _share_scale(row: Sequence[Axes]) -> None:

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from simbias.core import Model
 from simbias.core.records import Array, Iteration, Rollout
 from simbias.pictures.elements.layout import headline, legend, panels
-from simbias.pictures.elements.style import SIMULATION, label, plain
+from simbias.pictures.elements.style import NOMINAL, SIMULATION, label, plain
 from simbias.pictures.trial.comparison import (
     NamedRollout,
     compared_words,
@@ -42,7 +42,8 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
     tenths of the rollouts with biases drawn from the learner's posterior (`FittedBias.draw`): each draw is
     one function for a whole rollout, so that its errors add up, or cancel, as those of the mean would.
     Without noise, and without what a draw leaves out; a draw that has failed is not in the band any more.
-    The axes hold the experiment and its best prediction; a bar at their edge is where the band leaves them.
+    The axes hold the experiment and its best prediction; bars at their edge are where the band and the
+    nominal model leave them.
 
     Raises
     ------
@@ -58,40 +59,44 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         assert learned is not None
         curves.append(learned)
         draws = _draws(study, model, experiment)
-    curves.append(on_nominal(study, iteration, experiment))
+    curves.append(nominal := on_nominal(study, iteration, experiment))
     figure, (grid,) = panels(len(task.states), HEIGHT)
-    beyond = False
+    beyond: dict[str, Artist] = {}
     for i, (axes, quantity) in enumerate(zip(grid, task.states, strict=True)):
         for _, rollout, color, line in curves:
             times = task.time_step * np.arange(len(rollout.states))
             axes.plot(times, rollout.states[:, i], line, color=color, linewidth=1.0)
         axes.set_ylim(*_view([curve.rollout.states[:, i] for curve in curves[:2]]))
         axes.set_xlim(0.0, task.horizon * task.time_step)
-        if draws is not None:
-            beyond |= _draw_band(axes, task.time_step, draws[:, :, i])
+        if band := draws is not None and _draw_band(axes, task.time_step, draws[0][:, :, i]):
+            beyond["the band leaves the axes"] = Patch(color=SIMULATION)
+        values = nominal.rollout.states[:, i]
+        if _mark_beyond(axes, task.time_step * np.arange(len(values)), values, values, NOMINAL, int(band)):
+            beyond["the nominal model leaves the axes"] = Patch(color=NOMINAL)
         axes.set(xlabel="time (s)", ylabel=label(quantity))
         plain(axes)
     headline(grid[0], compared_words(study, iteration))
-    legend(figure, _entries(curves, draws, beyond))
+    legend(figure, _entries(curves, draws) | beyond)
     return figure
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def _draws(study: Study, model: Model, experiment: Rollout) -> Array | None:
-    """States (`DRAWS`, T+1, n) of an experiment with models drawn from the posterior, nan after failures.
+def _draws(study: Study, model: Model, experiment: Rollout) -> tuple[Array, str] | None:
+    """States (`DRAWS`, T+1, n) of an experiment on draws from the posterior, nan after failures; and of what.
 
     None where a learner does not draw.
     """
     rng, own = np.random.default_rng(SEED), study.designed_on(model)
     nominal, bias = model.nominal, model.bias
-    if bias.draw(rng) is bias and not nominal.estimates:
+    drawn_of = ["model"] * bool(nominal.estimates) + ["bias"] * (bias.draw(rng) is not bias)
+    if not drawn_of:
         return None
     draws = np.full((DRAWS, study.task.horizon + 1, len(study.task.states)), np.nan)
     for states in draws:
         drawn = nominal.draw(rng) if nominal.estimates else nominal
         rollout = own.simulate(experiment.parameters, bias.draw(rng), experiment.states[0], drawn)
         states[: len(rollout.states)] = rollout.states
-    return draws
+    return draws, " and ".join(drawn_of)
 
 
 def _draw_band(axes: Axes, time_step: float, draws: Array) -> bool:
@@ -99,15 +104,21 @@ def _draw_band(axes: Axes, time_step: float, draws: Array) -> bool:
     running = int(np.isfinite(draws).any(axis=0).sum())
     frames = np.unique(np.linspace(0, running - 1, POINTS).round().astype(int))
     low, high = np.nanquantile(draws[:, frames], BAND, axis=0)
-    times, (bottom, top) = time_step * frames, axes.get_ylim()
+    times, view = time_step * frames, axes.get_ylim()
     axes.fill_between(times, low, high, color=SIMULATION, alpha=0.2, linewidth=0.0, zorder=1)
-    edges = ((1.0 - EDGE, 1.0, high > top), (0.0, EDGE, low < bottom))
+    axes.set_ylim(view)
+    return _mark_beyond(axes, times, low, high, SIMULATION, 0)
+
+
+def _mark_beyond(axes: Axes, times: Array, low: Array, high: Array, color: str, row: int) -> bool:
+    """Bars, in this row from the edge, where the values (k,) leave the axes; whether they do."""
+    bottom, top = axes.get_ylim()
+    near, far = row * EDGE, (row + 1) * EDGE
+    edges = ((1.0 - far, 1.0 - near, high > top), (near, far, low < bottom))
     for lower, upper, outside in edges:
         if outside.any():
             on_edge = axes.get_xaxis_transform()
-            axes.fill_between(
-                times, lower, upper, where=outside, step="mid", color=SIMULATION, transform=on_edge
-            )
+            axes.fill_between(times, lower, upper, where=outside, step="mid", color=color, transform=on_edge)
     axes.set_ylim(bottom, top)
     return any(outside.any() for *_, outside in edges)
 
@@ -119,15 +130,14 @@ def _view(curves: Sequence[Array]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _entries(curves: Sequence[NamedRollout], draws: Array | None, beyond: bool) -> dict[str, Artist]:
+def _entries(curves: Sequence[NamedRollout], draws: tuple[Array, str] | None) -> dict[str, Artist]:
     """The legend."""
     entries: dict[str, Artist] = {
         curve.name: Line2D([], [], color=curve.color, linestyle=curve.line) for curve in curves
     }
     if draws is not None:
-        failures = int(np.isnan(draws[:, -1]).any(axis=1).sum())
-        words = f"90% of {DRAWS} draws of model and bias" + (f", {failures} fail" if failures else "")
+        states, drawn_of = draws
+        failures = int(np.isnan(states[:, -1]).any(axis=1).sum())
+        words = f"90% of {DRAWS} draws of {drawn_of}" + (f", {failures} fail" if failures else "")
         entries[words] = Patch(color=SIMULATION, alpha=0.2)
-    if beyond:
-        entries["the band leaves the axes"] = Patch(color=SIMULATION)
     return entries

@@ -120,7 +120,7 @@ def _criterion(task: Task, index: int) -> Measure:
     """The measure of a failure criterion."""
     criterion = task.criteria[index]
     return Measure(
-        label(criterion),
+        f"criterion\n{label(criterion)}",
         criterion.limit,
         "limit",
         lambda rollout: (np.arange(len(rollout.states)), task.measure(rollout.states)[:, index]),

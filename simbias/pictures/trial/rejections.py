@@ -31,17 +31,17 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
     """For each iteration that learned, how many of the downsampled transitions became training data.
 
     The others are counted under the first criterion that rejected them. Beside each bar is the size of D
-    afterwards, which a cleared model begins again (line 7 of Algorithm 1).
+    afterwards, which a cleared model begins again (line 7 of Algorithm 1), and to which a pass adds none.
 
     Raises
     ------
     NoPictureError
         If no iteration learned.
     """
-    lessons = [(iteration.index, iteration.learning) for iteration in iterations if iteration.learning]
+    lessons = [(iteration, iteration.learning) for iteration in iterations if iteration.learning]
     if not lessons:
         raise NoPictureError("nothing was learned from the trial's experiments")
-    rows, selections = [index for index, _ in lessons], [learning.selection for _, learning in lessons]
+    rows, selections = [each.index for each, _ in lessons], [learning.selection for _, learning in lessons]
     names = dict.fromkeys(name for selection in selections for name in selection.rejected)
     bars = {"accepted": ([len(selection.transitions) for selection in selections], SIMULATION)}
     for name, color in zip(names, cycle(COLORS), strict=False):
@@ -58,14 +58,17 @@ def rejections(study: Study, iterations: Sequence[Iteration]) -> Figure:
             texts = [str(count) if count > READABLE * longest else "" for count in counts]
             axes.bar_label(container, texts, label_type="center", fontsize=SMALL, color=_readable_on(color))
             ends += counts
-    for (index, learning), end in zip(lessons, ends, strict=True):
+    for (iteration, learning), end in zip(lessons, ends, strict=True):
         words = f"{len(learning.data)} in D{', cleared before' if learning.reset else ''}"
-        axes.annotate(words, (end, index), (4, 0), textcoords="offset points", va="center", fontsize=SMALL)
+        words += ", a pass adds none" if iteration.succeeded else ""
+        axes.annotate(
+            words, (end, iteration.index), (4, 0), textcoords="offset points", va="center", fontsize=SMALL
+        )
     axes.set(xlabel="transitions, after downsampling", ylabel="iteration", xlim=(0, 1.1 * longest))
     axes.invert_yaxis()
     whole_numbers(axes.xaxis, axes.yaxis)
     plain(axes)
-    headline(axes, "Samples of each iteration's experiments; D is all data so far")
+    headline(axes, "Samples of each iteration's experiments; D: the data learned from")
     figure.legend(loc="outside right upper", frameon=False, fontsize=SMALL)
     return figure
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure, FigureBase
 from simbias.core import Task
 from simbias.core.records import Array, Rollout
 from simbias.pictures.elements.drawing import Drawing, NoPictureError, drawing_of, share_view
-from simbias.pictures.elements.style import HARDWARE, SMALL, seconds
+from simbias.pictures.elements.style import HARDWARE, SIMULATION, SMALL, seconds
 from simbias.pictures.trial.comparison import NamedRollout
 
 LINE = 22  # characters below a snapshot
@@ -23,6 +23,7 @@ def snapshots(
 ) -> Figure:
     """A row of snapshots for every named rollout, a column for every time in s; one scale for all.
 
+    Hardware, on which something was sensed, is orange as in all pictures, and simulation blue.
     A rollout that has failed by a column's time is shown there, pale, at the frame at which it failed, with
     the time and the failure in words; after that its row is empty.
 
@@ -35,7 +36,11 @@ def snapshots(
     if draw is None:
         raise NoPictureError(f"nothing draws {type(task).__name__}: pass `draw`")
     figure = Figure(figsize=(SIZE * len(times), SIZE * len(rollouts) + 0.3), layout="constrained")
-    draw_rows(figure, task, [NamedRollout(*item) for item in rollouts.items()], times, draw)
+    colored = [
+        NamedRollout(name, each, SIMULATION if each.measured is None and not each.sensed else HARDWARE)
+        for name, each in rollouts.items()
+    ]
+    draw_rows(figure, task, colored, times, draw)
     share_view(figure.axes)
     return figure
 
