@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from simbias.config import ConfigError
 from simbias.sweep import results
 from simbias.sweep.grid import expand
 from simbias.sweep.tables import left_out, share
@@ -29,7 +30,13 @@ HEAD = (
 
 
 def paired(name: str, axis: str, by: str | None = None) -> str:
-    """A row for every point of the axis, in markdown; beneath, how many trials are left out."""
+    """A row for every point of the axis, in markdown; beneath, how many trials are left out.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such sweep, or an axis is none of it.
+    """
     if name.endswith(".csv"):
         head = pd.read_csv(name, nrows=0).columns
         axes = [*takewhile(lambda column: column != "hash", head)]
@@ -37,6 +44,9 @@ def paired(name: str, axis: str, by: str | None = None) -> str:
     else:
         sweep = expand([f"+sweep={name}"])
         axes, trials = [each.name for each in sweep.axes], results.published(sweep)
+    for given in filter(None, (axis, by)):
+        if given not in axes:
+            raise ConfigError("", f"no such axis: {given}; there are {', '.join(axes)}")
     keys = [*(each for each in axes if each != axis), "repetition"]
     groups = list(trials.groupby(by, sort=False)) if by else [("", trials)]
     names = [*([by] if by else []), axis]
@@ -84,4 +94,7 @@ if __name__ == "__main__":
     parser.add_argument("axis")
     parser.add_argument("--by", metavar="AXIS")
     arguments = parser.parse_args()
-    print(paired(arguments.sweep, arguments.axis, arguments.by), end="")
+    try:
+        print(paired(arguments.sweep, arguments.axis, arguments.by), end="")
+    except (ConfigError, OSError) as error:
+        parser.error(str(error))

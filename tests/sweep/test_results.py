@@ -16,6 +16,7 @@ import optimizers
 import pandas as pd
 import pytest
 from conftest import ROOT
+from errors import one_line
 from paired import paired
 from shipped import shortened
 from side_by_side import side_by_side
@@ -173,6 +174,9 @@ def test_pairs_with_what_raised_are_left_out(tmp_path: Path) -> None:
     last, *missing = paired(str(tmp_path / "trials.csv"), "method").splitlines()[-3:]
     assert last == "| B | 2.00 | -2.00, nan | 1 of 1 | 2.00 | 1/1 [21%, 100%] | 1.0 |"
     assert missing == ["", "1 trial raised an error and is left out."]
+    for axes in (["methot"], ["method", "methot"]):
+        with one_line("^no such axis: methot; there are method$"):
+            paired(str(tmp_path / "trials.csv"), *axes)
 
 
 @pytest.mark.slow
