@@ -95,21 +95,29 @@ def _parser(
     about = "Learn a simulation's bias and optimise a policy with few hardware experiments."
     usage = "%(prog)s [command] [override ...] [--config-dir DIR] [--allow MODULE] [--cfg job]"
     parser = argparse.ArgumentParser(prog=PROGRAM, usage=usage, description=about, **text)
-    commands = parser.add_subparsers(dest="command", metavar="command", title="commands")
+    commands = parser.add_subparsers(dest="command", metavar="command", title="commands", prog=PROGRAM)
     _add_composed(commands, own, text)
     _add_of_recordings(commands, own)
     _add_of_folders(commands, own)
     return parser, commands.choices
 
 
+def _add(commands: Any, name: str, about: str, more: str = "", **text: Any) -> argparse.ArgumentParser:
+    """A command; its own help also says what the list of commands has no room for."""
+    description = f"{about[0].upper()}{about[1:]}. {more}".rstrip()
+    added: argparse.ArgumentParser = commands.add_parser(name, help=about, description=description, **text)
+    return added
+
+
 def _add_composed(commands: Any, own: argparse.ArgumentParser, text: Mapping[str, Any]) -> None:
     """The commands that take overrides."""
-    run = commands.add_parser(RUN, help="run a trial or a sweep, or resume it: the default", **text)
-    check = commands.add_parser("check", help="put components through the conformance suite", parents=[own])
-    help_of_preview = "show what the first experiment is predicted to do"
-    preview = commands.add_parser("preview", help=help_of_preview, parents=[own])
-    export = commands.add_parser("export", help="show trials of a folder in an MLflow store", parents=[own])
-    ui = commands.add_parser("ui", help="open MLflow at a trial or a sweep", parents=[own])
+    of_run = "It writes trials/<hash>, of a sweep also trials/sweeps/<name>_<hash>, unless tracking=none."
+    run = _add(commands, RUN, "run a trial or a sweep, or resume it: the default", of_run, **text)
+    check = _add(commands, "check", "put components through the conformance suite", parents=[own])
+    about = "show what the first experiment is predicted to do"
+    preview = _add(commands, "preview", about, "It writes preview.png.", parents=[own])
+    export = _add(commands, "export", "show trials of a folder in an MLflow store", parents=[own])
+    ui = _add(commands, "ui", "open MLflow at a trial or a sweep", parents=[own])
     ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
     ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")
     for each in (run, check, preview, export, ui):
@@ -118,9 +126,11 @@ def _add_composed(commands: Any, own: argparse.ArgumentParser, text: Mapping[str
 
 def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
     """The commands that identify a model, or prepare for it."""
-    help_of_identify = "identify a model from recordings, and tell what of it to trust"
-    identify = commands.add_parser("identify", help=help_of_identify, parents=[own])
-    excite = commands.add_parser("excite", help="write inputs whose recordings tell most", parents=[own])
+    about = "identify a model from recordings, and tell what of it to trust"
+    of_identify = "It writes a page, tables, draws and an option for trials into a folder."
+    identify = _add(commands, "identify", about, of_identify, parents=[own])
+    of_excite = "It writes a CSV file, which also has the states that they should lead to."
+    excite = _add(commands, "excite", "write inputs whose recordings tell most", of_excite, parents=[own])
     for each, into in ((identify, "identified"), (excite, "excitation.csv")):
         each.add_argument("words", nargs="*", metavar="recording|override", help="files, folders, overrides")
         each.add_argument("--columns", metavar="YAML", help="'{pos1: q1, vel1: dq1}', or a file of that")
@@ -136,18 +146,21 @@ def _add_of_recordings(commands: Any, own: argparse.ArgumentParser) -> None:
 
 def _add_of_folders(commands: Any, own: argparse.ArgumentParser) -> None:
     """The commands that read, change or make a folder."""
-    pictures = commands.add_parser("pictures", help="draw all pictures of a trial", parents=[own])
+    pictures = _add(commands, "pictures", "draw all pictures of a trial", parents=[own])
     pictures.add_argument("trial", help="its folder, or its run in MLflow")
-    pictures.add_argument("folder", help="of the PNG, SVG and GIF files")
+    pictures.add_argument("folder", help="where PNG, SVG and GIF files are written")
     pictures.add_argument("--uri", default="sqlite:///mlflow.db", help="of the run (default: %(default)s)")
-    report = commands.add_parser("report", help="write one HTML page of a trial or a sweep", parents=[own])
+    about = "write one HTML page of a trial or a sweep"
+    report = _add(commands, "report", about, "It is report.html, in the same folder.", parents=[own])
     of_page = "of a trial or a sweep, or that of all trials: a page of each sweep"
     report.add_argument("folder", type=Path, help=of_page)
-    withdraw = commands.add_parser("withdraw", help="take an experiment out of a trial; its file is kept")
+    of_withdraw = "The trial's own command then resumes it, and makes the experiment again."
+    withdraw = _add(commands, "withdraw", "take an experiment out of a trial; its file is kept", of_withdraw)
     of_file = "of the experiment, as trials/7a29f4c5425f/0004_experiment.npz"
     withdraw.add_argument("file", type=Path, help=of_file)
-    withdraw.add_argument("--reason", default="", help="why, for who looks at the trial")
-    new = commands.add_parser("new", help="lay out a folder for a robot of your own", parents=[own])
+    withdraw.add_argument("--reason", default="", help="optional: why, for who looks at the trial")
+    of_new = "It has a module, configs, a test and a README."
+    new = _add(commands, "new", "lay out a folder for a robot of your own", of_new, parents=[own])
     new.add_argument("name", help="of a Python module, as my_robot")
 
 

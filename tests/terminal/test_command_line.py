@@ -125,6 +125,15 @@ def test_options_may_stand_anywhere() -> None:
             parse(["identify", *wrong], "0")
 
 
+def test_help_of_a_command_is_of_it_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    for command, said in (("withdraw", "own command then resumes it"), ("preview", "It writes preview.png.")):
+        with pytest.raises(SystemExit):
+            parse([command, "--help"], "0")
+        usage, _, rest = " ".join(capsys.readouterr().out.split()).partition(" [-h]")
+        assert usage == f"usage: python -m simbias {command}"
+        assert said in rest
+
+
 def test_help_is_quick_and_complete(tmp_path: Path) -> None:
     """What it advertises composes."""
     command, before = [sys.executable, "-m", "simbias", "--help"], used()
