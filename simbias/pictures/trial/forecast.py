@@ -71,7 +71,8 @@ def forecast(study: Study, iterations: Sequence[Iteration]) -> Figure:
         if band := draws is not None and _draw_band(axes, task.time_step, draws[0][:, :, i]):
             beyond["the band leaves the axes"] = Patch(color=SIMULATION)
         values = nominal.rollout.states[:, i]
-        if _mark_beyond(axes, task.time_step * np.arange(len(values)), values, values, NOMINAL, int(band)):
+        times = task.time_step * np.arange(len(values), dtype=np.float64)
+        if _mark_beyond(axes, times, values, values, NOMINAL, int(band)):
             beyond["the nominal model leaves the axes"] = Patch(color=NOMINAL)
         axes.set(xlabel="time (s)", ylabel=label(quantity))
         plain(axes)
