@@ -4,8 +4,9 @@
     attempts.jsonl          a line for each process that began, for how it stopped, for each withdrawal
     0000_search.json        the steps in the order in which they ended:
     0001_experiment.npz     searches, hardware experiments,
-    0002_iteration.json     iterations, with all that was measured of them in numbers
-    test_episodes.csv       test of the last policy, if one was asked for
+    0002_iteration.json     iterations, with all that was measured of them in numbers,
+    0009_test_episode.npz   episodes of a test of the last policy, if one was asked for
+    test_episodes.csv       this test
     outcome.json            how the trial ended; without it, the trial has not ended
     refused_0000.json       what a hardware returned that is no rollout
     error_0000.txt          the traceback of an attempt
@@ -34,6 +35,7 @@ from simbias.trial.summary import TrialSummary
 
 TRIAL, ATTEMPTS, OUTCOME, EPISODES = "trial.json", "attempts.jsonl", "outcome.json", "test_episodes.csv"
 SEARCH, EXPERIMENT, ITERATION = "search.json", "experiment.npz", "iteration.json"
+EPISODE = "test_episode.npz"
 PICTURES = "pictures"
 LOCK_SECONDS = 5.0  # that a worker in place of a killed one waits until the system has let go of its lock
 
@@ -163,7 +165,7 @@ def withdraw(experiment: Path, reason: str = "") -> Withdrawal:
         raise ConfigError(str(experiment), "is in no trial's folder")
     with locked(folder.path / LOCK, LOCK_SECONDS, running(folder.path)):
         counted = [file.name for file in folder.steps()]
-        experiments = [name for name in counted if name.endswith(EXPERIMENT)]
+        experiments = [name for name in counted if name.endswith((EXPERIMENT, EPISODE))]
         if experiment.name not in experiments:
             problem = f"is no experiment that counts; these do: {', '.join(experiments) or 'none'}"
             raise ConfigError(str(experiment), problem)

@@ -36,6 +36,7 @@ from simbias.trial.disk import (
 from simbias.trial.files import largest, load_rollout, packed_rollout, raw_json
 from simbias.trial.folder import (
     ATTEMPTS,
+    EPISODE,
     EPISODES,
     EXPERIMENT,
     ITERATION,
@@ -53,7 +54,6 @@ from simbias.trial.study import Study
 from simbias.trial.summary import TrialSummary, iteration_summary
 
 ERROR, REFUSED, DAMAGED = "error_", "refused_", "damaged_"
-TEST = -1  # in front of the place of a policy test's episode
 ROUNDING = 1e-6  # by which a computed policy, as LQR's, may differ on another platform
 COMPARED = ("iteration", "total_experiments", "succeeded")  # of an iteration with its replay
 MIXED = "simbias: trial %s mixes platforms, so its last bits are of neither: %s; now %s"
@@ -123,15 +123,16 @@ class FolderRecord(Record):
 
     def experiment(self, theta: Array, rng: np.random.Generator, make: MakeExperiment) -> Rollout:
         """The next experiment; what breaks the contract is no step, as it would be replayed for ever."""
-        path = self._replayed(EXPERIMENT)
+        kind = EPISODE if self.testing else EXPERIMENT
+        path = self._replayed(kind, EXPERIMENT)  # as episodes, too, were called at first
         if path is not None:
             rollout = _loaded(path, self._experiment)[0]
             if not self._fits(rollout, theta):
                 raise changed(path)
             return rollout
-        place = (TEST, *place_of(rng)) if self.testing else place_of(rng)
-        superseded, withdrawn = self._former(theta, place)
-        file = self._next(EXPERIMENT)
+        place = place_of(rng)
+        superseded, withdrawn = self._former(kind, theta, place)
+        file = self._next(kind)
         with room_for(file, largest(self._longest_task, theta, place)):
             rollout = superseded or make(another(rng, withdrawn))
             write_whole(file, packed_rollout(rollout, place))
@@ -157,12 +158,12 @@ class FolderRecord(Record):
         check_rollout(rollout, "it", self._study.task.with_horizon(max(1, rollout.frames)))
         return rollout, place
 
-    def _former(self, theta: Array, place: tuple[int, ...]) -> tuple[Rollout | None, int]:
-        """The experiment with theta (p,) in this place, if it was superseded; how often one was withdrawn."""
+    def _former(self, kind: str, theta: Array, place: tuple[int, ...]) -> tuple[Rollout | None, int]:
+        """The step with theta (p,) in this place, if it was superseded; how often one was withdrawn."""
         withdrawn = {each.experiment for each in self.folder.withdrawals()}
         latest, count = None, 0
         for file in self.folder.all_steps() if withdrawn and place else ():
-            if file.name.endswith(EXPERIMENT):
+            if file.name.endswith(kind):
                 rollout, own = _loaded(file, self._experiment)
                 if own == place and np.array_equal(rollout.parameters, theta):
                     latest = None if file.name in withdrawn else rollout
@@ -218,7 +219,7 @@ class FolderRecord(Record):
         else:
             append_line(self.folder.path / ATTEMPTS, {"stopped": summary.as_json()})
 
-    def _replayed(self, kind: str) -> Path | None:
+    def _replayed(self, *kinds: str) -> Path | None:
         """The next step, if there is one.
 
         Raises
@@ -231,7 +232,7 @@ class FolderRecord(Record):
         step = next(self._steps, None)
         if step is None and not self._writes:
             raise EndOfRecord
-        if step is not None and step.name.partition("_")[2] != kind:
+        if step is not None and step.name.partition("_")[2] not in kinds:
             raise changed(step)
         return step
 

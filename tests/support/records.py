@@ -1,6 +1,6 @@
 """Comparing records and folders of trials."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,11 @@ def timeless(record: TrialRecord) -> TrialRecord:
     return replace(record, iterations=iterations, summary=replace(record.summary, ended=0.0, seconds=0.0))
 
 
+def made(names: Sequence[str]) -> int:
+    """How many of these steps the hardware has made: experiments, and episodes of a test."""
+    return names.count("experiment") + names.count("test_episode")
+
+
 def step_names(folder: Path) -> list[str]:
-    """The steps of a trial's folder, `search`, `experiment` or `iteration`."""
+    """The steps of a trial's folder, `search`, `experiment`, `iteration` or `test_episode`."""
     return [file.stem.partition("_")[2] for file in TrialFolder(folder).steps()]

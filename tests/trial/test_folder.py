@@ -16,7 +16,7 @@ import pytest
 from conftest import OWN_CONF, POINT_MASS
 from errors import one_line
 from hardware import counted
-from records import assert_equal, step_names, timeless
+from records import assert_equal, made, step_names, timeless
 from scripted import Guessing
 
 import simbias
@@ -28,7 +28,7 @@ from simbias.terminal.trial import changed_since
 from simbias.trial import record as records
 from simbias.trial.disk import LOCK, PART, is_locked, write_whole
 from simbias.trial.files import load_rollout
-from simbias.trial.folder import ATTEMPTS, EPISODES, EXPERIMENT, OUTCOME, TRIAL, TrialFolder
+from simbias.trial.folder import ATTEMPTS, EPISODE, EPISODES, EXPERIMENT, OUTCOME, TRIAL, TrialFolder
 from simbias.trial.observer import Observer
 from simbias.trial.run import TrialRecord, read_trial, run_trial
 from simbias.trial.study import Study
@@ -84,7 +84,13 @@ def test_an_experiment_is_on_disk_before_it_is_used(short: Study, tmp_path: Path
     run_trial(short, tmp_path, Watching())
     assert (kept, locked) == ([1, 2, 3, 4, 5, 6], 6 * [True])
     assert not is_locked(tmp_path / LOCK)
-    assert step_names(tmp_path) == [*(3 * ["search", *2 * ["experiment"], "iteration"]), *2 * ["experiment"]]
+    iterations = 3 * ["search", *2 * ["experiment"], "iteration"]
+    assert step_names(tmp_path) == [*iterations, *2 * ["test_episode"]]
+    for file in tmp_path.glob("*_test_episode.npz"):  # as they were called at first
+        file.rename(file.with_name(file.name.replace("test_episode", "experiment")))
+    test = read_trial(short, tmp_path).policy_test
+    assert test is not None
+    assert len(test.episodes) == 2
 
 
 @pytest.mark.slow
@@ -102,7 +108,7 @@ def test_stopped_anywhere_a_trial_ends_as_uninterrupted(overrides: list[str], tm
             file.truncate(file.seek(0, 2) - lost)
         same, log = counted(study)
         assert_equal(timeless(run_trial(same, folder)), uninterrupted)
-        assert log.count("made") == names[len(names) - lost :].count("experiment")
+        assert log.count("made") == made(names[len(names) - lost :])
         assert {file.name for file in TrialFolder(folder).files()} == {
             file.name for file in TrialFolder(tmp_path / "whole").files()
         }
@@ -154,7 +160,7 @@ def test_a_trial_that_was_killed_is_read_as_far_as_it_goes(
         record = read_trial(short, folder)
         assert record.outcome is Outcome.INTERRUPTED
         assert_equal(record.iterations, whole[1].iterations[: left.count("iteration")])
-        experiments = min(left.count("experiment"), 6)
+        experiments = left.count("experiment")
         assert record.summary.experiments == experiments
         assert len(record.unfinished) == experiments - 2 * len(record.iterations)
 
@@ -318,7 +324,7 @@ def test_no_experiment_is_made_that_could_not_be_kept(
     spare = []
 
     def write(path: Path, content: bytes) -> None:
-        if path.name.endswith(EXPERIMENT):
+        if path.name.endswith((EXPERIMENT, EPISODE)):
             spare.append(path.with_name(f"{path.name}{PART}").stat().st_size - len(content))
         write_whole(path, content)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from logged_hardware import LOG
-from records import assert_equal, step_names, timeless
+from records import assert_equal, made, step_names, timeless
 from texts import write
 from trial_process import start
 
@@ -62,7 +62,7 @@ def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
     assert len(starts) == 8
     rng, folder = random.Random(2015), tmp_path / "trial"
     for number in range(KILLS + 1):
-        safe, earlier = step_names(folder).count("experiment"), len(begun(tmp_path))
+        safe, earlier = made(step_names(folder)), len(begun(tmp_path))
         process = start(folder, SHORT, conf)
         if number < KILLS:
             until_begun(process, tmp_path, earlier + 1)
@@ -70,10 +70,10 @@ def test_killed_again_and_again_a_trial_ends_as_uninterrupted(
             process.kill()
         process.join(120)
         assert process.exitcode == (-signal.SIGKILL if number < KILLS else 0)
-        made = begun(tmp_path)[earlier:]
-        assert made == starts[safe : safe + len(made)]  # none that was kept is made again
-        assert step_names(folder).count("experiment") >= safe + len(made) - 1  # all but the one under way
-    assert made[-1] == starts[-1]
+        began = begun(tmp_path)[earlier:]
+        assert began == starts[safe : safe + len(began)]  # none that was kept is made again
+        assert made(step_names(folder)) >= safe + len(began) - 1  # all but the one under way
+    assert began[-1] == starts[-1]
     study = simbias.load(SHORT, conf)
     for record in (run_trial(study, folder), read_trial(study, folder)):
         assert_equal(timeless(record), expected)
