@@ -27,7 +27,8 @@ def check_rollout(
 ) -> Rollout:
     """A rollout with float64 arrays of its own, held against safety limits; without cost and parameters.
 
-    Unless it is of sensors, it has to begin near the start (n,), if one is given.
+    Unless it is of sensors, it has to begin near the start (n,), if one is given, and ends at the first state
+    that violates a criterion, if it names no failure.
 
     Raises
     ------
@@ -59,14 +60,26 @@ def check_rollout(
                 f"{START_DEVIATIONS:g} deviations of the task's starts, got {states[0, i]:g}; is it another "
                 f"unit? If it cannot begin where it is asked to, sets_start is False"
             )
-    failed_at = _frame(rollout.failed_at, f"{source}: failed_at")
+    failed_at, failure = _frame(rollout.failed_at, f"{source}: failed_at"), rollout.failure
+    if (
+        failed_at is None
+        and not rollout.sensed
+        and len(ends := np.flatnonzero(task.violated(states[1:]) >= 0))
+    ):
+        failed_at = k = int(ends[0]) + 1  # it did not look, as a lab's own class may not
+        failure = task.failure(states[k])
+        states, inputs, measured = (
+            states[: k + 1],
+            inputs[:k],
+            None if measured is None else measured[: k + 1],
+        )
     if failed_at is None and k < T:
         raise HardwareError(
             f"{source}: ended after {k} of {T} frames without a failure; failed_at and failure say of one"
         )
     if failed_at not in (None, k):
         raise HardwareError(f"{source}: failed_at: expected {k}, the last frame, got {failed_at}")
-    failure = _failure(rollout.failure, failed_at, f"{source}: failure")
+    failure = _failure(failure, failed_at, f"{source}: failure")
     checked = Rollout(states, inputs, failed_at, failure, measured=measured, sensed=bool(rollout.sensed))
     return checked if bounds is None else hold(checked, task, bounds, source)
 

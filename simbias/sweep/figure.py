@@ -70,9 +70,17 @@ class SweptTrials:
                 raise FigureError(f"trial {row['hash']} ended before an iteration did (budget)")
             yield row, trial
 
-    def cell(self, row: Row) -> int:
+    def labels(self, row: Row) -> tuple[str, ...]:
+        """The labels of a trial's cell, one for each axis."""
+        return tuple(row[axis.name] for axis in self.sweep.axes)
+
+    def cell(self, row: Row) -> str:
+        """The cell of a trial, by its labels."""
+        return " ".join(self.labels(row))
+
+    def place(self, row: Row) -> int:
         """The place of a trial's cell among those of the sweep."""
-        return self._places[tuple(row[axis.name] for axis in self.sweep.axes)]
+        return self._places[self.labels(row)]
 
     @cached_property
     def _places(self) -> Mapping[tuple[str, ...], int]:

@@ -124,7 +124,7 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str, 
 
 
 def _label(axes: Axes, along: Axis) -> None:
-    """What the points of the axis are; their ticks have a line for each value of those that have several."""
+    """The words below the axis; ticks of points of several values have a line for each."""
     names = heads(along)
     axes.set_xlabel(names[0] if len(names) == 1 else "from above: " + ", ".join(names))
     plain(axes, "y")

@@ -48,10 +48,10 @@ class LastPolicies(SweepFigure):
         if not rows:
             raise FigureError(UNTESTED)
         cells = [" ".join(cell.labels) for cell in trials.sweep.cells]
-        places = [trials.cell(row) for row in rows]
+        places = [trials.place(row) for row in rows]
         numbers = pd.DataFrame(
             {
-                "cell": [cells[place] for place in places],
+                "cell": [trials.cell(row) for row in rows],
                 "repetition": [row["repetition"] for row in rows],
                 "succeeded": [row["outcome"] == "succeeded" for row in rows],
                 "experiments": [row["experiments"] for row in rows],
