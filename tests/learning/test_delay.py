@@ -52,7 +52,10 @@ def test_the_delay_of_motors_comes_back(delay: float, seed: int) -> None:
     study = scratch()
     found = study.identified([late_pendulum(study, delay, 60, seed)]).estimates[0]
     assert found.value == pytest.approx(delay * study.task.time_step)
-    assert found.low <= found.value <= found.high
+    assert (
+        max(0.0, found.value - 0.24 * study.task.time_step) >= found.low
+    )  # half a frame lies between delays
+    assert found.high >= found.value + 0.24 * study.task.time_step
 
 
 class Pendulum(Nominal):
