@@ -132,7 +132,7 @@ def test_a_measured_state_that_violates_a_criterion_aborts(point_mass: Study) ->
     assert (aborted.failure, stopped) == ("distance", 1)
     assert abs(aborted.states[-1, 0]) > 1.0 >= abs(aborted.states[-2, 0])
     whole, stopped = experiment(point_mass, Safety(), Blind)
-    assert (whole.failed_at, stopped) == (None, 0)
+    assert (whole.failed_at, whole.failure, stopped) == (aborted.failed_at, "distance", 0)  # it ran on
 
 
 def test_a_limit_of_nothing_is_bad_input() -> None:
