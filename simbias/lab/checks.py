@@ -61,18 +61,12 @@ def check_rollout(
                 f"unit? If it cannot begin where it is asked to, sets_start is False"
             )
     failed_at, failure = _frame(rollout.failed_at, f"{source}: failed_at"), rollout.failure
-    if (
-        failed_at is None
-        and not rollout.sensed
-        and len(ends := np.flatnonzero(task.violated(states[1:]) >= 0))
-    ):
+    ends = np.flatnonzero(task.violated(states[1:]) >= 0)
+    if failed_at is None and not rollout.sensed and len(ends):
         failed_at = k = int(ends[0]) + 1  # it did not look, as a lab's own class may not
         failure = task.failure(states[k])
-        states, inputs, measured = (
-            states[: k + 1],
-            inputs[:k],
-            None if measured is None else measured[: k + 1],
-        )
+        states, inputs = states[: k + 1], inputs[:k]
+        measured = None if measured is None else measured[: k + 1]
     if failed_at is None and k < T:
         raise HardwareError(
             f"{source}: ended after {k} of {T} frames without a failure; failed_at and failure say of one"

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 Row = Mapping[Any, Any]  # of a table of trials
 
 
+NONE_ENDED = "no trial of the sweep ran to an end"
 UNTESTED = (
     "no last policy was tested, and trials that have ended stay untested: "
     "run them with policy_test.episodes=20 tracking.trials=NEW_FOLDER"
@@ -53,7 +54,7 @@ class SweptTrials:
         """
         rows: list[Row] = [row for row in self.table.to_dict("records") if row["outcome"] != "error"]
         if not rows:
-            raise FigureError("no trial of the sweep ran to an end")
+            raise FigureError(NONE_ENDED)
         return rows
 
     def in_full(self) -> Iterator[tuple[Row, TrialRecord]]:

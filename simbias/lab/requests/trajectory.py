@@ -134,15 +134,20 @@ def frame(recording: Recording, request: ExperimentRequest, source: str) -> Roll
         states = np.stack([np.interp(wanted, times, column) for column in measured.T], axis=1)
         inputs = _means(times, recording.inputs, wanted)
     check_rates(source, [states], task, rates_of(task))
+    _tell_what_stands_still(states, task, source)
+    within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
+    failure = recording.failure if within else None
+    return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
+
+
+def _tell_what_stands_still(states: Array, task: Task, source: str) -> None:
+    """Warn of a position that does not move while its rate is not zero, or the reverse."""
     for rate, position in rates_of(task).items():
         moves, has_rate = bool(np.ptp(states[:, position])), bool(states[:, rate].any())
         if moves != has_rate:
             still, other = (position, rate) if has_rate else (rate, position)
             names = (task.states[i].name for i in (still, other))
             logging.getLogger(__name__).warning(STILL, source, *names)
-    within = times[-1] <= (task.horizon + JITTER) * task.time_step  # what fails later has lasted
-    failure = recording.failure if within else None
-    return _ended(states, inputs, failure, request, f"{source}: row {rows[-1]}")
 
 
 def _unwound(states: Array, request: ExperimentRequest) -> Array:

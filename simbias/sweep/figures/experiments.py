@@ -14,7 +14,7 @@ from simbias.core.proportions import CONFIDENCE
 from simbias.pictures.elements.layout import legend
 from simbias.pictures.elements.style import literal, plain, series_style
 from simbias.sweep.batches import Outcomes
-from simbias.sweep.figure import FigureError, Picture, SweepFigure, SweptTrials
+from simbias.sweep.figure import NONE_ENDED, FigureError, Picture, SweepFigure, SweptTrials
 from simbias.sweep.tables import cells, column_head, heads
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Experiments(SweepFigure):
             raise FigureError("the sweep has no axis along which to draw its cells")
         table = cells(trials.table, trials.sweep)
         if not table["trials"].any():
-            raise FigureError("no trial of the sweep ran to an end")
+            raise FigureError(NONE_ENDED)
         return Picture(_figure(table, trials.sweep), table, _caption(table))
 
 
@@ -83,8 +83,7 @@ def _figure(table: pd.DataFrame, sweep: Sweep) -> Figure:
             own = own[own[axis.name] == label]
         offset = 0.5 * (index - (len(curves) - 1) / 2) / max(len(curves), 2)
         _curve(axes, own, offset, index, literal(", ".join(map(_series, others, labels))), len(curves) > 1)
-    axes.set_xticks(range(len(ticks)), ticks)
-    _label(axes, along)
+    _label(axes, along, ticks)
     axes.set_ylim(bottom=0)
     axes.set_xlim(-0.6, len(along.labels) - 0.4)
     axes.set_ylabel("hardware experiments until success")
@@ -123,8 +122,9 @@ def _curve(axes: Axes, own: pd.DataFrame, offset: float, index: int, name: str, 
             fraction.set(ha="center", va="bottom", rotation=90 * narrow)
 
 
-def _label(axes: Axes, along: Axis) -> None:
-    """The words below the axis; ticks of points of several values have a line for each."""
+def _label(axes: Axes, along: Axis, ticks: Sequence[str]) -> None:
+    """The points of the axis and what they are; ticks of points of several values have a line for each."""
+    axes.set_xticks(range(len(ticks)), ticks)
     names = heads(along)
     axes.set_xlabel(names[0] if len(names) == 1 else "from above: " + ", ".join(names))
     plain(axes, "y")
