@@ -95,7 +95,7 @@ def prepared(study: Study) -> Study:
         raise ConfigError("", words(error)) from error
     if not known.parameters:
         raise ConfigError("nominal", "declares no uncertain parameters (nominal.uncertainty)")
-    return replace(study, identification=posterior.with_central_differences())
+    return replace(study, identification=posterior.of_recordings())
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices: threads cost more than they save

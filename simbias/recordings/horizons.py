@@ -11,7 +11,7 @@ from scipy.special import chdtri
 
 from simbias.core import FittedBias, Nominal, Task
 from simbias.core.records import Array, Flags, Rollout
-from simbias.recordings.noise import noise_of
+from simbias.learning.noise import noise_of
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 
 HORIZONS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # s

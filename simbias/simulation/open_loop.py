@@ -1,8 +1,8 @@
 """Predictions of recorded experiments under their recorded inputs, many models in lockstep.
 
-Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one;
-what the state does not show, the model state, runs on. What comes out are means over chunks
-of successive frames: they hold what single noisy frames say, in fewer numbers.
+Every experiment is one long pass. At the beginning of each window the state is reset to the recorded one,
+perhaps smoothed; what the state does not show, the model state, runs on. What comes out are means over
+chunks of successive frames: they hold what single noisy frames say, in fewer numbers.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ class Windows:
     window: int
     chunk: int
     noise: Array | float = 0.0  # (n,) standard deviations of the states' measurements, as far as known
+    smoothed: Array | None = None  # (F, n) states in which predictions begin; by default those recorded
     recordings: Indices | None = None  # (r,) that experiments are pieces of; by default each is one
 
     @staticmethod
@@ -74,6 +75,11 @@ class Windows:
 
     def __len__(self) -> int:
         return int(self.frames.sum()) // self.window
+
+    @property
+    def begin(self) -> Array:
+        """States (F, n) in which predictions would begin."""
+        return self.states if self.smoothed is None else self.smoothed
 
     @property
     def experiments(self) -> Indices:
@@ -164,7 +170,7 @@ def _compiled(
         compile_open_loop(Function.of(step), Function.of(correct), n, m, *memory),
         *(windows.window, windows.chunk, step.parameters, correct.parameters, offsets),
         *(windows.firsts, leads, windows.frames, np.cumsum(chunks) - chunks),
-        *map(np.ascontiguousarray, (windows.states, windows.inputs)),  # else another loop is compiled
+        *map(np.ascontiguousarray, (windows.begin, windows.inputs)),  # else another loop is compiled
         means,
     )
     in_threads(loop, len(offsets) * len(windows.firsts))
@@ -193,7 +199,7 @@ def plain(models: Sequence[PredictionModel], windows: Windows, bias: FittedBias 
 def _plain(model: PredictionModel, windows: Windows, bias: FittedBias | None) -> Array:
     """Predictions of one model, all windows side by side."""
     nominal, starts = model.nominal, windows.starts
-    x = windows.states[starts] + (0.0 if model.offset is None else model.offset)
+    x = windows.begin[starts] + (0.0 if model.offset is None else model.offset)
     model_state, made = model_states(nominal, windows), np.empty((len(starts), windows.window, x.shape[1]))
     for t in range(windows.window):
         u = windows.inputs[starts + t]

@@ -10,9 +10,9 @@ import numpy as np
 from simbias.config import ConfigError
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.posterior import Posterior
+from simbias.learning.noise import noise_of
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import trajectory
-from simbias.recordings.noise import noise_of
 from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
 from simbias.terminal.identify import Request, table
 from simbias.terminal.lines import say, standard_output

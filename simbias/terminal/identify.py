@@ -15,11 +15,11 @@ from simbias.config import ConfigError, compose
 from simbias.config.build import build
 from simbias.config.hydra_config import overridden
 from simbias.lab.recorded import Recorded
+from simbias.learning.noise import noise_of
 from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
-from simbias.recordings.noise import noise_of
 from simbias.recordings.reading import Recordings, read
 from simbias.terminal.lines import say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line

@@ -94,7 +94,7 @@ def test_strong_motion_determines_no_more_than_there_is() -> None:
 
     Forward differences miss that the values on which it does lie on a curve.
     """
-    study = pendulum(*QUICK, "identification.differences=forward")
+    study = pendulum(*QUICK, "identification.differences=forward", "identification.smoothing=0")
     robot, _ = truth(study.nominal, np.random.default_rng(0))
     u = 10 * np.sin(np.arange(400)[:, None] * np.array([0.03, 0.05]))
     states = [np.array([0.0, 0.0, 20.0, -20.0])]
@@ -104,7 +104,7 @@ def test_strong_motion_determines_no_more_than_there_is() -> None:
         each.identification.fit(study.nominal, [Rollout(np.array(states), u)])
         for each in (study, prepared(study))
     ]
-    np.testing.assert_array_equal(fits[0].mode, fits[1].mode)
+    np.testing.assert_allclose(fits[0].mode, fits[1].mode, atol=0.01)
     assert [len(undetermined(fit)) for fit in fits] == [1, 2]
     assert [direction.deviation for direction in undetermined(fits[1])] == pytest.approx([1, 1], abs=0.05)
 
@@ -208,7 +208,7 @@ def test_the_posterior_is_that_of_markov_chains(study: Study) -> None:
     rollout = experiment(robot, rng, 300)
     fitted = study.identification.fit(study.nominal, [rollout])
     assert isinstance(fitted, Identified)
-    windows = Windows.of([rollout], 50, 5)
+    windows = study.identification.windows([rollout])  # type: ignore[attr-defined]
     comparison = Comparison.at(study.nominal, windows, fitted.mode, FREEDOM)
 
     def log_densities(z: Array) -> Array:

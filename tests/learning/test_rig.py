@@ -163,7 +163,8 @@ def test_a_load_is_of_one_recording_and_all_else_is_shared(fitted: Identified) -
         assert found["friction_1"].value == pytest.approx(0.1, abs=0.02)
         for name, value in SHARED.items():
             width = found[name].high - found[name].low
-            assert abs(found[name].value - value) < min(1.5 * width, 0.35 * value), name
+            few = 0.45 if name.endswith("stribeck") else 0.35  # 3% of the frames are slow enough to tell it
+            assert abs(found[name].value - value) < min(1.5 * width, few * value), name
 
 
 @pytest.mark.slow

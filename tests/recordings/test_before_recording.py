@@ -18,7 +18,6 @@ from simbias.core.records import Rollout
 from simbias.learning.identification.identified import Identified, Known
 from simbias.recordings.assessment import prepared
 from simbias.recordings.excitation import Designer
-from simbias.recordings.noise import noise_of
 from simbias.recordings.recovery import Recovery, Take, record, recover
 from simbias.simulation.open_loop import PredictionModel
 from simbias.trial.study import Study
@@ -117,7 +116,7 @@ def test_what_is_designed_tells_more_than_a_labs_chirps(study: Study, lab: Rollo
         volumes.append([np.linalg.slogdet(fit.covariance)[1] / 2 / len(z) for fit in fits])  # type: ignore[attr-defined]
         errors.append([np.sqrt(np.mean((fit.mode - z) ** 2)) for fit in fits])  # type: ignore[attr-defined]
     of_lab, of_design = np.mean(volumes, axis=0)
-    assert np.exp(of_design - of_lab) < 0.85  # of the lab's deviation, a geometric mean over parameters
+    assert np.exp(of_design - of_lab) < 0.92  # of the lab's deviation, a geometric mean over parameters
     assert np.mean(errors, axis=0)[1] < np.mean(errors, axis=0)[0]
 
 
@@ -191,32 +190,6 @@ def test_a_robot_that_fails_is_recorded_until_then(study: Study) -> None:
     for none in gone, late:
         with pytest.raises(ConfigError, match="no robot that was drawn lasts"):
             recover(limited(), [none], NOISE, robots=1)
-
-
-RARE = [(1, 0, 0), (2, 0, 0), (5, 0, 0), (5, 0.3, 0), (10, 0.5, 1)]
-
-
-@pytest.mark.parametrize(("every", "late", "jitter"), RARE)
-def test_noise_is_that_which_was_added_to_samples(every: int, late: float, jitter: float) -> None:
-    """One state is measured every few frames, perhaps between two; the other in each."""
-    rng = np.random.default_rng(0)
-    t, samples = np.arange(4000.0), late + every * np.arange(4000.0 // every + 1)
-    samples += jitter * rng.uniform(-1, 1, len(samples))
-    rare = np.interp(t, samples, np.sin(0.004 * samples) + 0.01 * rng.standard_normal(len(samples)))
-    often = 100 * np.cos(0.01 * t) + rng.standard_normal(len(t))
-    states = np.column_stack([rare, often])
-    rtol = 0.2 if every > 1 else 0.1
-    np.testing.assert_allclose(noise_of([Rollout(states, states[:-1])]), [0.01, 1.0], rtol=rtol)
-
-
-def test_steps_of_an_encoder_are_noise_also_where_it_mostly_rests() -> None:
-    """About a step over the root of 12; they are no rare samples. What never moves has none."""
-    values = np.round(40 * np.sin(0.004 * np.arange(5000.0)))
-    assert (np.diff(values) == 0).mean() > 0.8
-    states = np.column_stack([values, np.ones(5000)])
-    moving, still = noise_of([Rollout(states, states[:-1])])
-    assert 12**-0.5 / 2 < moving < 2 * 12**-0.5
-    assert still == 0
 
 
 def test_no_inputs_last_for_ever(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from simbias.core import Identification, Nominal, Task
-from simbias.core.ranges import Count, Seconds
+from simbias.core.ranges import Count, Lag, Seconds
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified, Known, KnownPrior
 from simbias.learning.identification.possible import nearest_possible
 from simbias.learning.identification.problem import Comparison, Differences, Problem
 from simbias.learning.identification.rig import Motor, Rig, Sensor, check_signals
+from simbias.learning.noise import smoothed
 from simbias.learning.prediction_errors import FREEDOM, ErrorDistribution
 from simbias.simulation.noise import QUIET, Noise, Variances
 from simbias.simulation.open_loop import Windows
@@ -23,6 +24,7 @@ from simbias.simulation.open_loop import Windows
 ROBUST_FREEDOM = 0.1  # nu / d of the first rounds, in which outliers have next to no weight
 WIDEST = 2.0  # deviations of the prior by which errors scatter the mode, beyond which they tell nothing
 AS_DECLARED = -5.0  # coordinate at which a half-normal parameter is what is declared, to 1e-7 of its spread
+SMOOTHING = 0.05  # s, at least, of recordings; in trials it is as declared
 TOLERANCE = 0.05  # of the mode's convergence, in standard deviations of the posterior
 
 
@@ -73,6 +75,11 @@ class Posterior(Identification):
     longer_windows
         Further durations in s of predictions, as what differs little in a short while may differ much in a
         long one. Each window counts alike; durations that no experiment has do not count.
+    smoothing
+        Largest duration in s before and after a state, from which the one that a prediction begins with is
+        smoothed (`simbias.learning.noise.smoothed`). Otherwise noise of velocities is taken for damping where
+        friction is dry. `identify`, `excite` and `--recover` take 0.05 s at least. 0, of published trials:
+        predictions begin at states as they were measured.
     differences
         That the covariance is computed from. Under strong motion only central ones tell what experiments do
         not determine; `identify`, `excite` and `--recover` always take these. Forward ones are quicker, may
@@ -99,6 +106,7 @@ class Posterior(Identification):
         each: list[str] | None = None,
         longer_windows: list[Seconds] | None = None,
         noise: Variances = QUIET,
+        smoothing: Lag = 0.0,
         differences: Differences = "forward",
     ) -> None:
         self._task, self._motors, self._sensors, self._each = task, motors or {}, sensors or {}, each or []
@@ -111,6 +119,7 @@ class Posterior(Identification):
         self._rounds = rounds
         self._evaluations = evaluations
         self._longer = longer_windows or []
+        self._smoothed = round(smoothing / task.time_step)  # frames
         self._differences = differences
         self._noise = np.sqrt(Noise(task, noise).sensor_variance[: len(task.without_targets.states)])
 
@@ -132,10 +141,11 @@ class Posterior(Identification):
         other._longer = [each * window / self.window for each in self._longer]
         return other
 
-    def with_central_differences(self) -> Posterior:
-        """A copy whose covariance also tells what strong motion does not determine."""
+    def of_recordings(self) -> Posterior:
+        """A copy with central differences, whose predictions begin at smoothed states."""
         other = copy(self)
         other._differences = "central"
+        other._smoothed = max(self._smoothed, round(SMOOTHING / self._time_step))
         return other
 
     def with_known(self, known: Known) -> Posterior:
@@ -146,11 +156,19 @@ class Posterior(Identification):
 
     def windows(self, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Windows:
         """Experiments, cut as predictions are compared with them."""
-        windows = Windows.of(rollouts, self._window, self._chunk, self._noise)
+        windows = self._cut(rollouts)
+        if self._smoothed:
+            made = zip(rollouts, smoothed(rollouts, self._smoothed), strict=True)
+            smooth = [replace(rollout, states=states) for rollout, states in made]
+            windows = replace(windows, smoothed=self._cut(smooth).states)
         if not recordings:
             return windows
         order = list(dict.fromkeys(recordings))
         return replace(windows, recordings=np.array([order.index(each) for each in recordings]))
+
+    def _cut(self, rollouts: Sequence[Rollout]) -> Windows:
+        """Windows of the declared duration."""
+        return Windows.of(rollouts, self._window, self._chunk, self._noise)
 
     def fit(self, nominal: Nominal, rollouts: Sequence[Rollout], recordings: Sequence[str] = ()) -> Nominal:
         """The model at the mode, which draws from the posterior.

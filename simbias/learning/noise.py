@@ -1,0 +1,70 @@
+"""White noise of recorded states, and states without most of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from simbias.core.records import Array, Rollout
+
+LINEAR = 1e-9  # of a state's range: a second difference that is rounding
+FEWEST = 8  # samples that tell how often a state was measured
+DEGREE = 4  # of polynomials, which keep the height of a motion's waves
+FEWEST_AROUND = 3  # frames to each side of one that is smoothed
+WIDTHS = 12  # numbers of frames that are tried
+OUTLIER = 4.0  # deviations of noise
+EVEN = 2.0  # long over short times between samples; between steps of an encoder they differ more
+
+
+def noise_of(rollouts: Sequence[Rollout]) -> Array:
+    """Standard deviations (n,) of white noise in recorded states, from third differences of their samples.
+
+    Those of zero, where an encoder rests, do not count.
+    """
+    thirds = [
+        np.abs(np.concatenate([np.diff(_samples(values), 3) for values in states]))
+        for states in zip(*(rollout.states.T for rollout in rollouts), strict=True)
+    ]
+    moving = [each[each > LINEAR * each.max(initial=0.0)] for each in thirds]
+    return np.array([np.median(each) if len(each) else 0.0 for each in moving]) / 0.6745 / np.sqrt(20.0)
+
+
+def smoothed(rollouts: Sequence[Rollout], frames: int) -> list[Array]:
+    """States (k + 1, n) of each rollout without most of their white noise.
+
+    Each is that of a polynomial through the frames around, at most `frames` to each side (A. Savitzky and
+    M. J. E. Golay, Analytical Chemistry 36, 1964). How many depends on the state: with them, a polynomial
+    tells best of a frame that it has not seen, but for outliers (leave-one-out cross-validation). Where more
+    than noise would go, as at a collision, states stay as recorded; so do rollouts of fewer frames.
+    """
+    long = [rollout for rollout in rollouts if len(rollout.states) > 2 * frames]
+    if frames < FEWEST_AROUND or not long:
+        return [rollout.states for rollout in rollouts]
+    recorded = np.concatenate([rollout.states for rollout in long])
+    best, least = recorded, np.full(recorded.shape[1], np.inf)
+    for half in np.unique(np.geomspace(FEWEST_AROUND, frames, WIDTHS).round().astype(int)).tolist():
+        width = 2 * half + 1
+        smooth = np.concatenate([savgol_filter(rollout.states, width, DEGREE, axis=0) for rollout in long])
+        removed = np.abs(smooth - recorded)
+        outlying = OUTLIER * np.median(removed, axis=0) / 0.6745
+        unseen = np.minimum(removed, outlying) / (1.0 - savgol_coeffs(width, DEGREE)[half])
+        errors = np.mean(unseen**2, axis=0)
+        best = np.where(errors < least, np.where(removed > outlying, recorded, smooth), best)
+        least = np.minimum(errors, least)
+    ends = np.cumsum([len(rollout.states) for rollout in long])[:-1]
+    made = iter(np.split(best, ends))
+    return [next(made) if len(rollout.states) > 2 * frames else rollout.states for rollout in rollouts]
+
+
+def _samples(values: Array) -> Array:
+    """A state (k,) in each frame or, where it was measured less often and is linear between, when it was."""
+    sizes = np.abs(np.diff(values, 2))
+    bends = sizes > LINEAR * np.ptp(values)
+    # A sample between two frames bends the line in both, in the nearer one more.
+    samples = np.flatnonzero(bends[1:-1] & (sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] > sizes[2:])) + 2
+    if len(samples) < FEWEST or bends.sum() > 2 * (len(samples) + 1):
+        return values
+    least, most = np.quantile(np.diff(samples), [0.1, 0.9])
+    return values[samples] if most <= EVEN * least else values

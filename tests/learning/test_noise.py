@@ -1,0 +1,95 @@
+"""Noise of recorded states, which is added to known ones, and states without most of it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pendulum import QUICK, experiment, pendulum
+
+from simbias.core.parameters import values_at
+from simbias.core.records import Array, Rollout
+from simbias.learning.identification.identified import Identified
+from simbias.learning.noise import OUTLIER, noise_of, smoothed
+from simbias.recordings.assessment import prepared
+
+RARE = [(1, 0, 0), (2, 0, 0), (5, 0, 0), (5, 0.3, 0), (10, 0.5, 1)]
+
+
+@pytest.mark.parametrize(("every", "late", "jitter"), RARE)
+def test_noise_is_that_which_was_added_to_samples(every: int, late: float, jitter: float) -> None:
+    """One state is measured every few frames, perhaps between two; the other in each."""
+    rng = np.random.default_rng(0)
+    t, samples = np.arange(4000.0), late + every * np.arange(4000.0 // every + 1)
+    samples += jitter * rng.uniform(-1, 1, len(samples))
+    rare = np.interp(t, samples, np.sin(0.004 * samples) + 0.01 * rng.standard_normal(len(samples)))
+    often = 100 * np.cos(0.01 * t) + rng.standard_normal(len(t))
+    states = np.column_stack([rare, often])
+    rtol = 0.2 if every > 1 else 0.1
+    np.testing.assert_allclose(noise_of([Rollout(states, states[:-1])]), [0.01, 1.0], rtol=rtol)
+
+
+def test_steps_of_an_encoder_are_noise_also_where_it_mostly_rests() -> None:
+    """About a step over the root of 12; they are no rare samples. What never moves has none."""
+    values = np.round(40 * np.sin(0.004 * np.arange(5000.0)))
+    assert (np.diff(values) == 0).mean() > 0.8
+    states = np.column_stack([values, np.ones(5000)])
+    moving, still = noise_of([Rollout(states, states[:-1])])
+    assert 12**-0.5 / 2 < moving < 2 * 12**-0.5
+    assert still == 0
+
+
+def recorded(*states: Array) -> Rollout:
+    x = np.column_stack(states)
+    return Rollout(x, x[:-1])
+
+
+def test_smoothed_states_are_nearer_to_the_motion_than_recorded_ones() -> None:
+    """White noise falls to less than half."""
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(2000.0)
+    motion = np.column_stack([np.sin(3 * t), 3 * np.cos(3 * t)])
+    noisy = motion + np.array([0.01, 0.3]) * rng.standard_normal(motion.shape)
+    smooth = smoothed([Rollout(noisy, noisy[:-1])], 10)[0]
+    assert (np.std(smooth - motion, axis=0) < 0.5 * np.array([0.01, 0.3])).all()
+    np.testing.assert_array_equal(smoothed([Rollout(noisy, noisy[:-1])], 0)[0], noisy)
+
+
+def test_motion_without_noise_stays() -> None:
+    """To less than a millionth; and so does a state that rests, and what is too short to be smoothed."""
+    t = 0.01 * np.arange(500.0)
+    exact = recorded(np.sin(4 * t) + 0.2 * np.sin(19 * t), np.zeros(500))
+    np.testing.assert_allclose(smoothed([exact], 10)[0], exact.states, rtol=0, atol=1e-6)
+    short = recorded(np.random.default_rng(0).standard_normal(6))
+    np.testing.assert_array_equal(smoothed([short], 10)[0], short.states)
+
+
+@given(at=st.integers(40, 160), jump=st.floats(1.0, 1e3))
+def test_a_collision_stays_where_it_is(at: int, jump: float) -> None:
+    """A velocity that jumps in one frame is moved by no more than its noise, nor in other recordings."""
+    noise = 0.01 * np.random.default_rng(at).standard_normal(200)
+    struck, other = recorded(np.where(np.arange(200) < at, 0.0, jump) + noise), recorded(noise)
+    for rollout, smooth in zip([struck, other], smoothed([struck, other], 8), strict=True):
+        assert np.abs(smooth - rollout.states).max() < OUTLIER * 0.02
+
+
+@pytest.mark.slow
+def test_predictions_that_begin_smoothed_tell_more() -> None:
+    """Of what noisy velocities blur, errors and told deviations are smaller, and true values are held."""
+    study = prepared(pendulum(*QUICK, "nominal.uncertainty.bodies=false"))
+    identifications = [pendulum(*QUICK, "identification.smoothing=0").identification, study.identification]
+    names = [parameter.name for parameter in study.nominal.parameters]
+    told = [names.index(name) for name in ("inertia_2", "damping_1", "damping_2", "friction_1", "friction_2")]
+    wrong, deviations = np.empty((2, 2, 8, len(told)))
+    for k in range(8):
+        rng = np.random.default_rng(k)
+        z = 0.5 * rng.standard_normal(len(names))
+        robot = study.nominal.with_parameters(values_at(study.nominal.parameters, z))
+        rollouts = [experiment(robot, rng, noise=np.array([1e-3, 1e-3, 0.1, 0.1])) for _ in range(2)]
+        for i, identification in enumerate(identifications):
+            fitted = identification.fit(study.nominal, rollouts)
+            assert isinstance(fitted, Identified)
+            wrong[i, k] = (fitted.mode - z)[told]
+            deviations[i, k] = np.sqrt(np.diag(fitted.covariance))[told]
+    errors = np.sqrt(np.mean(wrong**2, axis=1))
+    for measured, smooth in (errors, deviations.mean(axis=1)):
+        assert np.exp(np.mean(np.log(smooth / measured))) < 0.85
+    assert np.mean(np.abs(wrong[1]) < 1.645 * deviations[1]) > 0.75
