@@ -16,7 +16,7 @@ from simbias.search.optimizer.following import Following
 from simbias.search.optimizer.ilqr import Shooting
 from simbias.simulation.closed_loop import simulator
 from simbias.simulation.numpy_loop import PlainSimulator
-from simbias.trial.diagnostics import of_goal, of_prediction
+from simbias.trial.diagnostics import of_experiments, of_goal, of_prediction
 from simbias.trial.steps import Stopwatch, iteration_record
 from simbias.trial.study import Study
 
@@ -100,6 +100,9 @@ def test_a_policy_that_does_not_swing_up_is_told_why(monkeypatch: pytest.MonkeyP
     )
     assert f"{missed}, its inputs at their limits in 0% of" in remark.words
     rollout = study.simulate(np.zeros(study.policy.n_parameters))
+    assert of_experiments((rollout,), study) == [  # on hardware it is told likewise
+        "1 of 1 experiment missed the goal: in its last 1 s upright is 3.14 rad, not below 0.2"
+    ]
     fallen = replace(rollout, inputs=rollout.inputs[:157], failed_at=157, failure="off_the_rail")
     (remark,) = of_goal(fallen, study.task)
     assert remark.words == "this policy fails in simulation, after 3.14 s: off the rail"

@@ -144,13 +144,10 @@ class TrialConsole(Observer):
         """The closing line: what came out, after how many experiments, and how to look at it."""
         summary = record.summary
         colour = "green" if summary.outcome is Outcome.SUCCEEDED else "red"
-        words = self._study.task.words
         self._progress.update(self._bar, visible=False)
-        last = record.iterations[-1:]
-        names = {each.failure for iteration in last for each in iteration.experiments if each.failure}
-        reason = f"; last failure: {escape(brief(', '.join(sorted(map(words, names)))))}" if names else ""
+        why = f" {escape(brief(summary.reason))}" if summary.reason else ""
         earlier = ", in an earlier run of this command; seed=N makes another trial" * replayed
-        verdict = f"[{colour}]{summary.outcome.verdict}[/{colour}] after {summary.effort}{reason}{earlier}."
+        verdict = f"[{colour}]{summary.outcome.verdict}[/{colour}] after {summary.effort}{earlier}.{why}"
         say(self._console, f"\n{verdict}", markup=True)
         for withdrawal in record.withdrawn:
             say(self._console, f"{withdrawal}.", "yellow")

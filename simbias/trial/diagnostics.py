@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -10,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from simbias.core import Cost, Model, Nominal, Task
+from simbias.core.messages import counted
 from simbias.core.records import Array, Iteration, Rollout, Search, Selection
 from simbias.lab.safety import Safety, exceeded
 from simbias.learning.identification.directions import undetermined
@@ -27,6 +29,20 @@ class Remark(NamedTuple):
 
     kind: str  # in few words, the same whenever it happens
     words: str  # in one line, with its numbers
+
+
+def of_experiments(experiments: Sequence[Rollout], study: Study) -> list[str]:
+    """How many hardware experiments fail, miss the goal or cost too much, and how, in words."""
+    task, ends = study.task, defaultdict[str, list[str]](list)
+    for each in experiments:
+        if each.failed_at is not None:
+            ends["failed"].append(task.words(each.failure or "failed"))
+        elif not study.passes(each) and task.says_success:
+            ends["missed the goal"].append(task.missed(each.states))
+        elif not study.passes(each):
+            ends[f"cost too much (Z_max {study.cost.max_cost:g})"].append(f"{each.cost:.4g}")
+    of = counted(len(experiments), "experiment")
+    return [f"{len(each)} of {of} {end}: {', '.join(dict.fromkeys(each))}" for end, each in ends.items()]
 
 
 def of_policy(theta: Array, search: Search | None, earlier: Sequence[Iteration]) -> Iterator[Remark]:

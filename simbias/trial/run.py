@@ -68,7 +68,7 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
     with threadpool_limits(1, user_api="blas"), kept.opened() if kept else nullcontext():
         try:
             run.run()
-            record = run.record(Outcome.SUCCEEDED if run.succeeded else Outcome.NOT_SUCCEEDED)
+            record = run.record(*run.ended)
         except EndOfRecord:
             logging.getLogger(__name__).warning(ENDED, study.hash)
             record = run.record(Outcome.NOT_SUCCEEDED)  # it is shown as it ended
@@ -129,9 +129,13 @@ class _Run(Observer):
             self._policy_test = run_policy_test(designed, theta, study.policy_test, trying)
 
     @property
-    def succeeded(self) -> bool:
-        """Whether the last iteration's policy passed on the hardware."""
-        return bool(self._iterations) and self._iterations[-1].succeeded
+    def ended(self) -> tuple[Outcome, str]:
+        """Whether the last iteration's policy passed on the hardware, and why not."""
+        last = self._iterations[-1] if self._iterations else None
+        if last is not None and last.succeeded:
+            return Outcome.SUCCEEDED, ""
+        why = "; ".join(diagnostics.of_experiments(last.experiments if last else (), self._study))
+        return Outcome.NOT_SUCCEEDED, f"Of the last policy, {why}." if why else ""
 
     def experimented(self, rollout: Rollout) -> None:
         """Note an experiment."""

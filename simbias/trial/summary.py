@@ -51,7 +51,7 @@ class TrialSummary:
     """A trial in numbers, up to its end or to where it stopped; numbers that it lacks are nan."""
 
     outcome: Outcome
-    reason: str = ""  # type and message of an error, or the sentence of Waiting
+    reason: str = ""  # of an error its type and message; else a sentence
     traceback_file: str = ""
     experiments: int = 0  # on hardware, made so far
     iterations: int = 0  # finished so far
@@ -154,11 +154,8 @@ def iteration_summary(study: Study, iteration: Iteration, earlier: Sequence[Iter
 
 
 def _events(study: Study, iteration: Iteration, earlier: Sequence[Iteration]) -> Iterator[str]:
-    """The events of an iteration in words: failures, and everything odd."""
-    failures = [each.failure or "failed" for each in iteration.experiments if each.failed_at is not None]
-    if failures:
-        causes = ", ".join(study.task.words(name) for name in dict.fromkeys(failures))
-        yield f"{len(failures)} of {counted(len(iteration.experiments), 'experiment')} failed: {causes}"
+    """The events of an iteration in words: why experiments are no success, and everything odd."""
+    yield from diagnostics.of_experiments(iteration.experiments, study)
     said = {remark.kind for remark in diagnostics.of_trial(earlier, study)}
     said |= {"model cleared" for each in earlier if each.learning and each.learning.reset}
     resets = diagnostics.of_reset(iteration, study.cost.max_cost)

@@ -68,7 +68,7 @@ def test_failure_exits_1_and_says_why(line: Any, tmp_path: Path) -> None:
     status, out, _ = line(*short, "tracking=none")
     assert status == 1
     assert "Did not succeed after 2 hardware experiments" in out
-    assert "last failure: " in out
+    assert "Of the last policy, 2 of 2 experiments failed: " in out
     assert not list(tmp_path.iterdir())
 
 
