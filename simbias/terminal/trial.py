@@ -91,6 +91,7 @@ class TrialConsole(Observer):
 
     def experimenting(self, theta: Array, start: Array) -> None:
         """Tell that a hardware experiment is under way; the screen is the hardware's meanwhile."""
+        self._remark(diagnostics.of_safety(theta, start, self._model, self._study))
         words = f"hardware experiment {self._experiments + 1} under way"
         self._progress.update(self._bar, description=words, completed=0, best="")
 

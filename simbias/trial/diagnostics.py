@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain, islice
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -13,7 +14,7 @@ import numpy as np
 from simbias.core import Cost, Model, Nominal, Task
 from simbias.core.messages import counted
 from simbias.core.records import Array, Iteration, Rollout, Search, Selection
-from simbias.lab.safety import Safety, exceeded
+from simbias.lab.safety import exceeded
 from simbias.learning.identification.directions import undetermined
 from simbias.learning.identification.identified import Identified
 from simbias.simulation.closed_loop import simulator
@@ -92,9 +93,13 @@ def of_goal(rollout: Rollout, task: Task) -> Iterator[Remark]:
     )
 
 
-def of_safety(rollout: Rollout, task: Task, safety: Safety) -> Iterator[Remark]:
-    """Whether a simulated rollout goes beyond `hardware.safety`."""
-    if beyond := exceeded(rollout, task, safety.bounds(task)):
+def of_safety(theta: Array, start: Array, model: Model | None, study: Study) -> Iterator[Remark]:
+    """Whether an experiment with theta (p,) from a start (n,) goes beyond `hardware.safety` in simulation."""
+    task, safety = study.task, study.conditions.safety
+    if model is None or not safety.limits:
+        return
+    in_searches = simulator(model, cost=study.cost)  # the loop that they have compiled
+    if beyond := exceeded(in_searches.rollout(theta, start), task, safety.bounds(task)):
         yield Remark(
             "a policy goes beyond hardware.safety in simulation",
             f"this policy goes beyond hardware.safety in simulation: {beyond}; experiments are "
@@ -133,15 +138,9 @@ def of_prediction(theta: Array, model: Model | None, study: Study) -> Iterator[R
     """Oddities of a policy theta (p,) on the model that it was made on, before hardware is spent on it."""
     if model is None:
         return
-    task, safety = model.task, study.conditions.safety
-    says_success = task.says_success
-    if safety.limits or says_success:
+    if model.task.says_success:
         in_searches = simulator(model, cost=study.cost)  # the loop that they have compiled
-        rollout = in_searches.rollout(theta, task.start_mean)
-        if says_success:
-            yield from of_goal(rollout, task)
-        if safety.limits:
-            yield from of_safety(rollout, task, safety)
+        yield from of_goal(in_searches.rollout(theta, model.task.start_mean), model.task)
     yield from of_model(theta, model, study.cost)
 
 
@@ -181,7 +180,9 @@ def _of_simulations(iteration: Iteration, study: Study) -> tuple[Remark, ...]:
     """Remarks that take simulations of an iteration's policy; these are made once."""
     if iteration not in _simulated:
         theta, model = iteration.parameters, iteration.model
-        _simulated[iteration] = tuple(of_prediction(theta, model, study))
+        starts = [each.states[0] for each in iteration.experiments]
+        unsafe = chain.from_iterable(of_safety(theta, start, model, study) for start in starts)
+        _simulated[iteration] = *of_prediction(theta, model, study), *islice(unsafe, 1)
     return _simulated[iteration]
 
 
