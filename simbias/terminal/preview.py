@@ -84,13 +84,15 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
     ):
         limited = f" (limit {limit:.4g})" if np.isfinite(limit) else ""
         yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{limited}."
-    seconds = expected.frames * task.time_step
-    end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
-    cost = f"cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})"
-    success = "a success" if study.passes(expected) else "no success"
-    if beyond := exceeded(expected, task, bounds):
-        end, success = "", f"it is aborted by hardware.safety, beyond {beyond}"
-    yield f"Predicted: {seconds:.2f} s{end}, {cost}: {success}."
+    if exceeded(expected, task, bounds):
+        ends = (exceeded(expected.part(0, frame + 1), task, bounds) for frame in range(expected.frames))
+        frame, beyond = next(end for end in enumerate(ends) if end[1])
+        yield f"Predicted: aborted by hardware.safety after {frame * task.time_step:.2f} s, beyond {beyond}."
+    else:
+        end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""
+        cost = f"cost {expected.cost:.4g} (Z_max {study.cost.max_cost:g})"
+        success = "a success" if study.passes(expected) else "no success"
+        yield f"Predicted: {expected.frames * task.time_step:.2f} s{end}, {cost}: {success}."
     ends = [_end(study, draw, bounds) for draw in prediction.draws]
     failures = [draw.failure for draw, end in zip(prediction.draws, ends, strict=True) if end == FAILED]
     counts = Counter(task.words(failure or "failed") for failure in failures)

@@ -203,7 +203,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     out = capsys.readouterr().out
     assert "velocity" in out
     assert " 0.3  m/s" in out
-    assert "Predicted: 2.00 s, cost " in out
+    assert re.search(r"Predicted: aborted by hardware\.safety after 0\.\d\d s, beyond \|velocity\| of 0\.3\d", out)
     assert f"Of {DRAWS} draws of start and model, 0 succeed, {DRAWS} are aborted by hardware.safety, 0" in out
     assert [path.name for path in folder.iterdir()] == ["preview.png"]
 
@@ -223,8 +223,8 @@ def test_a_policy_beyond_safety_limits_in_simulation_is_told_and_no_success(poin
     ]
     for each in (prediction, replace(prediction, expected=failing[0], draws=tuple(failing[1:]))):
         told = "\n".join(describe(study, each, safety.bounds(study.task)))  # before it fails
-        assert "it is aborted by hardware.safety, beyond |velocity| of" in told
-        assert ": a success" not in told
+        assert "Predicted: aborted by hardware.safety after 0.02 s, beyond a change of force by" in told
+        assert "cost" not in told
         assert "then fails" not in told
         assert "ABORTS" not in told
         assert f"0 succeed, {DRAWS} are aborted by hardware.safety, 0 fail." in told
