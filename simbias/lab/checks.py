@@ -58,7 +58,8 @@ def check_rollout(
             raise HardwareError(
                 f"{source}: states: expected {state.name} to begin at {at:g} {state.unit}, within "
                 f"{START_DEVIATIONS:g} deviations of the task's starts, got {states[0, i]:g}; is it another "
-                f"unit? If it cannot begin where it is asked to, sets_start is False"
+                f"unit? If these are what sensors told, the rollout is sensed=True; if it cannot begin where "
+                f"it is asked to, sets_start is False"
             )
     failed_at, failure = _frame(rollout.failed_at, f"{source}: failed_at"), rollout.failure
     ends = np.flatnonzero(task.violated(states[1:]) >= 0)
