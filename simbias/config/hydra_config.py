@@ -37,6 +37,12 @@ def composed(overrides: Sequence[str], config_dir: str | None, grid: bool, files
     from simbias.config import option_files  # lazily: Hydra takes a tenth of a second
 
     option_files.register()
+
+    def noise(*, _root_: DictConfig) -> Any:
+        declared = OmegaConf.select(_root_, "hardware.noise")
+        return declared if OmegaConf.is_dict(declared) else {}  # a class of one's own may take a number
+
+    OmegaConf.register_new_resolver("noise_of_hardware", noise, replace=True)
     if config_dir is not None:
         overrides = [*overrides, f"hydra.searchpath=[{_quoted(f'{option_files.SCHEME}://{config_dir}')}]"]
     given = parsed(overrides)
