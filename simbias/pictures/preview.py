@@ -55,7 +55,7 @@ def preview(study: Study, prediction: Prediction, bounds: Bounds) -> Figure:
     headline(grid[0], "the next experiment, as predicted")
     entries: dict[str, Artist] = {
         "from the experiment's start": Line2D([], [], color=SIMULATION),
-        f"90% of {DRAWS} draws of other starts and models"
+        f"at each time, 90% of {DRAWS} draws of other starts and models"
         f"{f', {sum(ended)} fail or are aborted' if any(ended) else ''}": Patch(color=SIMULATION, alpha=0.2),
     }
     if limited:
