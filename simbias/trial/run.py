@@ -73,12 +73,12 @@ def run_trial(study: Study, folder: Path | None = None, observer: Observer | Non
             logging.getLogger(__name__).warning(ENDED, study.hash)
             record = run.record(Outcome.NOT_SUCCEEDED)  # it is shown as it ended
         except Waiting as reason:
-            record = run.record(Outcome.WAITING, words(reason))
+            record = run.record(Outcome.WAITING, f"{run.episode}{words(reason)}")
         except (KeyboardInterrupt, GeneratorExit):
             run.stop(run.record(Outcome.INTERRUPTED))
             raise
         except BaseException as error:  # also SystemExit, and by what other libraries end their tasks
-            record = run.record(Outcome.ERROR, told(error), with_trace(error))
+            record = run.record(Outcome.ERROR, f"{run.episode}{told(error)}", with_trace(error))
         return run.stop(record)
 
 
@@ -115,6 +115,7 @@ class _Run(Observer):
         self._made: list[Rollout] = []
         self._unfinished: list[Rollout] = []
         self._policy_test: PolicyTestResult | None = None
+        self.episode = ""  # of the test that is under way, as the beginning of a reason
 
     def run(self) -> None:
         """Run the method, then the test of its last policy."""
@@ -141,6 +142,10 @@ class _Run(Observer):
         """Note an experiment."""
         self._made.append(rollout)
         self._unfinished.append(rollout)
+
+    def trying(self, number: int, count: int) -> None:
+        """Note a test episode."""
+        self.episode = f"test episode {number + 1} of {count}: "
 
     def iterated(self, iteration: Iteration) -> None:
         """Note an iteration."""

@@ -2,13 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from conftest import OWN_CONF, POINT_MASS
+from point_mass import InTheWind
 from records import assert_equal, timeless
 
 import simbias
+from simbias.core import HardwareError
+from simbias.core.records import Rollout
+from simbias.trial.observer import Observer
 from simbias.trial.policy_test import Episode, PolicyTest, PolicyTestResult, episodes_csv, run_policy_test
 from simbias.trial.run import run_trial
 from simbias.trial.study import Study
@@ -45,6 +50,19 @@ def test_a_trial_that_has_ended_without_it_stays_so(tmp_path: Path, caplog: pyte
     assert (again.summary, again.policy_test) == (ended.summary, None)
     assert "ended without what this command asks for" in caplog.text
     assert sorted(tmp_path.iterdir()) == files
+
+
+def test_what_raises_in_an_episode_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unplugged(*_: Any) -> Rollout:
+        raise HardwareError("unplugged")
+
+    class Unplugging(Observer):
+        def trying(self, number: int, count: int) -> None:
+            if number == 1:
+                monkeypatch.setattr(InTheWind, "run", unplugged)
+
+    record = run_trial(study("policy_test.episodes=3"), observer=Unplugging())
+    assert record.summary.reason == "test episode 2 of 3: HardwareError: unplugged"
 
 
 def test_its_starts_are_those_of_every_seed_and_its_episodes_are_experiments() -> None:
