@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -18,10 +19,11 @@ from simbias.engine.contract import MOST_LOSSES, Engine, EngineLostError, R, Res
 from simbias.engine.workplace import workplace
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, as_completed
 
 CONNECT_SECONDS = 5.0
-JOIN_SECONDS = 5.0  # that a first worker may take to join before a line says that it is waited for
+JOIN_SECONDS = 5.0  # without a worker, after which a line says that one is waited for
+POLL_SECONDS = 0.1  # between looks for what has ended, as Dask's own
 LOGGER = "distributed.client"  # which logs, with a traceback, that the scheduler is gone
 UNREADABLE = "deserialization"  # in Dask's words of a task that a worker cannot unpickle
 
@@ -46,6 +48,7 @@ class Dask(Engine):
         library("distributed", "Dask", "dask")
         self._address = address
         self.n_jobs = n_jobs
+        self._waits = False  # for a worker, and has said so
 
     def run(
         self, function: Callable[[T], R], tasks: Sequence[T], code: Callable[[], bytes] = bytes
@@ -75,7 +78,7 @@ class Dask(Engine):
                     future = client.submit(partial(function, tasks[index]), pure=False)
                     futures[future] = index
                     ended.add(future)
-                future = next(ended)
+                future = self._next(ended, client)
                 index = futures.pop(future)
                 try:
                     result = future.result()  # of a task, which raises nothing
@@ -119,13 +122,27 @@ class Dask(Engine):
             with suppress(Exception):  # of a scheduler that is gone: would hide the reason
                 client.close()
 
+    def _next(self, ended: as_completed, client: Client) -> Future:
+        """The next future that has ended; workers may all be lost meanwhile."""
+        looks = time.monotonic() + JOIN_SECONDS
+        while not ended.has_ready():
+            time.sleep(POLL_SECONDS)
+            if time.monotonic() > looks:
+                self._await_worker(client)
+                looks = time.monotonic() + JOIN_SECONDS
+        self._waits = False
+        return next(ended)
+
     def _await_worker(self, client: Client) -> None:
-        """Say so if no worker has joined after a while; Dask waits for one."""
+        """Say so, once, if there is no worker for a while; Dask waits for one."""
         try:
             client.wait_for_workers(1, timeout=JOIN_SECONDS)
+            self._waits = False
         except TimeoutError:
-            waiting = "simbias: no worker has joined the scheduler at %s yet; waiting for one"
-            logging.getLogger(__name__).warning(waiting, self._address)
+            if not self._waits:
+                waiting = "simbias: the scheduler at %s has no worker; waiting for one"
+                logging.getLogger(__name__).warning(waiting, self._address or "a local address")
+            self._waits = True
 
     @contextmanager
     def _scheduler_in_reach(self) -> Iterator[None]:

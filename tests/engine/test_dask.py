@@ -168,9 +168,15 @@ def test_a_worker_is_waited_for_and_a_line_says_so(
     with distributed.LocalCluster(**inside, dashboard_address=":0") as cluster:
         threading.Timer(0.6, cluster.scale, [1]).start()
         address = cluster.scheduler_address
-        assert list(Dask(address=address).run(str, [1])) == [(0, "1")]
+        results = Dask(address=address).run(wait_and_write, 3 * [(0.5, os.devnull)])
+        assert next(results) == (0, os.getpid())
+        cluster.scale(0)  # all are lost, amid the sweep
+        while cluster.scheduler.workers:
+            time.sleep(0.05)
+        threading.Timer(2.0, cluster.scale, [1]).start()
+        assert sorted(results) == [(1, os.getpid()), (2, os.getpid())]
     said = [each.getMessage() for each in caplog.records if each.name == module.__name__]
-    assert said == [f"simbias: no worker has joined the scheduler at {address} yet; waiting for one"]
+    assert said == [f"simbias: the scheduler at {address} has no worker; waiting for one"] * 2
 
 
 def test_a_scheduler_that_ends_ends_the_sweep(
