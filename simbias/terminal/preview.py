@@ -85,8 +85,9 @@ def describe(study: Study, prediction: Prediction, bounds: Bounds) -> Iterator[s
         limited = f" (limit {limit:.4g})" if np.isfinite(limit) else ""
         yield f"{quantity.name} changes by at most {change:.4g} {quantity.unit} in a second{limited}."
     if exceeded(expected, task, bounds):
-        ends = (exceeded(expected.part(0, frame + 1), task, bounds) for frame in range(expected.frames))
-        frame, beyond = next(end for end in enumerate(ends) if end[1])
+        parts = (expected.part(0, frame + 1) for frame in range(expected.frames))
+        beyond_in = enumerate(exceeded(part, task, bounds) for part in parts)
+        frame, beyond = next(each for each in beyond_in if each[1])
         yield f"Predicted: aborted by hardware.safety after {frame * task.time_step:.2f} s, beyond {beyond}."
     else:
         end = f", then fails: {task.words(expected.failure)}" if expected.failure else ""

@@ -213,8 +213,8 @@ class Study:
         >>> while (request := study.ask()) is not None:
         ...     study.tell(run(request.controller(), request.start))
 
-        The trial is in memory alone, whatever `tracking` says. Keep what you tell: a study that is loaded again
-        asks for the same experiments, in the same order, as long as it is told the same.
+        The trial is in memory alone, whatever `tracking` says. Keep what you tell: a study that is loaded
+        again asks for the same experiments, in the same order, as long as it is told the same.
         """
         return self.ask_tell.ask()
 

@@ -113,7 +113,7 @@ def test_presets_combine() -> None:
 
 
 def test_hardware_that_declares_no_noise_is_taken_for_quiet() -> None:
-    """As a person, in presets whose filter or identification asks for the hardware's noise; or by a number."""
+    """As a person, in presets whose filter or identification asks for the hardware's noise; or a number."""
     filtering = compose(["preset=acrobot_trajectory", "hardware=manual", "~hardware.delay"]).config
     identifying = compose(["preset=ball_in_cup", "hardware=manual"]).config
     number = compose(["preset=[cartpole,robust]", "hardware.noise=0.1"]).config

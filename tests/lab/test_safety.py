@@ -203,7 +203,7 @@ def test_preview_shows_and_draws_the_first_experiment(
     out = capsys.readouterr().out
     assert "velocity" in out
     assert " 0.3  m/s" in out
-    assert re.search(r"Predicted: aborted by hardware\.safety after 0\.\d\d s, beyond \|velocity\| of 0\.3\d", out)
+    assert re.search(r"aborted by hardware\.safety after 0\.\d\d s, beyond \|velocity\| of 0\.3", out)
     assert f"Of {DRAWS} draws of start and model, 0 succeed, {DRAWS} are aborted by hardware.safety, 0" in out
     assert [path.name for path in folder.iterdir()] == ["preview.png"]
 

@@ -61,7 +61,7 @@ def test_what_rests_without_inputs_is_warmed_up() -> None:
 def test_warm_up_and_checks_keep_to_the_policys_box(
     point_mass: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In simulation, and on the hardware, which may break, and need not begin at the start to the last bit."""
+    """In simulation, and on the hardware, which may break, and begins near the start."""
     policy, evaluation, thetas = copy(point_mass.policy), Noting(), list[Array]()
     policy.bounds = (np.full(policy.n_parameters, 0.5), policy.bounds[1])
     narrow, run = replace(point_mass, policy=policy), point_mass.hardware.run

@@ -78,6 +78,8 @@ def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "ri
 
     The words are below the limit, at the side where nothing comes near it.
     """
+    from matplotlib.patheffects import withStroke
+
     axes.axhline(limit, color=LIMIT, linewidth=0.8, zorder=1)
     scale = axes.yaxis.get_transform()
     bottom, top, at = scale.transform(np.array([*axes.get_ylim(), limit]))
@@ -95,6 +97,8 @@ def shade_beyond(axes: Axes, limit: float, words: str, side: Literal["left", "ri
         va="top",
         fontsize=SMALL,
         color=LIMIT,
+        zorder=5,  # in front of dots, on white
+        path_effects=[withStroke(linewidth=2.0, foreground="white")],
     )
 
 

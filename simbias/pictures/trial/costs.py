@@ -17,7 +17,6 @@ from simbias.pictures.elements.style import (
     HARDWARE,
     LIMIT,
     SIMULATION,
-    SMALL,
     logarithmic_if_wide,
     plain,
     shade_beyond,
@@ -42,9 +41,9 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
 
     At the left, by iteration: the prediction that the policy was chosen by, each hardware experiment's cost,
     and, joined to it, that of its policy from the same start in the simulation of the iteration's search.
-    At the right, these pairs, numbered by iteration; what lies above the diagonal is dearer than simulated.
-    Z_max parts what works from what fails, unless the task itself says what succeeds; shaded is what is below
-    it in simulation and above it on hardware.
+    At the right, these pairs, each drawn as the number of its iteration; what lies above the diagonal is
+    dearer than simulated. Z_max parts what works from what fails, unless the task itself says what succeeds;
+    shaded is what is below it in simulation and above it on hardware.
 
     Raises
     ------
@@ -68,8 +67,9 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         if models:
             by_iteration.vlines(at, models, measured, color="0.7", linewidth=0.8, zorder=1)
             by_iteration.plot(at, models, "o", color=SIMULATION, markerfacecolor="none", zorder=4)
-            pairs.plot(models, measured, "o", color=HARDWARE)
-            _number(pairs, iteration.index, models, measured)
+            digits = str(iteration.index)
+            thin = {"markersize": 6 * len(digits), "markeredgewidth": 0.3, "linestyle": ""}
+            pairs.plot(models, measured, marker=f"${digits}$", color=HARDWARE, **thin)
         values += measured + models
     logarithmic_if_wide(values, by_iteration.yaxis, pairs.xaxis, pairs.yaxis)
     by_iteration.set_xlim(-0.5, max(iteration.index for iteration in iterations) + 0.5)
@@ -83,12 +83,6 @@ def costs(study: Study, iterations: Sequence[Iteration]) -> Figure:
         plain(axes)
     legend(figure, LEGEND)
     return figure
-
-
-def _number(axes: Axes, index: int, models: Sequence[float], measured: Sequence[float]) -> None:
-    """Write the number of an iteration beside its pairs."""
-    for pair in zip(models, measured, strict=True):
-        axes.annotate(str(index), pair, (4, 3), textcoords="offset points", fontsize=SMALL, color=LIMIT)
 
 
 def _divide(axes: Axes, limit: float) -> None:

@@ -139,6 +139,7 @@ def _entries(curves: Sequence[NamedRollout], draws: tuple[Array, str] | None) ->
     if draws is not None:
         states, drawn_of = draws
         failures = int(np.isnan(states[:, -1]).any(axis=1).sum())
-        words = f"at each time, 90% of {DRAWS} draws of {drawn_of}" + (f", {failures} fail" if failures else "")
+        failed = f", {failures} fail" if failures else ""
+        words = f"at each time, 90% of {DRAWS} draws of {drawn_of}{failed}"
         entries[words] = Patch(color=SIMULATION, alpha=0.2)
     return entries
