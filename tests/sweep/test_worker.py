@@ -44,7 +44,7 @@ def test_a_worker_of_another_version_runs_no_trial(plan: Plan, trial: Compositio
     result = run_plan(plan._replace(code={**same, "simbias": "another"}))
     assert result.summary.reason.startswith("simbias has other code there")
     assert not Path(str(plan.folder)).exists()
-    assert not run_plan(plan._replace(code={**same, "loaded_later": ""})).summary.reason
+    assert run_plan(plan._replace(code={**same, "loaded_later": ""})).summary.outcome.final
 
 
 def test_a_folder_travels_where_no_disk_is_shared(plan: Plan, whole: Path, tmp_path: Path) -> None:
