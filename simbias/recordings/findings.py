@@ -11,6 +11,7 @@ from simbias.core.parameters import Estimate, Parameter
 from simbias.learning.identification.identified import QUANTILE, Identified
 
 CORRELATED = 0.9
+COMPENSATES = 0.5  # correlation from which a parameter takes up part of what another one gets wrong
 DETERMINED, UNKNOWN = 0.5, 0.2  # shrinkage from which a parameter is told, and below which it is not
 AT_BOUND = 0.05  # prior standard deviations from a bound
 TAIL = 2.5  # prior standard deviations from the median
@@ -47,6 +48,10 @@ def findings(
     deviations = np.sqrt(np.diag(fitted.covariance))
     R = fitted.covariance / np.outer(deviations, deviations)
     names = [parameter.name for parameter in fitted.parameters]
+    disagree = [
+        _distance(by_part, i) > DISAGREEMENT and not parameter.of_recording
+        for i, parameter in enumerate(fitted.parameters)
+    ]
     found = []
     for i, (parameter, estimate) in enumerate(zip(fitted.parameters, fitted.estimates, strict=True)):
         shrinkage = float(np.clip(1.0 - deviations[i], 0.0, 1.0))
@@ -54,13 +59,16 @@ def findings(
             names[j]: float(R[i, j]) for j in range(len(names)) if j != i and abs(R[i, j]) > CORRELATED
         }
         elsewhere = parameter.of_recording and not shrinkage  # nothing is known but the prior
-        disagree = _distance(by_part, i) > DISAGREEMENT and not parameter.of_recording
+        shaken = [
+            name for name, r, each in zip(names, R[i], disagree, strict=True) if each and abs(r) > COMPENSATES
+        ]
         doubts = [
             "each recording has its own" if elsewhere else _of_shrinkage(shrinkage),
             f"only together with {', '.join(partners)}" if partners else "",
             "at its bound" if at_bound(parameter, estimate.value) else "",
             "far from what was declared" if _from_declared(parameter, fitted.mode[i]) > TAIL else "",
-            "recordings disagree" if disagree else "",
+            "recordings disagree" if disagree[i] else "",
+            f"recordings disagree on {', '.join(shaken)}" if shaken and not disagree[i] else "",
             "depends on the window" if _moved(fitted, by_window, i) > DISAGREEMENT else "",
         ]
         alone = tuple(each.estimates[i] for each in by_part)

@@ -24,6 +24,7 @@ from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared
 from simbias.recordings.excitation import Excitation
 from simbias.recordings.files import check_replaces_nothing, draws, head, models, option_lines, write
+from simbias.recordings.findings import findings
 from simbias.recordings.horizons import CHANGE, Prediction, inside, predictions, regions, sizes
 from simbias.recordings.parts import parts
 from simbias.recordings.reach import beyond
@@ -82,6 +83,20 @@ def test_mass_and_centre_of_the_first_link_are_one_parameter(assessment: Assessm
     by_name = {name: abs(weight) for name, weight in direction.weights.items()}
     if set(by_name) == {"mass_1", "centre_1"}:
         assert by_name["mass_1"] == pytest.approx(by_name["centre_1"], rel=1e-3)
+
+
+def test_what_takes_up_a_parameter_that_changes_is_doubted_with_it(assessment: Assessment) -> None:
+    """Where recordings disagree on friction, the joint's damping is doubted, too, and nothing else."""
+    fitted, names = assessment.identified, [each.prior.name for each in assessment.findings]
+    i, j = names.index("friction_2"), names.index("damping_2")
+    spread = np.diag(np.full(len(names), 0.1))
+    spread[j, i] = -0.1  # so that they are correlated by -0.7
+    moved = np.where(np.arange(len(names)) == i, 0.6, 0.0)
+    sure, other = (Identified(fitted.model, mode, spread, {}) for mode in (fitted.mode, fitted.mode + moved))
+    doubts = {each.prior.name: each.doubts for each in findings(sure, [sure, other], [])}
+    assert doubts.pop("friction_2")[-1] == "recordings disagree"
+    assert doubts.pop("damping_2")[-1] == "recordings disagree on friction_2"
+    assert not any("disagree" in doubt for each in doubts.values() for doubt in each)
 
 
 def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: Assessment) -> None:
