@@ -51,16 +51,21 @@ class Actuators:
 
     Whole frames are exact. A fraction of one is interpolated between the frames beside it, so what acts is
     continuous in the delay. A lag is exact for an input that is constant in each frame; what acts in a frame
-    is the lag's value at its end, so that no lag is no delay.
+    is its mean over the frame, as of a real motor, if `averaged`, else its value at the end.
     """
 
-    def __init__(self, actuators: Sequence[Actuator], time_step: float, taps: int) -> None:
+    def __init__(
+        self, actuators: Sequence[Actuator], time_step: float, taps: int, averaged: bool = False
+    ) -> None:
         self._taps = taps
         keep = [math.exp(-time_step / a.lag) if a.lag > 0 else 0.0 for a in actuators]
+        before = [a.lag / time_step * (1.0 - k) for a, k in zip(actuators, keep, strict=True)]
         frames = [min(round(a.delay / time_step, 9), taps) for a in actuators]
         weights = np.maximum(0.0, 1.0 - np.abs(np.array(frames)[:, None] - np.arange(taps + 1)))
         columns = [[a.gain, a.offset, a.limit] for a in actuators]
-        self._parameters = np.column_stack([columns, keep, weights])  # (m, 5 + taps)
+        self._parameters = np.column_stack(
+            [columns, keep, before if averaged else keep, weights]
+        )  # (m, 6 + taps)
         self.state_size = len(actuators) * (1 + taps)
         self.ideal = all(actuator == Actuator() for actuator in actuators)
         self.kernel = Kernel(_act(len(actuators), taps), self._parameters.ravel())
@@ -92,7 +97,7 @@ class Actuators:
         from scipy.signal import lfilter  # half of what `import simbias` would take, and few need it
 
         k, columns = len(inputs), []
-        for u, (gain, _, limit, keep, *weights) in zip(inputs.T, self._parameters, strict=True):
+        for u, (gain, _, limit, keep, _, *weights) in zip(inputs.T, self._parameters, strict=True):
             delayed = np.convolve(u, weights)[:k] if k else u
             lagged = lfilter([1.0 - keep], [1.0, -keep], limited(gain * delayed, limit))
             columns += [_earlier(lagged, 1), *(_earlier(u, j) for j in range(1, self._taps + 1))]
@@ -113,26 +118,28 @@ def _earlier(values: Array, frames: int) -> Array:
 def _act(inputs: int, taps: int, first: int = 0) -> Callable:
     """The kernel of the inputs from number `first` on.
 
-    Of each input, its parameters are gain, offset, limit, what is kept of the lag's state in a frame, and the
-    weights of this frame's input and of those before; its memory is the lag's state and these earlier inputs.
+    Of each input, its parameters are gain, offset, limit, what is kept of the lag's state in a frame, that
+    state's weight in what acts, and the weights of this frame's input and of those before; its memory is the
+    lag's state and these earlier inputs.
     """
     if first == inputs:
         return lambda u, parameters, memory: ((), ())
     others = _act(inputs, taps, first + 1)
-    p, s = first * (5 + taps), first * (1 + taps)
+    p, s = first * (6 + taps), first * (1 + taps)
     earlier, oldest = s + 1, s + taps
-    terms = [f"parameters[{p + 5 + j}] * memory[{earlier + j}]" for j in range(taps)]
+    terms = [f"parameters[{p + 6 + j}] * memory[{earlier + j}]" for j in range(taps)]
     weighted = function_of(f"def weighted(parameters, memory): return {sum_of(terms)}", "weighted")
 
     def act(u, parameters, memory):
         """The inputs that act, and the memory for the next frame."""
-        delayed = parameters[p + 4] * u[first] + weighted(parameters, memory)
-        keep = parameters[p + 3]
+        delayed = parameters[p + 5] * u[first] + weighted(parameters, memory)
+        keep, before = parameters[p + 3], parameters[p + 4]
         target = limited(parameters[p] * delayed, parameters[p + 2])
         lagged = keep * memory[s] + (1.0 - keep) * target
+        acts = before * memory[s] + (1.0 - before) * target
         acting, kept = others(u, parameters, memory)
         inputs_before = ((u[first],) + memory[earlier:oldest])[:taps]  # noqa: RUF005 (for Numba)
-        return (lagged + parameters[p + 1],) + acting, (lagged,) + inputs_before + kept  # noqa: RUF005
+        return (acts + parameters[p + 1],) + acting, (lagged,) + inputs_before + kept  # noqa: RUF005
 
     return act
 

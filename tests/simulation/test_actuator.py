@@ -64,6 +64,17 @@ def test_a_lag_answers_a_step_with_an_exponential() -> None:
     np.testing.assert_allclose(acts, 1.0 - np.exp(-DT * np.arange(1, 101) / 0.02), rtol=1e-12)
 
 
+def test_over_a_frame_an_averaged_lag_acts_by_its_mean() -> None:
+    """That of a lag that is simulated in a thousandth of a frame; without a lag, the input itself."""
+    u, fine = np.random.default_rng(0).normal(size=40), 1000
+    averaged = responses(Actuators([Actuator(lag=0.002)], DT, 0, averaged=True), u[:, None])[:, 0]
+    finely = Actuators([Actuator(lag=0.002)], DT / fine, 0)
+    means = responses(finely, np.repeat(u, fine)[:, None])[:, 0].reshape(-1, fine).mean(axis=1)
+    np.testing.assert_allclose(averaged, means, atol=1e-3)
+    ideal = responses(Actuators([Actuator()], DT, 0, averaged=True), u[:, None])[:, 0]
+    np.testing.assert_array_equal(ideal, u)
+
+
 @given(actuator=actuators, u=st.floats(-10.0, 10.0))
 @settings(deadline=None, max_examples=10)
 def test_it_settles_where_it_is_said_to(actuator: Actuator, u: float) -> None:

@@ -112,7 +112,9 @@ class Rig(Nominal):
             )
             for u in self._inputs
         ]
-        self._actuators = Actuators(actuators, self._time_step, self._taps) if self._has_motors else None
+        self._actuators = (
+            Actuators(actuators, self._time_step, self._taps, averaged=True) if self._has_motors else None
+        )
         self.state_size = self._actuators.state_size if self._actuators else self._nominal.state_size
         self.acting = self._nominal.acting  # a model with a state has no motors here
         self._numbers = np.array(
