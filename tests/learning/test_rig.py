@@ -145,7 +145,7 @@ def fitted() -> Identified:
         "identification.each=[damping_2]",
     )
     rig, rng = study.identification.prior(study.nominal), np.random.default_rng(3)  # type: ignore[attr-defined]
-    # Few windows are slow enough to tell Stribeck friction: of seeds 2 to 9, one errs by eight told deviations.
+    # Few windows are slow enough for Stribeck friction: of seeds 2 to 9, one errs by eight told deviations.
     joints = {"friction_1": 0.1, "friction_2": 0.1, "damping_1": 0.01}
     own = [{"pos2.zero": zero, "damping_2": load} for zero, load in zip(ZEROS, LOADS, strict=True)]
     records = [recorded(with_values(rig, **joints, **SHARED, **each), rng) for each in own]
