@@ -13,8 +13,10 @@ from rich.console import Console
 
 from simbias.config import ConfigError, compose
 from simbias.config.build import build
+from simbias.config.components import component_class
 from simbias.config.hydra_config import overridden
 from simbias.lab.recorded import Recorded
+from simbias.learning.identification.posterior import Posterior
 from simbias.learning.noise import noise_of
 from simbias.recordings import words
 from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
@@ -56,13 +58,10 @@ class Request(NamedTuple):
     def opened(self, console: Console, windows: float = 1.0) -> tuple[Study, Recordings, Recordings]:
         """The study, its recordings and those that are held out; notes on them are printed.
 
-        Parameters are identified if no override says otherwise. Of what is not held out, pieces that do
-        not hold as many windows are left out.
+        Of what is not held out, pieces that do not hold as many windows are left out.
         """
-        chosen = GROUP in overridden(self.overrides)
-        overrides = [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
         with preparing():
-            study = prepared(build(compose(overrides, self.config_dir, self.allow)))
+            study = prepared(build(compose(self._identifying, self.config_dir, self.allow)))
         recordings = read(study, self.recordings, self.columns, self.held_out, windows)
         held_out = read(study, self.held_out, self.columns)
         for note in (*recordings.notes, *held_out.notes):
@@ -70,6 +69,19 @@ class Request(NamedTuple):
         if extent := ", ".join(filter(None, (recordings.extent, held_out.extent))):
             say(console, extent)
         return study, recordings, held_out
+
+    @property
+    def _identifying(self) -> list[str]:
+        """The overrides, with `identification=posterior` where neither they nor a preset choose one."""
+        keys = overridden(self.overrides)
+        if GROUP in keys:
+            return [*self.overrides]
+        # Without keys of the group, which may be those of the option that is still to be chosen.
+        pairs = zip(self.overrides, keys, strict=True)
+        others = [each for each, key in pairs if not key.startswith(f"{GROUP}.")]
+        found = compose(others, self.config_dir, self.allow)
+        chosen = issubclass(component_class(found.config[GROUP], GROUP, found.own.modules), Posterior)
+        return [*self.overrides, *([] if chosen else [f"{GROUP}=posterior"])]
 
     @property
     def again(self) -> list[str]:

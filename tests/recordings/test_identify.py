@@ -19,6 +19,7 @@ from simbias.__main__ import main
 from simbias.config import ConfigError
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified, Known
+from simbias.learning.identification.posterior import Posterior
 from simbias.learning.identification.rig import Rig, Sensor
 from simbias.recordings import horizons, plots
 from simbias.recordings.assessment import Assessment, assess, prepared
@@ -465,6 +466,30 @@ def test_nothing_is_fitted_to_what_is_held_out(folder: Path, capsys: pytest.Capt
         simbias.identify(["lab"], options, held_out=["lab"])
     assert main(["identify", "--recover", "lab", *options, "--held-out", "lab"]) == 2
     assert capsys.readouterr().err == "simbias: --held-out: leaves no recording\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "motors"),
+    [
+        (["preset=acrobot_swingup", "identification.starts=3"], "acrobot_swingup", ["torque.delay"]),
+        (["preset=[double_pendulum,paper]", "identification.starts=3"], "posterior", []),
+        (["preset=acrobot_swingup", "identification=posterior_forward"], "posterior_forward", []),
+    ],
+)
+def test_what_a_preset_identifies_is_identified(
+    words: list[str], option: str, motors: list[str], tmp_path: Path
+) -> None:
+    """And written, so that a trial begins with it; the plain posterior is of presets that identify none."""
+    request = Request([], [], words, None, tmp_path, None, [])
+    study, *_ = request.opened(Console())
+    posterior = study.identification
+    assert isinstance(posterior, Posterior)
+    assert study.choices["identification"] == option
+    assert bool(study.config["identification"]["motors"]) == bool(motors)
+    names = [each.name for each in posterior.prior(study.nominal).parameters]
+    assert [name for name in names if name.startswith("torque.")] == motors
+    assert posterior._differences == "central"
+    assert request.again[-1] == "identification=identified"
 
 
 def test_an_option_beside_those_of_ones_own_is_named_as_the_folder() -> None:
