@@ -14,17 +14,20 @@ from simbias.core.parameters import values_at
 from simbias.core.records import Array, Rollout
 from simbias.learning.identification.identified import Identified
 from simbias.learning.identification.posterior import Posterior
-from simbias.learning.identification.problem import Comparison
+from simbias.learning.identification.problem import Information
 from simbias.learning.prediction_errors import ErrorDistribution
 from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
-DRAWS = 4  # models, the most probable one the first, on which a trajectory keeps the limits
+MODELS = 16  # the most probable one and draws, on which a trajectory keeps the limits
+JUDGED = 4  # of them, at which it is judged where nothing has been learned
 HARMONICS = 20  # of each input's Fourier series, at most
 FASTEST = 5.0  # Hz
 RAMP = 0.25  # s, in which inputs rise from zero, and fall to it
 SCALES = 0.75 ** np.arange(12)  # of inputs, until all limits are kept
 FEWEST = 20  # frames of inputs: fewer hold no rise, motion and fall
+RELATIVE_NOISE = 0.005  # of a state's range, where no recording says
+REFERENCES, REFERENCE = 5, 5.0  # random trajectories that tell a state's range, s of each
 RANDOM, SEED = 0.6, 0  # share of trajectories that are drawn at random; the others vary the best
 LIMITS = "hardware.safety", "no inputs were found that keep these limits and the task's criteria"
 CRITERIA = "task", "no inputs were found that keep its failure criteria"
@@ -37,6 +40,7 @@ class Excitation:
     rollout: Rollout  # as the most probable model predicts it
     deviations: Array  # (p,) expected of the posterior afterwards, in those of the prior
     information: float  # nats that are gained: the fall of the logarithm of the posterior's volume
+    largest: Array  # (n,) magnitudes of states, over all models on which limits are kept
 
 
 class Designer:
@@ -49,7 +53,8 @@ class Designer:
     model
         What is known so far: the nominal model, or an identified one.
     noise
-        Standard deviations (n,) of measured states, for a model that no errors are known of.
+        Standard deviations (n,) of measured states, for a model that no errors are known of. Without it, 0.5%
+        of each state's range under random inputs within the limits, the median over some of them.
 
     Raises
     ------
@@ -57,7 +62,7 @@ class Designer:
         If an input has no limit.
     """
 
-    def __init__(self, study: Study, model: Nominal, noise: Array) -> None:
+    def __init__(self, study: Study, model: Nominal, noise: Array | None = None) -> None:
         posterior = study.identification
         assert isinstance(posterior, Posterior)
         self._study, self._posterior = study, posterior
@@ -66,17 +71,18 @@ class Designer:
         rng = np.random.default_rng(SEED)
         known = model if isinstance(model, Identified) else Identified.of_prior(self.nominal)
         self._errors = known.errors
-        self._z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(DRAWS - 1))])
+        self._z = np.array([known.mode, *(known.draw_coordinates(rng) for _ in range(MODELS - 1))])
         self._models = [self.nominal.with_parameters(values_at(parameters, each)) for each in self._z]
         # Along with what has been learned at the mode, another draw would seem to determine everything.
-        self._judged_at = self._z[:1] if known is model else self._z
+        judged_at = self._z[: 1 if known is model else JUDGED]
+        self._informations = [Information(self.nominal, each) for each in judged_at]
         self._precision = np.linalg.inv(known.covariance)
         self.before = np.sqrt(np.diag(known.covariance))  # (p,)
         self._bounds = study.conditions.safety.bounds(study.task)
         for each, limit in zip(study.task.inputs, self._bounds.inputs.tolist(), strict=True):
             if not np.isfinite(limit):
                 raise ConfigError("hardware.safety.inputs", f"{each.name} has no limit: name one here")
-        self._noise = noise
+        self.noise = self._usual_noise() if noise is None else noise
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # of small matrices, as in `assess`
     def design(self, seconds: float, trajectories: int, rng: np.random.Generator) -> Excitation:
@@ -94,13 +100,11 @@ class Designer:
         if task.frames(seconds) < task.frames(window):
             raise ConfigError("identification.window", f"{window:g} s are more than inputs of {seconds:g} s")
         best: tuple[float, Array, Excitation] | None = None
-        shape = (len(task.inputs), 2, HARMONICS)
         for index in range(trajectories):
             if best is None or index < RANDOM * trajectories:
-                fastest = rng.uniform(0.1, 1.0)
-                c = rng.standard_normal(shape) * (np.arange(HARMONICS) < fastest * HARMONICS)
-                c *= np.exp(rng.standard_normal((shape[0], 1, 1)))
+                c = self._random(rng)
             else:
+                shape = best[1].shape
                 c = best[1] * (1.0 + 0.3 * rng.standard_normal(shape)) + 0.1 * rng.standard_normal(shape)
             found = self.rated(self._inputs(c, seconds))
             if found is not None and (best is None or found.information > best[0]):
@@ -111,11 +115,30 @@ class Designer:
 
     def rated(self, inputs: Array) -> Excitation | None:
         """Inputs (T, m), scaled down until all models keep the limits; None if they never do."""
+        rollouts, kept = self._scaled(inputs)
+        return self._judged(rollouts) if kept else None
+
+    def _scaled(self, inputs: Array) -> tuple[list[Rollout], bool]:
+        """Rollouts of all models under inputs (T, m), scaled down until limits are kept; whether they are."""
         for scale in SCALES:
             rollouts = self._simulated(np.clip(scale * inputs, *self._bounds.input_bounds))
             if all(self._allowed(rollout) for rollout in rollouts):
-                return self._judged(rollouts)
-        return None
+                return rollouts, True
+        return rollouts, False
+
+    def _usual_noise(self) -> Array:
+        """Standard deviations (n,) of measured states: a share of each one's range in random trajectories."""
+        rng = np.random.default_rng(SEED)
+        moved = [self._scaled(self._inputs(self._random(rng), REFERENCE))[0] for _ in range(REFERENCES)]
+        return RELATIVE_NOISE * np.median([np.ptp(each[0].states, axis=0) for each in moved], axis=0)
+
+    def _random(self, rng: np.random.Generator) -> Array:
+        """Coefficients (m, 2, h) of random inputs, each of another strength, all up to a random frequency."""
+        shape = (len(self._study.task.inputs), 2, HARMONICS)
+        fastest = rng.uniform(0.1, 1.0)
+        c = rng.standard_normal(shape) * (np.arange(HARMONICS) < fastest * HARMONICS)
+        c *= np.exp(rng.standard_normal((shape[0], 1, 1)))
+        return c
 
     def _inputs(self, c: Array, seconds: float) -> Array:
         """Inputs (T, m) of Fourier coefficients (m, 2, h), as large as the limits allow."""
@@ -151,18 +174,19 @@ class Designer:
         """Expected deviations and information of a trajectory: means over the models that it is judged at."""
         errors = self._errors or self._of_noise(rollouts[0])
         covariances, gains = [], []
-        for z, rollout in zip(self._judged_at, rollouts, strict=False):
+        for information, rollout in zip(self._informations, rollouts, strict=False):
             windows = self._posterior.windows([rollout])
-            precision = self._precision + Comparison(self.nominal, windows, errors).information(z)
+            precision = self._precision + information.of(windows, errors)
             covariances.append(np.linalg.inv(precision))
             gains.append(0.5 * (np.linalg.slogdet(precision)[1] - np.linalg.slogdet(self._precision)[1]))
         deviations = np.sqrt(np.mean([np.diag(each) for each in covariances], axis=0))
-        return Excitation(rollouts[0], deviations, float(np.mean(gains)))
+        largest = np.max([np.abs(each.states).max(axis=0) for each in rollouts], axis=0)
+        return Excitation(rollouts[0], deviations, float(np.mean(gains)), largest)
 
     def _of_noise(self, rollout: Rollout) -> ErrorDistribution:
         """The errors of the true model's predictions of a noisy recording."""
         rng = np.random.default_rng(SEED)
-        noisy = rollout.states + self._noise * rng.standard_normal(rollout.states.shape)
+        noisy = rollout.states + self.noise * rng.standard_normal(rollout.states.shape)
         windows = self._posterior.windows([Rollout(noisy, rollout.inputs)])
         errors = predict([PredictionModel(self._models[0])], windows)[0] - windows.means
         return ErrorDistribution.of(errors, windows)

@@ -16,7 +16,6 @@ from simbias.simulation.open_loop import PredictionModel, Windows, predict
 from simbias.trial.study import Study
 
 ROBOTS = 10
-RELATIVE_NOISE = 0.005  # of a state's range, where no recording says
 COMES_BACK = 0.5  # of the prior's standard deviation: the largest deviation of the posterior
 MOSTLY = 0.7  # share of 90% intervals that have to hold the truth; chance leaves 7 of 10 in 99 of 100 cases
 
@@ -33,7 +32,14 @@ class Recovery(NamedTuple):
     @property
     def comes_back(self) -> bool:
         """Whether the data determine it, and the interval tells the truth."""
-        return self.deviation < COMES_BACK and self.held >= MOSTLY
+        return self.verdict == "yes"
+
+    @property
+    def verdict(self) -> str:
+        """That it comes back, or which of both is missing."""
+        if self.deviation >= COMES_BACK:
+            return "not determined"
+        return "yes" if self.held >= MOSTLY else "interval too narrow"
 
 
 class Take(NamedTuple):

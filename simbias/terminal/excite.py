@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from simbias.config import ConfigError
-from simbias.core.records import Array, Rollout
+from simbias.core.records import Array
 from simbias.learning.identification.posterior import Posterior
 from simbias.learning.noise import noise_of
-from simbias.recordings.excitation import Designer, Excitation
+from simbias.recordings.excitation import MODELS, Designer, Excitation
 from simbias.recordings.files import trajectory
-from simbias.recordings.recovery import RELATIVE_NOISE, Take, recover
+from simbias.recordings.recovery import Take, recover
 from simbias.terminal.identify import Request, table
-from simbias.terminal.lines import say, standard_output
+from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import slowness_in_one_line
 from simbias.trial.study import Study
 
 SECONDS, TRAJECTORIES = 5.0, 200
+LOOKING = "looking for what tells most"
 LEAST, MOST = 0.01, 3600.0  # s of inputs
 
 
@@ -36,12 +36,12 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     console = standard_output()
     study, given, _ = request.opened(console)
     learned = given.pieces
-    with slowness_in_one_line(), console.status("looking for what tells most"):
+    with slowness_in_one_line(), progress(console) as tell_of:
+        tell_of(LOOKING)
         posterior = study.identification
         assert isinstance(posterior, Posterior)
         model = posterior.fit(study.nominal, learned.rollouts, learned.recordings)
-        noise = _noise(study, learned.rollouts)
-        designer = Designer(study, model, noise)
+        designer = Designer(study, model, noise_of(learned.rollouts) if learned.rollouts else None)
         found = designer.design(seconds, TRAJECTORIES, np.random.default_rng(study.seed))
     try:
         trajectory(study.task, found.rollout).to_csv(file, index=False, float_format="%.6g")
@@ -57,9 +57,9 @@ def excite(request: Request, seconds: float, file: Path) -> None:
     table(console, names, rows)
     say(console, "Deviations are in those of the prior, as expected of the posterior.")
     if not learned.rollouts:
-        say(console, f"As if the model were exact, with white noise of {_levels(study, noise)}.")
+        say(console, f"As if the model were exact, with white noise of {_levels(study, designer.noise)}.")
         say(console, "From recordings, in place of their option, how the model errs would count, too.")
-    say(console, f"Within {_extremes(study, found)}.")
+    say(console, f"On the most probable model and {MODELS - 1} draws, within {_extremes(study, found)}.")
     say(console, f"Look at it:  {file}")
 
 
@@ -77,21 +77,20 @@ def recovery(request: Request) -> bool:
     study, recordings, _ = request.opened(console)
     if request.recordings and not recordings.rollouts:
         raise ConfigError("--held-out", "leaves no recording")
-    with slowness_in_one_line(), console.status("") as status:
-        noise = _noise(study, recordings.pieces.rollouts)
+    with slowness_in_one_line(), progress(console) as tell_of:
         takes = [
             Take(piece.states[0], piece.inputs, times, name, piece.continues)
             for name, pieces in recordings.rollouts.items()
             for piece, times in zip(pieces, recordings.times[name], strict=True)
         ]
-        if not takes:
-            status.update("looking for what tells most")
-            found = Designer(study, study.identification.fit(study.nominal, []), noise).design(
-                SECONDS, TRAJECTORIES, np.random.default_rng(study.seed)
-            )
-            states = found.rollout.states
-            takes, noise = [Take(states[0], found.rollout.inputs)], RELATIVE_NOISE * np.ptp(states, axis=0)
-        recovered = recover(study, takes, noise, progress=status.update)
+        if takes:
+            noise = noise_of(recordings.pieces.rollouts)
+        else:
+            tell_of(LOOKING)
+            designer = Designer(study, study.identification.fit(study.nominal, []))
+            found = designer.design(SECONDS, TRAJECTORIES, np.random.default_rng(study.seed)).rollout
+            takes, noise = [Take(found.states[0], found.inputs)], designer.noise
+        recovered = recover(study, takes, noise, progress=tell_of)
     names = ("parameter", "unit", "error", "deviation", "90% interval holds it", "comes back")
     rows = [
         (
@@ -100,7 +99,7 @@ def recovery(request: Request) -> bool:
             f"{each.error:.2f}",
             f"{each.deviation:.2f}",
             f"{100 * each.held:.0f}%",
-            "yes" if each.comes_back else "no",
+            each.verdict,
         )
         for each in recovered
     ]
@@ -110,14 +109,6 @@ def recovery(request: Request) -> bool:
     return any(each.comes_back for each in recovered)
 
 
-def _noise(study: Study, recordings: Sequence[Rollout]) -> Array:
-    """The noise (n,) of recordings; without any, a share of the starts' and limits' size."""
-    if recordings:
-        return noise_of(recordings)
-    bounds = study.conditions.safety.bounds(study.task).states
-    return RELATIVE_NOISE * np.where(np.isfinite(bounds), bounds, 1.0)
-
-
 def _levels(study: Study, noise: Array) -> str:
     """The noise (n,) of each state."""
     pairs = zip(study.task.states, noise, strict=True)
@@ -125,11 +116,10 @@ def _levels(study: Study, noise: Array) -> str:
 
 
 def _extremes(study: Study, found: Excitation) -> str:
-    """The extreme values of states and inputs."""
-    task, rollout = study.task, found.rollout
-    both = ((task.states, rollout.states), (task.inputs, rollout.inputs))
+    """The largest magnitudes of states and inputs."""
+    quantities = (*study.task.states, *study.task.inputs)
+    largest = (*found.largest, *np.abs(found.rollout.inputs).max(axis=0))
     return ", ".join(
-        f"|{quantity.name}| < {np.abs(values[:, i]).max():.3g} {quantity.unit}"
-        for quantities, values in both
-        for i, quantity in enumerate(quantities)
+        f"|{quantity.name}| < {value:.3g} {quantity.unit}"
+        for quantity, value in zip(quantities, largest, strict=True)
     )

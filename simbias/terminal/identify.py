@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +22,7 @@ from simbias.recordings.assessment import LONGEST, Assessment, assess, prepared
 from simbias.recordings.excitation import Designer, Excitation
 from simbias.recordings.files import GROUP, OPTION, check_replaces_nothing, write
 from simbias.recordings.reading import Recordings, read
-from simbias.terminal.lines import say, standard_output
+from simbias.terminal.lines import progress, say, standard_output
 from simbias.terminal.notices import preparing, slowness_in_one_line
 from simbias.trial.study import Study
 
@@ -106,15 +105,14 @@ def identify(request: Request, attach: bool = False) -> bool:
         if attach and isinstance(study.hardware, Recorded) and not study.hardware.source_files:
             raise ConfigError("hardware.folder", "has no recording for --attach: name another hardware")
         check_replaces_nothing(study, request.folder, request.option)
-        with console.status("") as status:
-            tell_of = status.update if console.is_terminal else partial(say, console)
+        with progress(console) as tell_of:
             assessment = assess(
                 study,
                 recordings.rollouts,
                 held_out.rollouts,
                 lambda each: tell_of(f"fitting {each}"),
             )
-            status.update("looking for what to record next")
+            tell_of("looking for what to record next")
             excitation = next_excitation(study, assessment)
     notes = (*recordings.notes, *held_out.notes)
     try:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from tempfile import NamedTemporaryFile
 
 from rich.console import Console
@@ -19,6 +22,13 @@ def standard_output(soft_wrap: bool = False) -> Console:
 def say(console: Console, line: str, style: str = "", markup: bool = False) -> None:
     """Print a line that stays one line when it is copied, however narrow the terminal is."""
     console.print(line, style=style, markup=markup, soft_wrap=True)
+
+
+@contextmanager
+def progress(console: Console) -> Iterator[Callable[[str], None]]:
+    """The function that tells what is being done; each time in a line where there is no terminal."""
+    with console.status("") as status:
+        yield status.update if console.is_terminal else partial(say, console)
 
 
 def temporary_traceback(traceback: str) -> str:

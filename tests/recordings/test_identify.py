@@ -104,7 +104,9 @@ def test_nothing_is_advised_for_what_each_recording_has_of_its_own(assessment: A
     """No input tells it beforehand, and nothing that is weighed."""
     first, *others = assessment.findings
     own = replace(first, prior=first.prior._replace(of_recording=True))
-    useless = Excitation(Rollout(np.zeros((3, 4)), np.zeros((2, 2))), np.full(1 + len(others), 0.9), 0.0)
+    useless = Excitation(
+        Rollout(np.zeros((3, 4)), np.zeros((2, 2))), np.full(1 + len(others), 0.9), 0.0, np.zeros(4)
+    )
     told = [" ".join(advice(replace(assessment, findings=[each, *others]), useless)) for each in (first, own)]
     assert [each.count(f"No input should tell {first.prior.name}, ") for each in told] == [1, 0]
     assert told[1].count(f"No input should tell {others[0].prior.name}, ") == 1

@@ -66,12 +66,6 @@ class Comparison:
         made.errors = ErrorDistribution.of(made.prediction_errors(z[None])[0], windows, freedom)
         return made
 
-    def information(self, z: Array) -> Array:
-        """Fisher information (p, p) about coordinates that these windows would hold if z were the truth."""
-        white = self.errors.whiten(self.prediction_errors(_around(z, "central")))
-        J = _slopes(white, len(z)).reshape(len(z), -1)
-        return self.errors.independent_share * J @ J.T
-
     def residuals(self, z: Array, differences: Differences = "forward") -> tuple[Array, Array]:
         """Residuals (w d,), whose squares sum to the loss, and their derivatives by z, (w d, p)."""
         p = len(z)
@@ -134,6 +128,24 @@ class Comparison:
         if offsets is None:
             return [PredictionModel(model) for model in models]
         return [PredictionModel(model, offset=each) for model, each in zip(models, offsets, strict=True)]
+
+
+class Information:
+    """Fisher information about coordinates z (p,) that windows would hold if z were the truth.
+
+    The models around z are made once: to compile a model takes longer than to predict windows.
+    """
+
+    def __init__(self, nominal: Nominal, z: Array) -> None:
+        values = values_at(nominal.parameters, _around(z, "central"))
+        self._models = [PredictionModel(nominal.with_parameters(each)) for each in values]
+
+    def of(self, windows: Windows, errors: ErrorDistribution) -> Array:
+        """That (p, p) of windows, with the errors' covariance given."""
+        white = errors.whiten(predict(self._models, windows) - windows.means)
+        p = len(self._models) // 2
+        J = _slopes(white, p).reshape(p, -1)
+        return errors.independent_share * J @ J.T
 
 
 class Problem:
