@@ -65,10 +65,11 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
     own.add_argument("--config-dir", metavar="DIR", help="a folder with groups, options, sweeps/ of your own")
     allowed = "allow configs to name classes from this module too, like modules beside DIR; may be repeated"
     own.add_argument("--allow", metavar="MODULE", action="append", default=[], help=allowed)
-    own.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
     own.add_argument("--version", action="version", version=f"simbias {version}")
-    known, rest = own.parse_known_args(arguments)
-    parser, commands = _parser(own, known.config_dir)
+    shown = argparse.ArgumentParser(prog=PROGRAM, add_help=False, allow_abbrev=False, parents=[own])
+    shown.add_argument("--cfg", choices=["job"], help="print the composed config and exit")
+    known, rest = shown.parse_known_args(arguments)
+    parser, commands = _parser(own, shown, known.config_dir)
     if not rest or rest[0] not in (*commands, "-h", "--help"):
         if rest and "=" not in rest[0] and rest[0][:1] not in ("-", "~"):
             known_names = ", ".join(get_close_matches(rest[0], commands, len(commands), 0.0))
@@ -85,11 +86,11 @@ def parse(arguments: Sequence[str] | None, version: str) -> argparse.Namespace:
 
 
 def _parser(
-    own: argparse.ArgumentParser, config_dir: str | None
+    own: argparse.ArgumentParser, shown: argparse.ArgumentParser, config_dir: str | None
 ) -> tuple[argparse.ArgumentParser, Collection[str]]:
     """The grammar and its commands; help tells of the options in a folder of configs too."""
     text: dict[str, Any] = {
-        "parents": [own],
+        "parents": [shown],
         "epilog": _groups(config_dir) + EXAMPLES,
         "formatter_class": argparse.RawDescriptionHelpFormatter,
     }
@@ -97,7 +98,7 @@ def _parser(
     usage = "%(prog)s [command] [override ...] [--config-dir DIR] [--allow MODULE] [--cfg job]"
     parser = argparse.ArgumentParser(prog=PROGRAM, usage=usage, description=about, **text)
     commands = parser.add_subparsers(dest="command", metavar="command", title="commands", prog=PROGRAM)
-    _add_composed(commands, own, text)
+    _add_composed(commands, own, shown, text)
     _add_of_recordings(commands, own)
     _add_of_folders(commands, own)
     return parser, commands.choices
@@ -110,14 +111,16 @@ def _add(commands: Any, name: str, about: str, more: str = "", **text: Any) -> a
     return added
 
 
-def _add_composed(commands: Any, own: argparse.ArgumentParser, text: Mapping[str, Any]) -> None:
+def _add_composed(
+    commands: Any, own: argparse.ArgumentParser, shown: argparse.ArgumentParser, text: Mapping[str, Any]
+) -> None:
     """The commands that take overrides."""
     of_run = "It writes trials/<hash>, of a sweep also trials/sweeps/<name>_<hash>, unless tracking=none."
     run = _add(commands, RUN, "run a trial or a sweep, or resume it: the default", of_run, **text)
-    check = _add(commands, "check", "put components through the conformance suite", parents=[own])
+    check = _add(commands, "check", "put components through the conformance suite", parents=[shown])
     about = "show what the first experiment is predicted to do"
-    preview = _add(commands, "preview", about, "It writes preview.png.", parents=[own])
-    export = _add(commands, "export", "show trials of a folder in an MLflow store", parents=[own])
+    preview = _add(commands, "preview", about, "It writes preview.png.", parents=[shown])
+    export = _add(commands, "export", "show trials of a folder in an MLflow store", parents=[shown])
     ui = _add(commands, "ui", "open MLflow at a trial or a sweep", parents=[own])
     ui.add_argument("hash", nargs="?", help="of a trial or a sweep; without one, the list of all")
     ui.add_argument("--port", type=int, help="of MLflow's server (default: 5000, or one that is free)")

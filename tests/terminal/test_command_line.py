@@ -132,6 +132,10 @@ def test_help_of_a_command_is_of_it_alone(capsys: pytest.CaptureFixture[str]) ->
         usage, _, rest = " ".join(capsys.readouterr().out.split()).partition(" [-h]")
         assert usage == f"usage: python -m simbias {command}"
         assert said in rest
+    for command in COMMANDS:
+        with pytest.raises(SystemExit):
+            parse([command, "--help"], "0")
+        assert ("--cfg" in capsys.readouterr().out) == (command in ("run", "check", "preview", "export"))
 
 
 def test_help_is_quick_and_complete(tmp_path: Path) -> None:
