@@ -24,6 +24,17 @@ th:first-child, td:first-child, td:last-child, th:last-child { text-align: left 
 td:last-child { white-space: normal }
 img { max-width: 100%; height: auto }
 pre { font-size: 0.85rem; overflow-x: auto; background: #f6f6f6; padding: 0.7rem }
+@media print, (max-width: 50rem) {
+  table { font-size: 0.7rem }
+  th, td { white-space: normal; padding: 0.2rem 0.3rem }
+}
+@media print {
+  body { font-size: 10pt; margin: 0 }
+  table, pre { overflow: visible }
+  pre { white-space: pre-wrap }
+  tr, img { break-inside: avoid }
+  h2 { break-after: avoid }
+}
 """
 
 
